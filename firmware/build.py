@@ -32,7 +32,7 @@ FLAGS = (
     "-ffunction-sections",
     "-fdata-sections",
 )
-# Without a frame pointer inner loops have a register more.
+# Without a frame pointer, inner loops have one more register.
 CORTEX_M_FLAGS = (
     *("-target", "thumb-freestanding-eabihf", "-ffreestanding", "-fno-builtin", "-fno-unwind-tables"),
     *("-fomit-frame-pointer", "-g0", "-Wl,--gc-sections", "-Wvla", "-Wframe-larger-than=2560"),
@@ -68,7 +68,7 @@ class Target:
         return [path for path in found if not path.stem.endswith("_encoder")]
 
     def command(self) -> list[str]:
-        """Return the compiler's arguments but for the output; it is to run in ROOT."""
+        """Return the compiler's arguments except the output; run it in ROOT."""
         includes = [f"-I{folder}" for folder in (*SHARED, *self.folders)]
         texts = {name: f'"{value}"' if isinstance(value, str) else value for name, value in self.defines.items()}
         defines = [f"-D{name}={value}" for name, value in texts.items()]
@@ -157,7 +157,7 @@ def build(name: str, sizes: Mapping[str, int] | None = None) -> Path:
     folder = _build_folder() / f"{name}-{_fingerprint(target)}"
     built = folder / f"{name}{target.suffix}"
     if not built.exists():
-        # Made elsewhere and moved when it is whole: others may build the same at the same time.
+        # Build elsewhere and move the finished files, because others may build the same at the same time.
         with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f"{name}-") as temporary:
             made = Path(temporary) / "made"
             made.mkdir()
@@ -183,7 +183,7 @@ def _build_folder() -> Path:
             continue
         if os.access(folder, os.W_OK):
             return folder
-    raise BuildError(f"neither {ROOT / 'build'} nor {cache} can be written: set XDG_CACHE_HOME to a folder that can")
+    raise BuildError(f"neither {ROOT / 'build'} nor {cache} can be written; set XDG_CACHE_HOME to a folder that can")
 
 
 def _fingerprint(target: Target) -> str:

@@ -1,4 +1,4 @@
-"""Reads the programs that firmware.build links: which bytes are loaded where, and where its parts lie."""
+"""Reads the programs that firmware.build links: their bytes, their addresses, and their parts."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +10,7 @@ from elftools.elf.sections import SymbolTableSection
 
 @dataclass(frozen=True)
 class Segment:
-    """One program header: `data` goes to `load_address`, and takes part in a run at `address`."""
+    """One program header: `data` is stored at `load_address`, and used at `address`."""
 
     address: int
     load_address: int
@@ -20,7 +20,7 @@ class Segment:
 
 @dataclass(frozen=True)
 class Section:
-    """Where a section lies in memory."""
+    """The place of a section in memory."""
 
     address: int
     size_bytes: int

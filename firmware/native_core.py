@@ -13,7 +13,7 @@ ffi = FFI()
 _LOCK = Lock()
 
 CORE_VARIABLE = "VIBROCAST_CORE"
-"""Environment variable that names the compiled core to load, for tests and to look for faults."""
+"""Environment variable that names the compiled core to load, for tests and debugging."""
 
 
 class CoreError(RuntimeError):
@@ -22,13 +22,13 @@ class CoreError(RuntimeError):
 
 @cache
 def library() -> Any:
-    """Load them, once for all threads; headers of firmware/core and firmware/controller declare the functions.
+    """Load core and controller, once for all threads. Headers of both folders declare the functions.
 
     A machine with an x86-64 processor has two cores, "baseline" and "x86_64_v3", which produce the same bits. The
-    processor tells which is loaded. Raises CoreError if the core has not been compiled, or if the environment
+    processor decides which is loaded. Raises CoreError if the core has not been compiled, or if the environment
     variable VIBROCAST_CORE names a core that this machine cannot run.
     """
-    with _LOCK:  # the cache of this function spares it every later call
+    with _LOCK:  # the function's cache avoids the lock in later calls
         return _loaded()
 
 
@@ -51,7 +51,7 @@ def _loaded() -> Any:
 
 
 class Structure:
-    """Memory for a structure of the core, alive as long as this object; `pointer` is what the core's functions take."""
+    """Memory for a structure of the core, alive as long as this object; the core's functions take its `pointer`."""
 
     def __init__(self, size: int, kind: str) -> None:
         self._size, self._kind = size, kind
@@ -59,7 +59,7 @@ class Structure:
         self.pointer = ffi.cast(kind, self._memory)
 
     def copy(self) -> "Structure":
-        """Return another one of the same content; no structure of the core points into itself."""
+        """Return a copy with the same content; no structure of the core points into itself."""
         twin = Structure(self._size, self._kind)
         ffi.memmove(twin._memory, self._memory, self._size)
         return twin

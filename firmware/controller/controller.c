@@ -21,7 +21,7 @@ size_t vc_controller_profile_size(void)
     return VC_PROFILE_WORDS * sizeof(int64_t);
 }
 
-/* ---- what goes out ---- */
+/* ---- output to the host ---- */
 
 static uint32_t outgoing_bytes(const vc_controller *controller)
 {
@@ -82,7 +82,7 @@ static void write_status(vc_controller *controller, vc_frame_writer *writer, uin
     vc_write_status(writer, sequence, &controller->last_report);
 }
 
-/* Frames that are not kept: errors and notifications. */
+/* Frames that are not kept for a repeated request: errors and notifications. */
 #define SMALL_FRAME_BYTES 256
 
 static void send_error(vc_controller *controller, uint16_t sequence, const vc_rejection *rejection)
@@ -94,7 +94,7 @@ static void send_error(vc_controller *controller, uint16_t sequence, const vc_re
     send(controller, frame, (uint32_t)vc_frame_end(&writer));
 }
 
-/* Sends a Status where something has happened that the host needs to know, or has not heard for a while. */
+/* Sends a Status after an event that the host must know, and after some time without one. */
 static void notify(vc_controller *controller)
 {
     const vc_status_report *last = &controller->last_report;
@@ -118,7 +118,7 @@ static void notify(vc_controller *controller)
 
 /* ---- requests: each puts its answer and returns 0, or returns the rejection's code ---- */
 
-/* Ramps down at once: the DAC takes the whole ramp, and is free for another stream when it has played it. */
+/* Ramps down at once: the DAC takes the whole ramp. After it, another stream may use the DAC. */
 static void stop(vc_controller *controller)
 {
     vc_playback *playback = &controller->playback;
@@ -133,7 +133,7 @@ static void stop(vc_controller *controller)
         controller->dac_free_us = free_us;
 }
 
-/* Rejects what is not carried out in this state; `states`: those in which it is, a bit for each. */
+/* Rejects a request in other states than these; `states`: a bit for each allowed state. */
 static int reject_outside(const vc_controller *controller, unsigned states, vc_rejection *rejection)
 {
     static const char *const names[] = {"idle",     "buffering", "armed",    "playing", "paused",
@@ -160,7 +160,7 @@ static int reject_while_active(const vc_controller *controller, vc_rejection *re
                : 0;
 }
 
-/* Finds what the stream's decoders are made from: an image chooses its tables. */
+/* Finds the coding of a stream: a model image provides its tables. */
 static int find_coding(const vc_controller *controller, const vc_stream_header *header, vc_coding *coding,
                        vc_rejection *rejection)
 {
@@ -392,7 +392,7 @@ static void send_again(vc_controller *controller)
     send(controller, controller->answer, controller->answer_bytes);
 }
 
-/* Whether a request is to be carried out; sends the kept answer again if it is the last one's copy. */
+/* Returns whether to carry out a request; for a copy of the last one, sends the kept answer again. */
 static int is_new(vc_controller *controller, uint16_t sequence)
 {
     const uint16_t ahead = (uint16_t)(sequence - controller->last_sequence);
@@ -401,7 +401,7 @@ static int is_new(vc_controller *controller, uint16_t sequence)
     return !controller->in_session || (ahead > 0 && ahead < 0x8000u);
 }
 
-/* Sends the answer whose frame is done, and keeps it. */
+/* Sends the answer in the finished frame, and keeps it. */
 static void answer(vc_controller *controller, uint16_t sequence, vc_frame_writer *writer)
 {
     controller->answer_bytes = (uint32_t)vc_frame_end(writer);
@@ -422,7 +422,7 @@ static void answer_error(vc_controller *controller, uint16_t sequence, const vc_
     answer(controller, sequence, &writer);
 }
 
-/* Opens a session; to copies of the Hello that opened this one, answers again until another request has come. */
+/* Opens a session. Answers copies of the Hello that opened it again, until another request comes. */
 static void greet(vc_controller *controller, uint16_t sequence, const vc_hello *hello)
 {
     vc_frame_writer writer;

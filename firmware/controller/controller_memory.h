@@ -9,12 +9,12 @@
 struct vc_controller {
     const vc_controller_settings *settings;
     const vc_flash *flash;
-    uint64_t time_us, heard_us; /* now, and when the host was last heard */
-    uint64_t dac_free_us;       /* when the DAC is free for another stream */
+    uint64_t time_us, heard_us; /* the time now, and that of the host's last message */
+    uint64_t dac_free_us;       /* time at which another stream may use the DAC */
     vc_image_store images;
     vc_frame_reader reader;
 
-    /* The session: the sequence numbers that opened it and of the last request, with the answer to that. */
+    /* The session: the sequence numbers of the Hello and of the last request, and the answer to that. */
     int in_session;
     uint16_t opened_by, last_sequence;
     uint32_t answer_bytes;

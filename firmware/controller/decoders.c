@@ -5,7 +5,7 @@
 
 static const vc_codec *const codecs[] = {VC_CODECS(ROW)};
 
-/* The codec of an identifier; NULL: it is not in C. */
+/* The codec of an identifier; NULL: C does not have it. */
 static const vc_codec *find(uint8_t identifier)
 {
     unsigned i;
@@ -29,7 +29,7 @@ void vc_codecs_describe(vc_codec_description *descriptions)
     }
 }
 
-/* Returns 0 if a codec in C takes the payload of a model image; else rejects with `code`. */
+/* Returns 0 if a codec in C accepts the payload of a model image; else rejects with `code`. */
 static int check_tables(uint8_t identifier, const uint8_t *tables, size_t length, enum vc_error_code code,
                         vc_rejection *rejection)
 {

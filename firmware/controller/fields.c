@@ -81,7 +81,7 @@ int vc_same_bytes(const uint8_t *a, const uint8_t *b, size_t length)
     return 1;
 }
 
-/* Bytes of the character at the start of a text; 0 where there is none (the table of RFC 3629, section 4). */
+/* Bytes of the character at the start of a text; 0 if there is none (the table of RFC 3629, section 4). */
 static size_t character_bytes(vc_piece text)
 {
     const uint8_t *bytes = text.bytes;

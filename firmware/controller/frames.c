@@ -18,7 +18,7 @@ void vc_frame_reader_init(vc_frame_reader *reader)
     reader->taken = 0;
 }
 
-/* Bytes of the payload that `pending` holds, which is decoded in place; 0 where it is damaged, empty or too long. */
+/* Decodes `pending` in place; returns the bytes of its payload, 0 for a damaged, empty or too long one. */
 static size_t payload_bytes(vc_frame_reader *reader)
 {
     size_t decoded, length;
@@ -44,7 +44,7 @@ size_t vc_frame_reader_feed(vc_frame_reader *reader, const uint8_t *data, size_t
             if (reader->length < sizeof reader->pending)
                 reader->pending[reader->length++] = data[taken];
         } else if (reader->length > 0) {
-            /* Zeros with nothing between them are allowed: a sender may open with one to end earlier noise. */
+            /* Zeros with nothing between them are allowed: a sender may begin with one, to end earlier noise. */
             payload->length = payload_bytes(reader);
             if (payload->length > 0) {
                 reader->taken = 1;

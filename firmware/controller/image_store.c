@@ -10,7 +10,7 @@
 #include "crc.h"
 
 #define ERASED 0xFFu
-/* Data is programmed again from a multiple of this on after a cut, over bytes that may be half done. */
+/* After a cut, programming resumes at a multiple of this, over bytes that may be half done. */
 #define PAGE_BYTES 256u
 #define NO_SLOT (-1)
 
@@ -26,7 +26,7 @@ static const uint8_t *slot_data(const vc_image_store *store, unsigned number)
     return store->flash->base + store->flash->slot[number];
 }
 
-/* Takes a copy of the record if it is whole and newer than the last one. */
+/* Uses a copy of the record if it is whole and newer than the last one. */
 static void read_record(vc_image_store *store, const uint8_t *record)
 {
     vc_fields fields;
@@ -52,7 +52,7 @@ static void read_record(vc_image_store *store, const uint8_t *record)
     }
 }
 
-/* Changes slots' states, all at once: in the record first, so that a flash that fails changes nothing. Returns whether
+/* Changes slots' states, all at once. The record comes first, so that a failing flash changes nothing. Returns whether
  * the flash took it. */
 static int set_slots(vc_image_store *store, const vc_slot *slots)
 {
@@ -91,7 +91,7 @@ static int set_slot(vc_image_store *store, unsigned number, const vc_slot *slot)
     return set_slots(store, slots);
 }
 
-/* Looks whether a slot's image is whole, and reads it where it is. Returns 0, or the rejection's code. */
+/* Checks a slot's image, and reads it in place. Returns 0 for a whole one, or the rejection's code. */
 static int look_at_image(vc_image_store *store, unsigned number, vc_rejection *rejection)
 {
     const vc_slot *slot = &store->slots[number];
@@ -107,7 +107,7 @@ static int look_at_image(vc_image_store *store, unsigned number, vc_rejection *r
     return rejected;
 }
 
-/* The slot in a state whose image is whole, or NO_SLOT. */
+/* The slot in this state with a whole image, or NO_SLOT. */
 static int whole_slot(const vc_image_store *store, uint8_t state)
 {
     int number;
@@ -117,7 +117,7 @@ static int whole_slot(const vc_image_store *store, uint8_t state)
     return NO_SLOT;
 }
 
-/* Where to go on after a boot: the start of the last page that is not blank. */
+/* The offset at which an upload resumes after a boot: the start of the last page that is not blank. */
 static uint32_t programmed_bytes(const vc_image_store *store, unsigned number)
 {
     const uint8_t *data = slot_data(store, number);
@@ -297,7 +297,7 @@ int vc_image_store_write(vc_image_store *store, const vc_flash_data *data, vc_fl
     return tell(store, data->slot, report);
 }
 
-/* Checks what was written to a slot. Returns 0, or the rejection's code. */
+/* Checks the image in a slot. Returns 0, or the rejection's code. */
 static int check_image(vc_image_store *store, unsigned number, vc_rejection *rejection)
 {
     const vc_model_image *image = &store->images[number];

@@ -39,7 +39,7 @@ void vc_packet_buffer_remove(vc_packet_buffer *buffer, uint64_t number)
     uint32_t to = place->offset, i;
     if (gap == 0)
         return;
-    /* Later packets move down, in pieces that do not overlap their targets. */
+    /* Moves later packets down, in pieces that do not overlap their targets. */
     while (to + gap < buffer->used) {
         const uint32_t left = buffer->used - to - gap, piece = left < gap ? left : gap;
         memcpy(buffer->bytes + to, buffer->bytes + to + gap, piece);

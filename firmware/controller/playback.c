@@ -1,7 +1,7 @@
 /* One stream on the controller: buffers, decodes and plays it; see playback.h. */
 #include "playback.h"
 
-/* Bounds of the work of a loop, which starts afresh and decodes padding in each iteration. */
+/* Limits for loops, because each iteration starts again and decodes padding. */
 #define SHORTEST_ITERATION_MS 3u
 #define DECODED_PER_PLAYED 16u
 /* After this time without data, playing begins with the packets at hand: the rest of the prebuffer was lost. */
@@ -72,8 +72,8 @@ void vc_playback_captured(const vc_playback *playback, enum vc_tap tap, uint64_t
 
 /* ---- set up ---- */
 
-/* Decoded samples of one iteration up to the recording's end, behind which comes only padding; NO_END for a stream of
- * unknown length. */
+/* Decoded samples of one iteration up to the recording's end; only padding follows. NO_END for a stream of unknown
+ * length. */
 static uint64_t recording_end(const vc_stream_header *header, const vc_coding *coding)
 {
     return header->samples == VC_LENGTH_UNKNOWN ? NO_END : coding->delay_samples + header->samples;
@@ -135,7 +135,7 @@ static int reject_short_iterations(const vc_stream_header *header, const vc_codi
     return 0;
 }
 
-/* Packets of a stream that the buffer's samples have room for. */
+/* The number of packets of a stream that fit the buffer's samples. */
 static uint32_t buffer_packets_of(const vc_coding *coding, const vc_sizes *sizes)
 {
     return (uint32_t)least(VC_BUFFER_PACKETS, sizes->buffer_samples / coding->packet_samples);
@@ -261,7 +261,7 @@ void vc_playback_init(vc_playback *playback, const vc_configure *configure, cons
 
 /* ---- packets ---- */
 
-/* The number of packets in all, NO_END while it is open. */
+/* The number of all packets, NO_END while it is open. */
 static uint64_t end_of(const vc_playback *playback)
 {
     const uint64_t in_iteration = playback->packets > 0 ? playback->packets : 1;
@@ -271,8 +271,8 @@ static uint64_t end_of(const vc_playback *playback)
     return playback->packets * (playback->loops > begun ? playback->loops : begun);
 }
 
-/* The packet before which data may be sent: as many as the buffer's samples have room for, and its bytes however long
- * the packets are that have not come. */
+/* The packet before which data may be sent. The buffer's samples have room for as many; its bytes have, however long
+ * the missing packets are. */
 static uint64_t credit_of(const vc_playback *playback)
 {
     const vc_packet_buffer *buffer = &playback->buffer;
@@ -285,7 +285,7 @@ uint32_t vc_playback_capacity_samples(const vc_playback *playback)
            playback->coding.packet_samples;
 }
 
-/* Decodes the next packet, or conceals its loss; what is to be played of it waits for the drive. */
+/* Decodes the next packet, or conceals its loss; its samples to be played wait for the drive. */
 static void decode_next(vc_playback *playback)
 {
     const vc_coding *coding = &playback->coding;
@@ -312,7 +312,7 @@ static void decode_next(vc_playback *playback)
     vc_packet_buffer_remove(&playback->buffer, number);
     capture(&playback->captures[VC_TAP_DECODED], playback->decoded, coding->packet_samples,
             playback->header.output.channels);
-    /* Iterations join without a gap: a later one begins behind the codec's delay, each ends with the recording. */
+    /* Iterations join without a gap: a later one begins after the codec's delay, and each ends with the recording. */
     playback->decoded_at = 0;
     if ((iteration > 0 || playback->spatial) && before < coding->delay_samples)
         playback->decoded_at = (uint32_t)least(coding->delay_samples - before, coding->packet_samples);
@@ -361,7 +361,7 @@ void vc_playback_position(vc_playback *playback, uint64_t hand_us, int64_t posit
         count_one(&playback->underruns);
 }
 
-/* ---- what the host asks ---- */
+/* ---- requests of the host ---- */
 
 static void ramp_down(vc_playback *playback)
 {
@@ -422,7 +422,7 @@ void vc_playback_end_live(vc_playback *playback, uint32_t packets)
 
 /* ---- playing ---- */
 
-/* Makes drive where none is left, decoding what it needs for it; returns how many samples the DAC may take. */
+/* Makes drive samples if none are left, and decodes packets for them; returns how many samples the DAC may take. */
 static uint32_t ready_drive(vc_playback *playback)
 {
     const unsigned channels = playback->header.output.channels;
@@ -465,7 +465,7 @@ static uint32_t render(vc_playback *playback, uint32_t samples)
     return playback->drive_end;
 }
 
-/* Samples of the stream's rate that are decoded and not yet played. */
+/* Decoded samples that are not yet played, at the stream's rate. */
 static uint32_t pending_samples(const vc_playback *playback)
 {
     const uint32_t rate_hz = playback->header.output.rate_hz, dac_rate_hz = playback->actuator->dac_rate_hz;
@@ -485,7 +485,7 @@ static void begin_if_ready(vc_playback *playback, uint64_t time_us)
                           : buffered < playback->prebuffer_samples && playback->newest_end != end_of(playback) &&
                                 !full && time_us - playback->waiting_since_us <= LONGEST_WAIT_US;
     if (waits) {
-        /* The prebuffer has not come in time: it begins when it is there. */
+        /* The prebuffer is late: playing begins when it is there. */
         if (playback->start_us < time_us)
             playback->start_us = time_us;
     } else if (playback->start_us <= time_us) {
@@ -541,7 +541,7 @@ void vc_playback_advance(vc_playback *playback, uint64_t time_us)
     if (playback->clock_samples > begun)
         playback->rest_from_us =
             playback->clock_from_us + scaled_up(playback->clock_samples, US_PER_S, playback->actuator->dac_rate_hz);
-    if (due > 0) { /* at rest: the time that passes here owes no samples later */
+    if (due > 0) { /* at rest: no samples are due later for this time */
         playback->clock_from_us = time_us;
         playback->clock_samples = 0;
         if (playback->state == VC_STATE_PLAYING) {

@@ -1,4 +1,4 @@
-/* Why the controller rejects what the host asks; see rejection.h. */
+/* The reason for which the controller rejects a request; see rejection.h. */
 #include "rejection.h"
 
 #include "common.h"

@@ -14,7 +14,7 @@ typedef struct {
     vc_below below;
 } path;
 
-/* Surroundings of the search for one block. */
+/* Context of the search for one block. */
 typedef struct {
     vc_model *model;
     const vc_history *history;
@@ -22,8 +22,8 @@ typedef struct {
     uint32_t bins, lambda;
 } task;
 
-/* Estimates probabilities, in 1/65536, of the decisions up to `last`. With a network: as they will be coded. Without:
- * by the first context's adaptive probabilities alone, not mixed, in a third of the time. */
+/* Estimates probabilities, in 1/65536, of the decisions up to `last`. With a network: the exact ones of the coder.
+ * Without: only the first context's adaptive probabilities, not mixed, in a third of the time. */
 static void estimate(const task *task, uint32_t k, const vc_below *below, unsigned quantiser, uint32_t last,
                      uint32_t *probabilities)
 {
@@ -55,12 +55,11 @@ static int64_t estimated_cost(const uint32_t *probabilities, uint32_t index)
     return cost;
 }
 
-/* Squared difference of a magnitude (in 1/256 step) and what the level is reconstructed to, in 1/65536 of a squared
- * step. */
+/* Squared difference of a magnitude (in 1/256 step) and its reconstructed level, in 1/65536 of a squared step. */
 static int64_t distortion(uint32_t magnitude, uint32_t level)
 {
     int64_t difference = (int64_t)magnitude - (int64_t)level * 256;
-    if (difference > MAX_DIFFERENCE) /* then the sum over a block stays below 2^62 */
+    if (difference > MAX_DIFFERENCE) /* so that the sum over a block stays below 2^62 */
         difference = MAX_DIFFERENCE;
     return difference * difference;
 }
@@ -93,8 +92,8 @@ static void extend(const task *task, uint32_t k, uint32_t magnitude, unsigned st
     }
 }
 
-/* Chooses the indices of one block (Viterbi search from a state of dependent quantisation on); returns 1 when the block
- * is best left silent. */
+/* Chooses the indices of one block by a Viterbi search from a state of dependent quantisation. Returns 1 if silence is
+ * the best choice for the block. */
 static int search_block(const task *task, unsigned first_state, const uint32_t *magnitudes)
 {
     const uint32_t silence = vc_silence_predict(task->model, task->history) >> 5;

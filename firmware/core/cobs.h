@@ -13,18 +13,18 @@
 #define VC_COBS_BYTES(length) ((length) + (length) / 254 + 1)
 
 /* cffi: begin */
-/* An encoder that is given its bytes in pieces. */
+/* An encoder that takes its bytes in pieces. */
 typedef struct {
     uint8_t *encoded;
     size_t capacity, length; /* length: bytes written, or capacity + 1 where they did not fit */
-    size_t code_at;          /* where the length of the group that is open will stand */
+    size_t code_at;          /* place for the length of the open group */
     int open;                /* a group is open */
 } vc_cobs_encoder;
 
 /* Starts encoding into encoded[0..capacity), which must stay valid until the end. */
 void vc_cobs_begin(vc_cobs_encoder *encoder, uint8_t *encoded, size_t capacity);
 void vc_cobs_put(vc_cobs_encoder *encoder, const uint8_t *data, size_t length);
-/* Ends it; returns the bytes written, or 0 where they did not fit. */
+/* Ends the encoding; returns the bytes written, or 0 if they did not fit. */
 size_t vc_cobs_end(vc_cobs_encoder *encoder);
 
 /* Decodes bytes[0..length) in place; writes the bytes that they stood for to `decoded`. Returns 0, or -1 where they are

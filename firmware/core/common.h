@@ -17,7 +17,7 @@ void *memset(void *destination, int value, size_t length);
 #endif
 #define VC_PACKET_HEAD_BYTES 5
 #define VC_EVEN_ODDS 32768u
-/* Probability, in 1/65536, that an adaptive decision starts with where nothing is known. */
+/* Start of an adaptive decision's probability, in 1/65536, if nothing is known. */
 #define VC_UNTRAINED 32768u
 
 /* Packet head: sequence * 2 + refresh, LEB128. The reader returns the bytes taken, or 0 when there is no valid head;
@@ -52,7 +52,7 @@ static inline int32_t vc_limited(int64_t value)
 static inline int64_t vc_rounded(int64_t value)
 {
     const int64_t one = 1 << 24;
-    /* The bits below are cleared, so that a compiler needs no more than a shift. */
+    /* The lower bits are cleared, so that a compiler needs only a shift. */
     return ((value + one / 2 - (value < 0)) & -one) / one;
 }
 

@@ -1,7 +1,7 @@
 /* The DAC: gain and fades, then limits on voltage, mean power and slew, which nothing overrides. */
 #include "output_memory.h"
 
-/* Exponent of a drive of 1 in parts of full scale: 10 fraction bits of a decoded sample, which has 15 of full scale. */
+/* Exponent of a drive of 1 relative to full scale: 10 fraction bits of a decoded sample, whose full scale has 15. */
 #define DRIVE_EXPONENT (-25)
 /* 1 um / (1 m/s^2 / (2 pi 20 Hz)^2) = 63.3257...: the displacement that belongs to an acceleration, in 1/2^25. */
 #define DISPLACEMENT_MANTISSA 2124859229u
@@ -10,13 +10,12 @@
 #define GAIN_BITS 40
 #define MAX_GAIN ((uint64_t)65536 << GAIN_BITS)
 
-/* The power limit weighs the past by exp(-t / 1 s), in blocks of 10 ms, and turns the drive down within two knees below
- * the limit. Once a block, mean += share (block - mean), and the squared factor of the next is (limit - knee - mean) /
- * knee, at least 0 and at most 1: the mean stays below limit - knee. It starts at, and never falls below, its floor
- * limit - 2 knee: from 0 it would let full drive pass for most of the first second. With
- * mean' >= (drive^2 - mean) / 1 s, the mean of drive^2 over any second is at most the rise of `mean` in it, which is at
- * most a knee, plus its height, at most limit - knee. Drive below the floor is left alone. The factor moves linearly
- * within a block: no click. */
+/* The power limit weights the past by exp(-t / 1 s), in blocks of 10 ms. It reduces the drive within two knees below
+ * the limit. Once a block, mean += share (block - mean). The squared factor of the next block is (limit - knee - mean)
+ * / knee, from 0 to 1, so the mean stays below limit - knee. The mean starts at its floor limit - 2 knee, and never
+ * falls below: from 0 it would allow full drive for most of the first second. Because mean' >= (drive^2 - mean) / 1 s,
+ * the mean of drive^2 over any second is at most the rise of `mean` in it (at most a knee) plus its height (at most
+ * limit - knee). Drive below the floor stays unchanged. The factor moves linearly within a block, without clicks. */
 #define BLOCKS_PER_SECOND 100
 #define MEAN_BITS 46
 #define LARGEST_KNEE (((uint64_t)1 << MEAN_BITS) / 20)
@@ -34,7 +33,7 @@ static vc_scale scale_of(uint64_t mantissa, int32_t exponent)
     return scale;
 }
 
-/* Codes for a drive of 1: gain of the header, times codes for the unit. */
+/* Codes for a drive of 1: the header's gain times the codes for the unit. */
 static vc_scale channel_scale(const vc_actuator *actuator, const vc_output_stream *stream, uint32_t channel)
 {
     const uint32_t bits = stream->gain[channel], exponent = bits >> 7;
@@ -124,13 +123,13 @@ static int32_t root(uint32_t value)
 
 static int32_t power_factor(const vc_dac *dac, uint64_t mean)
 {
-    /* Both parts fit 32 bits when their lowest 12 are left out. */
+    /* Both parts fit 32 bits without their lowest 12 bits. */
     if (mean <= dac->floor)
         return WHOLE_FACTOR;
     return mean >= dac->top ? 0 : root((uint32_t)((((dac->top - mean) >> 12) << 32) / ((dac->knee >> 12) + 1)));
 }
 
-/* Goes towards a code no faster than the slew limit. */
+/* Moves towards a code no faster than the slew limit. */
 static int16_t within_slew(vc_dac *dac, vc_dac_channel *channel, int32_t code)
 {
     const int32_t most = dac->actuator->code_step_limit, change = code - channel->code;
@@ -183,7 +182,7 @@ static int32_t within_voltage(vc_dac *dac, int32_t drive, vc_scale scale, vc_sca
     /* At full DAC scale the lowest code is one farther from rest than the highest. */
     const int32_t lowest = -highest - (highest == (1 << (dac->actuator->dac_bits - 1)) - 1);
     const int64_t product = drive * (int64_t)(((uint64_t)scale.mantissa * level.mantissa) >> 31);
-    /* Within 62 bits; beyond these shifts, a drive is beyond every limit or below every code. */
+    /* Within 62 bits. Beyond these shifts, a drive exceeds every limit or is below every code. */
     const int32_t shift = -31 - scale.exponent - level.exponent;
     const int32_t down = shift < 1 ? 1 : shift > 62 ? 62 : shift;
     const int64_t code = (product + ((int64_t)1 << (down - 1))) >> down;

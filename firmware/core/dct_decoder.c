@@ -6,7 +6,7 @@
 #define MAX_PACKET_SAMPLES (1u << 18)
 #define WHOLE 7u /* in place of a block's size: a packet is one transform */
 #define LOGARITHMIC 0x08u
-#define LINEAR 0x20u /* absent from streams of before, whose linear levels were others */
+#define LINEAR 0x20u /* absent from older streams, whose linear levels were others */
 #define SYMBOLS 120u
 #define FIRST_CLASS 16u /* symbols from here on stand for classes of values, eight an octave */
 #define LONGEST_CODE 15u
@@ -90,13 +90,13 @@ static uint32_t reversed(uint32_t index, uint32_t count)
 }
 
 /* Writes one block of samples, `stride` apart: the inverse of the orthonormal DCT-II, by a complex Fourier transform of
- * as many points (Makhoul, "A fast cosine transform in one and two dimensions", 1980). */
+ * the same length (Makhoul, "A fast cosine transform in one and two dimensions", 1980). */
 static void inverse_dct(vc_dct_decoder *decoder, int16_t *samples, unsigned stride)
 {
     const uint32_t count = decoder->configuration.block, unit = VC_DCT_MAX_BLOCK / count;
     const unsigned octaves = vc_floor_log2(count);
-    /* sqrt(1 / count) and sqrt(1 / (2 count)) in 1/2^24: what X[0] and the others weigh; 4 times as much inside, so
-     * that rounding at every stage does not show. */
+    /* sqrt(1 / count) and sqrt(1 / (2 count)) in 1/2^24: the weights of X[0] and the others. Inside they are 4 times as
+     * large, so that rounding at every stage does not show. */
     const int64_t first_weight = (octaves & 1u ? ROOT_OF_HALF : ONE) * 4 >> octaves / 2;
     const int64_t weight = (octaves & 1u ? ONE / 2 : ROOT_OF_HALF) * 4 >> octaves / 2;
     int32_t *real = decoder->real, *imaginary = decoder->imaginary;
@@ -152,7 +152,7 @@ typedef struct {
     uint8_t symbols[SYMBOLS];
 } huffman_code;
 
-/* Returns 0 unless every sequence of bits has a meaning. */
+/* Returns 0 unless the code is complete: every sequence of bits has a meaning. */
 static int huffman_read(huffman_code *code, bit_reader *reader)
 {
     uint8_t length_of[SYMBOLS];
@@ -219,7 +219,7 @@ static uint32_t range_value(vc_range_coder *coder, vc_dct_model *model, uint32_t
     return zeros + (rank < first_pair ? rank : 2 * rank - first_pair + (uint32_t)vc_range_decode(coder, VC_EVEN_ODDS));
 }
 
-/* A packet being read: its ranges, its number of levels, and what its values are read from. */
+/* A packet that is being read: its ranges, its number of levels, and the source of its values. */
 typedef struct {
     const uint8_t *ranges;
     uint32_t levels;
@@ -229,7 +229,7 @@ typedef struct {
     unsigned zeros;
 } packet_reader;
 
-/* Reads what stands before the values. Returns VC_OK or VC_BAD_PACKET. */
+/* Reads the fields before the values. Returns VC_OK or VC_BAD_PACKET. */
 static int packet_open(packet_reader *reader, vc_dct_decoder *decoder, const uint8_t *packet, size_t length)
 {
     const vc_dct_configuration *configuration = &decoder->configuration;
@@ -263,7 +263,7 @@ static int packet_open(packet_reader *reader, vc_dct_decoder *decoder, const uin
     return VC_OK;
 }
 
-/* Goes on to a channel; returns 0 where it is silent, and all of its coefficients are 0. */
+/* Moves to the next channel; returns 0 for a silent one, whose coefficients are all 0. */
 static int channel_open(const packet_reader *reader, vc_dct_decoder *decoder, unsigned channel,
                         vc_dct_quantiser *quantiser)
 {
@@ -292,7 +292,7 @@ static void decode_block(vc_dct_decoder *decoder, packet_reader *reader, const v
     }
 }
 
-/* Rises from zero behind a gap, and keeps what a gap that follows fades. */
+/* Rises from zero after a gap, and keeps the samples that a later gap would fade. */
 static void finish_channel(vc_dct_decoder *decoder, unsigned channel, int16_t *samples)
 {
     const uint32_t packet_samples = vc_dct_decoder_packet_samples(decoder);
@@ -353,7 +353,7 @@ void vc_dct_conceal(vc_dct_decoder *decoder, int16_t *samples)
     uint32_t n;
     unsigned channel;
     memset(samples, 0, values * sizeof *samples);
-    /* A DCT-II goes on behind its block as its mirror image: backwards there is no step. */
+    /* A DCT-II continues after its block as its mirror image, so playing backwards makes no step. */
     for (n = 0; n < VC_DCT_FADE_SAMPLES; n++)
         for (channel = 0; channel < decoder->configuration.channels; channel++)
             samples[n * decoder->configuration.channels + channel] =

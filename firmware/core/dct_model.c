@@ -5,7 +5,7 @@
 #define OCTAVE_BITS 20
 #define RANGE_CODE_BITS 8 /* of an octave's fraction in a range code */
 
-/* 2^(exponent / 2^20), rounded, within MAX_COEFFICIENT: table of 256 steps an octave, straight between them. */
+/* 2^(exponent / 2^20), rounded, within MAX_COEFFICIENT: a table of 256 steps an octave, with straight lines between. */
 static int32_t power_of_two(uint32_t exponent)
 {
     const uint32_t octave = exponent >> OCTAVE_BITS;
@@ -38,8 +38,8 @@ void vc_dct_quantiser_init(vc_dct_quantiser *quantiser, int logarithmic, uint32_
     quantiser->right = exponent_of(above);
     quantiser->centre = levels / 2;
     if (!logarithmic) {
-        /* Equation (2) of the source paper: multiples of (max - min) / (L - 1), from that nearest min to that nearest
-         * max. Both may lie half a step from it, and then there is one level more. */
+        /* Equation (2) of the source paper: multiples of (max - min) / (L - 1), from the one nearest min to the one
+         * nearest max. If both lie half a step away, there is one level more. */
         const int64_t width = magnitude_of(below) + magnitude_of(above), steps = levels - 1;
         quantiser->width = width;
         quantiser->steps = steps;
@@ -55,7 +55,7 @@ static int32_t linear_level(const vc_dct_quantiser *quantiser, uint32_t count)
     return (int32_t)(magnitude > MAX_COEFFICIENT ? MAX_COEFFICIENT : magnitude);
 }
 
-/* Magnitude of the logarithmic level `rank` of `count` on one side; none is above the greatest magnitude. */
+/* Magnitude of the logarithmic level `rank` of `count` on one side; at most the greatest magnitude. */
 static int32_t logarithmic_level(uint32_t bottom, uint32_t top, uint32_t rank, uint32_t count)
 {
     if (bottom > top)
@@ -73,7 +73,7 @@ int32_t vc_dct_level(const vc_dct_quantiser *quantiser, uint32_t value)
     value -= quantiser->zeros;
     if (value > last)
         value = last;
-    /* Outwards from the centre, the two sides in turn, then the rest of the longer one. */
+    /* Outwards from the centre, alternating sides, then the rest of the longer side. */
     if (value <= 2 * shorter_side)
         level = value & 1u ? centre - (value + 1) / 2 : centre + value / 2;
     else
@@ -109,7 +109,7 @@ static unsigned context_of(uint32_t expected)
     return 2 * octave + ((octave > 0 ? (expected + 1) >> (octave - 1) : 0) & 1u);
 }
 
-/* Low bits that are left to even odds, so that about eight decisions remain. */
+/* Low bits with even odds, so that about eight decisions remain. */
 static unsigned low_bits_of(unsigned context)
 {
     return context / 2 > 5 ? context / 2 - 5 : 0;
@@ -121,7 +121,7 @@ void vc_dct_model_reset(vc_dct_model *model)
     for (context = 0; context < VC_DCT_ZERO_CONTEXTS; context++)
         model->zero[context] = VC_UNTRAINED;
     for (context = 0; context < VC_DCT_CONTEXTS; context++) {
-        /* As if ranks fell off geometrically: with mean m, a rank is above n with probability m / (m + 1). */
+        /* Assumes that ranks fall geometrically: with mean m, a rank is above n with probability m / (m + 1). */
         uint64_t expected = (2u + (context & 1u)) << (context / 2);
         uint64_t unit = 16u << low_bits_of(context);
         uint16_t probability = (uint16_t)(65536 * expected / (expected + unit));

@@ -8,12 +8,12 @@
 #define VC_DCT_MAX_BLOCK 1024
 #define VC_DCT_MIN_LEVELS 4u
 #define VC_DCT_MAX_LEVELS 65535u
-#define VC_DCT_LEVEL_CODES 231u /* of the numbers of levels that packets say */
-#define VC_DCT_FADE_SAMPLES 64  /* of a fade where a packet misses, and of the rise behind it; no block is shorter */
+#define VC_DCT_LEVEL_CODES 231u /* of the numbers of levels that packets state */
+#define VC_DCT_FADE_SAMPLES 64  /* of a fade at a missing packet, and of the rise after it; no block is shorter */
 #define VC_DCT_CONTEXTS 40
 #define VC_DCT_ZERO_CONTEXTS 8
 #define VC_DCT_UNARY_LIMIT 16u
-#define VC_DCT_ADAPTATION 4u /* a decision moves its probability by 1/2^4 of the way */
+#define VC_DCT_ADAPTATION 4u /* a decision moves its probability by 1/2^4 of the distance */
 
 typedef struct {
     unsigned channels;
@@ -21,7 +21,7 @@ typedef struct {
     uint32_t block, packet_blocks; /* samples in a block, blocks in a packet */
     uint32_t first, end;           /* coefficients that are coded; the others are 0 */
     int logarithmic, range_coded;
-    uint32_t levels;                    /* 0: each packet says its own */
+    uint32_t levels;                    /* 0: each packet states its own */
     uint32_t smallest[VC_MAX_CHANNELS]; /* range code of the least magnitude */
 } vc_dct_configuration;
 
@@ -61,7 +61,7 @@ typedef struct {
     uint16_t before; /* rank of the bin below, of the block before */
 } vc_dct_model;
 
-/* Where one value stands: the contexts of its decisions, and how many low bits of its rank have even odds. */
+/* The place of one value: the contexts of its decisions, and how many low bits of its rank have even odds. */
 typedef struct {
     uint16_t *zero, *above;
     unsigned low_bits;

@@ -32,7 +32,7 @@ struct vc_mdct_decoder {
 struct vc_lapped_decoder {
     struct vc_mdct_decoder spectra;                  /* the first member: a pointer to it is one to all */
     const uint8_t *window;                           /* of the stream's hop */
-    int32_t later[VC_MAX_CHANNELS][2 * VC_MAX_BINS]; /* behind the overlap of each channel, what overlaps then */
+    int32_t later[VC_MAX_CHANNELS][2 * VC_MAX_BINS]; /* values that follow the overlap of each channel */
 };
 
 struct vc_dct_decoder {

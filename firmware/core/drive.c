@@ -1,4 +1,4 @@
-/* The drive: acceleration made displacement, joints of iterations, the DAC's rate, the actuator's inverse. */
+/* The drive: acceleration to displacement, joints of iterations, the DAC's rate, the actuator's inverse. */
 #include "output_memory.h"
 
 #define MAX_RATE_HZ 200000u
@@ -7,8 +7,8 @@
 
 enum { FULL_SCALE, ACCELERATION, DISPLACEMENT, UNITS };
 
-/* Fraction bits of a drive sample, and of the acceleration's filters. There is room for no more: the magnitudes of the
- * impulse response add up to 3.7 at most. */
+/* Fraction bits of a drive sample, and of the acceleration's filters. More would overflow: the magnitudes of the
+ * impulse response add up to at most 3.7. */
 #define DRIVE_BITS 10
 #define INTEGRATOR_BITS 14
 /* Fraction bits of the numbers in vc_section. */
@@ -17,7 +17,7 @@ enum { FULL_SCALE, ACCELERATION, DISPLACEMENT, UNITS };
 #define GAIN_BITS 30
 #define WEIGHT_BITS 24
 
-/* Position in vc_resampling_kernel: bits behind its index; and its last entry. */
+/* Position in vc_resampling_kernel: fraction bits of its index; and its last entry. */
 #define KERNEL_BITS 14
 #define PART ((1u << KERNEL_BITS) - 1)
 #define CROSSING (256u << KERNEL_BITS)
@@ -31,7 +31,7 @@ uint32_t vc_fade_samples(uint32_t rate_hz)
 
 uint32_t vc_raised_cosine(uint32_t part, uint32_t whole)
 {
-    const uint32_t position = (part << 18) / whole; /* half a turn is 512 entries of the table, 9 bits behind each */
+    const uint32_t position = (part << 18) / whole; /* half a turn is 512 entries of the table, with 9 fraction bits */
     const int32_t *entry = vc_cosine + (position >> 9);
     const int32_t cosine = entry[0] + (int32_t)(((int64_t)(entry[1] - entry[0]) * (position & 511u)) >> 9);
     return (uint32_t)((1 << 24) - cosine) / 2;
@@ -98,9 +98,9 @@ static int32_t displacement(vc_drive *drive, vc_drive_channel *channel, int32_t 
     return (low + (1 << (INTEGRATOR_BITS - DRIVE_BITS - 1))) >> (INTEGRATOR_BITS - DRIVE_BITS);
 }
 
-/* Keeps the output steady where a recording that does not close on itself begins again. If the next iteration begins
- * farther from the last value than the largest step within the recording, it fades in from that value, held: wholly
- * from twice that step on, less below. So no step is larger than within. */
+/* Keeps the output steady if a recording that does not close on itself begins again. If the next iteration begins
+ * farther from the last value than the largest step within the recording, it fades in from that value: fully from twice
+ * that step on, less below. So no step is larger than those within. */
 static int32_t joined(const vc_drive *drive, vc_drive_channel *channel, int32_t sample)
 {
     const int32_t step = sample > channel->before ? sample - channel->before : channel->before - sample;
@@ -124,7 +124,7 @@ static int32_t joined(const vc_drive *drive, vc_drive_channel *channel, int32_t 
     return channel->last;
 }
 
-/* Takes one sample of all channels, or holds the last one (NULL), into the resampler's history. */
+/* Moves one sample of all channels (or, for NULL, the last one again) into the resampler's history. */
 static void take(vc_drive *drive, const int16_t *decoded)
 {
     uint32_t i;
@@ -159,12 +159,12 @@ static int32_t between(uint32_t index, int32_t part)
 }
 
 /* Writes the kernel at `count` positions, `step` apart, into every `direction`-th tap from `at` on; returns their sum.
- * The last one may be beyond its end, where it is 0. */
+ * The last position may lie after the kernel's end, where it is 0. */
 static uint32_t fill(int32_t *taps, uint32_t at, uint32_t direction, uint32_t count, uint32_t position, uint32_t step)
 {
     const int32_t part = (int32_t)(position & PART);
     uint32_t sum = 0, index = position >> KERNEL_BITS;
-    if (step == CROSSING) /* the DAC's rate is the higher: all of them are alike between two entries */
+    if (step == CROSSING) /* the DAC's rate is higher: all positions are equally far between two entries */
         for (; count > 0; count--, index += CROSSING >> KERNEL_BITS, at += direction)
             sum += (uint32_t)(taps[at] = between(index, part));
     for (; count > 0; count--, position += step, at += direction) {
@@ -186,8 +186,8 @@ static uint32_t make_taps(vc_drive *drive)
     return vc_kernel_taps(drive->values, drive->delay_samples, drive->tap_step, behind);
 }
 
-/* 2^(31 + sum_shift) / sum, from that of phase 0: the sums differ by 1/1000 at most, and a step of Newton's method
- * leaves the square of that. */
+/* 2^(31 + sum_shift) / sum, from the value at phase 0. The sums differ by at most 1/1000, and a step of Newton's method
+ * squares that error. */
 static uint32_t reciprocal(const vc_drive *drive, uint32_t sum)
 {
     const int64_t missing = ((int64_t)1 << (31 + drive->sum_shift)) - (int64_t)sum * drive->reciprocal;
@@ -224,7 +224,7 @@ static void give(vc_drive *drive, int32_t *made)
     }
 }
 
-/* Takes decoded samples, or holds the last one so often (NULL), as vc_drive_push() does. */
+/* Takes decoded samples, as vc_drive_push() does; for NULL, holds the last one `samples` times. */
 static uint32_t run(vc_drive *drive, const int16_t *decoded, uint32_t samples, int32_t *made_drive, uint32_t capacity,
                     uint32_t *made)
 {

@@ -6,7 +6,7 @@
 #define MAX_LATENT 32767
 #define STEPS_PER_UNIT 4096
 
-/* Where a packet goes: to samples, or else to latents. */
+/* The destination of a packet: samples, or else latents. */
 typedef struct {
     int16_t *samples, *latents;
 } output;
@@ -39,11 +39,11 @@ uint32_t vc_eva_decoder_delay_samples(const vc_eva_decoder *decoder)
     return VC_EVA_DELAY;
 }
 
-/* The latent, in its unit, that a level stands for. */
+/* The latent of a level, in its unit. */
 static int16_t dequantised(int32_t level, int32_t step)
 {
     int64_t value = (int64_t)level * step;
-    if (level == 0) /* as most are */
+    if (level == 0) /* as for most latents */
         return 0;
     value = (value + (value < 0 ? -STEPS_PER_UNIT / 2 : STEPS_PER_UNIT / 2)) / STEPS_PER_UNIT;
     return (int16_t)(value > MAX_LATENT ? MAX_LATENT : value < -MAX_LATENT ? -MAX_LATENT : value);
@@ -60,8 +60,8 @@ static void decode_column(vc_eva_decoder *decoder, vc_range_coder *coder, unsign
         state->latents[k] = dequantised(levels[k], steps[k]);
 }
 
-/* Turns the last latents of a channel into those of a missing column: the same with random signs, scaled so that they
- * ramp to zero. */
+/* Turns the last latents of a channel into those of a missing column: the same with random signs, scaled to ramp to
+ * zero. */
 static void fade_column(vc_eva_decoder *decoder, unsigned channel, uint32_t column)
 {
     const uint32_t packet_columns = decoder->configuration.packet_columns;

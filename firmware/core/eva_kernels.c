@@ -1,5 +1,5 @@
-/* The inner loops of EVA's synthesis in portable C, in forms that compilers turn into vector instructions where there
- * are some; see eva_kernels.h. */
+/* The inner loops of EVA's synthesis in portable C, in forms that compilers can turn into vector instructions; see
+ * eva_kernels.h. */
 #include "eva_kernels.h"
 
 #define MAX_CHANNELS 128
@@ -14,7 +14,7 @@ static int32_t product(const int8_t *weights, uint32_t length, const int16_t *in
     return sum;
 }
 
-/* Four columns at a time, so that each weight is fetched and widened once for all of them. */
+/* Four columns at a time, so that each weight is loaded and widened once for all of them. */
 static void products_of_four(const int8_t *weights, uint32_t length, const int16_t *inputs, uint32_t stride,
                              int32_t *sums, uint32_t rows)
 {
@@ -107,7 +107,7 @@ static void find_roots(uint32_t *energies, uint32_t count, uint32_t *roots)
         }
 }
 
-/* As many columns as fit MAX_CHANNELS values side by side. */
+/* The number of columns that fit MAX_CHANNELS values side by side. */
 static void normalise_some(const int16_t *values, uint32_t channels, uint32_t columns, const int32_t *sums,
                            const unsigned *doubled, const uint32_t *multipliers, const uint32_t *constants,
                            unsigned shift, int16_t *normalised)

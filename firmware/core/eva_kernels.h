@@ -8,7 +8,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* VC_PORTABLE: defined for a build in portable C where the instructions are there. */
+/* VC_PORTABLE: selects portable C on a processor that has the instructions. */
 #if defined __ARM_FEATURE_SIMD32 && !defined VC_PORTABLE
 #define VC_DSP
 #endif
@@ -21,13 +21,12 @@
 void vc_dot_products(const int8_t *weights, uint32_t rows, uint32_t length, const int16_t *inputs, int32_t *sums);
 
 /* sums[column * rows + row] = sum over i < length of weights[row * length + i] * inputs[column * channels + i], where
- * length = taps * channels <= 384. Squares and normalised activations lie in the order in which this takes inputs;
- * which one that is, within the channels of a column, is the kernels' own affair. */
+ * length = taps * channels <= 384. Squares and normalised activations lie in the order of these inputs; within the
+ * channels of a column, each kernel chooses its own order. */
 void vc_eva_products(const int8_t *weights, uint32_t rows, uint32_t taps, const int16_t *inputs, uint32_t channels,
                      uint32_t columns, int32_t *sums);
 
-/* Squares of columns, x^2 / 2^15 after all values of a column have been doubled as often as the greatest can be:
- * `doubled`. */
+/* Squares of columns, x^2 / 2^15. First doubles all values of a column as often as the greatest allows: `doubled`. */
 void vc_eva_squares(const int16_t *values, uint32_t channels, uint32_t columns, int16_t *squares, unsigned *doubled);
 
 /* Inverse GDN of columns: values * sqrt(constants + sums * multipliers / 2^(24 + 2 doubled)) / 2^shift, where `sums`
@@ -46,7 +45,7 @@ static inline int32_t vc_eva_scaled(int32_t value, uint32_t multiplier, uint32_t
     return value < 0 ? -limited : limited;
 }
 
-/* The same of each sum of columns, within +-VC_EVA_MAX_ACTIVATION, to columns that are `stride` apart. */
+/* The same for each sum of columns, within +-VC_EVA_MAX_ACTIVATION, to columns that are `stride` apart. */
 void vc_eva_scale(const int32_t *sums, const uint32_t *multipliers, uint32_t rows, uint32_t columns, int16_t *scaled,
                   uint32_t stride);
 

@@ -74,8 +74,8 @@ void vc_dot_products(const int8_t *weights, uint32_t rows, uint32_t length, cons
         sums[row] = sum_of_products(weights, length, inputs);
 }
 
-/* Adds to four sums the products of four weights of two rows with four inputs of two columns. In assembler, as
- * compilers run out of registers. Two loads one behind the other take three cycles, two apart four. */
+/* Adds to four sums the products of four weights of two rows with four inputs of two columns. In assembler, because
+ * compilers run out of registers. Two loads in sequence take three cycles, two apart take four. */
 #define ADD_PRODUCTS                                                                                                   \
     "ldr %[row], [%[weights]], #4\n\t"                                                                                 \
     "ldr %[next_row], [%[next_weights]], #4\n\t"                                                                       \
@@ -97,7 +97,7 @@ void vc_dot_products(const int8_t *weights, uint32_t rows, uint32_t length, cons
     "smlad %[d], %[next_row], %[next_column], %[d]\n\t"
 
 /* Sums of an even number of rows and two columns. Every operand is written before others are read for the last time, so
- * none may share a register; memory is read through pointers that the compiler does not follow. */
+ * no two may share a register. The compiler does not follow the pointers through which memory is read. */
 static void products_of_two(const int8_t *weights, uint32_t even_rows, uint32_t length, const int16_t *inputs,
                             uint32_t to_next_column, int32_t *sums, uint32_t to_next_sums)
 {
@@ -153,7 +153,7 @@ void vc_eva_products_dsp(const int8_t *weights, uint32_t rows, uint32_t taps, co
             sums[column * rows + row] = one_sum(weights + row * length, length, inputs + column * channels);
 }
 
-/* Magnitudes of two numbers: the difference notes which of them is not below 0, for SEL. */
+/* Magnitudes of two numbers: the difference records for SEL which of them is not below 0. */
 static uint32_t magnitudes(int32_t pair)
 {
     const int16x2_t negative = __ssub16(0, pair);
@@ -200,7 +200,7 @@ static void find_energies(const int32_t *sums, const uint32_t *multipliers, cons
             energies[i] = __usat((int32_t)(constants[i] + ((uint32_t)(product >> 32) >> (down - 32))), 30);
         }
     } else {
-        const uint32_t most = 1u << (down - 2); /* with which the energy is above its limit */
+        const uint32_t most = 1u << (down - 2); /* at which the energy exceeds its limit */
         const unsigned up = 32 - down;
         for (i = 0; i < channels; i++) {
             const uint64_t product = (uint64_t)(uint32_t)sums[i] * multipliers[i];
@@ -211,7 +211,7 @@ static void find_energies(const int32_t *sums, const uint32_t *multipliers, cons
     }
 }
 
-/* Rounded down: a straight line of vc_root never ends below the root and never more than one above it, as trying all
+/* Rounded down: a straight line of vc_root never ends below the root and never more than one above it, as a test of all
  * energies has shown. */
 static int32_t square_root(uint32_t energy)
 {
@@ -245,8 +245,8 @@ void vc_eva_normalise_dsp(const int16_t *values, uint32_t channels, uint32_t col
     }
 }
 
-/* sum * multiplier / 2^32, to the nearest, half away from zero. SMLAL takes the multiplier as a signed number: where
- * its highest bit is set, 2^32 sum are lacking. */
+/* sum * multiplier / 2^32, to the nearest, half away from zero. SMLAL takes the multiplier as a signed number: if its
+ * highest bit is set, 2^32 sum are missing. */
 static int32_t scaled_sum(int32_t sum, uint32_t multiplier)
 {
     uint32_t low = (1u << 31) + (uint32_t)(sum >> 31);

@@ -1,8 +1,8 @@
 /* Adaptive binary arithmetic coding of EVA's latents, the same decisions in encoder and decoder; see eva_latents.h. */
 #include "eva_latents.h"
 
-/* Columns since the refresh from which on probabilities adapt more slowly: after n of them the best rate is 1 / n, and
- * textures change too fast for one below 1/32. */
+/* Columns after a refresh at which adaptation slows down. After n columns the best rate is 1 / n, and textures change
+ * too fast for a rate below 1/32. */
 #define FAST_COLUMNS 8u
 #define MEDIUM_COLUMNS 24u
 #define FAST_SHIFT 3u

@@ -16,7 +16,7 @@
 typedef struct {
     const uint8_t *bytes;
     size_t length;
-    int short_of; /* more was taken than there is */
+    int short_of; /* more was taken than the model has */
 } reader;
 
 static const uint8_t *take(reader *from, size_t length)

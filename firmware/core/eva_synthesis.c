@@ -5,7 +5,7 @@
 #define FIRST_TAPS 3u /* of the first phase; the others have two */
 #define OTHER_TAPS 2u
 #define SAMPLE_LIMIT (1u << 30)
-#define SAMPLE_UNIT 1024 /* parts of the level in which the last convolution gives samples */
+#define SAMPLE_UNIT 1024 /* the last convolution gives samples in 1/1024 of the level */
 
 /* Numbers of 4 bytes, none above `greatest`. */
 static void read_numbers(const uint8_t *bytes, uint32_t count, uint32_t greatest, uint32_t *numbers)
@@ -17,7 +17,7 @@ static void read_numbers(const uint8_t *bytes, uint32_t count, uint32_t greatest
     }
 }
 
-/* Normalises work->inputs into work->normalised, behind the history. */
+/* Normalises work->inputs into work->normalised, after the history. */
 static void normalise(const vc_eva_normalisation *part, uint32_t channels, uint32_t columns, vc_eva_work *work)
 {
     uint32_t multipliers[VC_EVA_MAX_WIDTH], constants[VC_EVA_MAX_WIDTH];
@@ -25,7 +25,7 @@ static void normalise(const vc_eva_normalisation *part, uint32_t channels, uint3
     unsigned doubled[4 * VC_EVA_COLUMNS];
     read_numbers(part->multipliers, channels, UINT32_MAX, multipliers);
     read_numbers(part->constants, channels, VC_EVA_MAX_ENERGY, constants);
-    /* The squares use the memory of the output until their sums are there. */
+    /* The squares use the output's memory until their sums are ready. */
     vc_eva_squares(work->inputs, channels, columns, normalised, doubled);
     vc_eva_products(part->weights, channels, 1, normalised, channels, columns, work->sums);
     vc_eva_normalise(work->inputs, channels, columns, work->sums, doubled, multipliers, constants, part->shift,
@@ -55,7 +55,7 @@ static void convolve(const vc_eva_convolution *part, uint32_t inputs, uint32_t o
     }
 }
 
-/* Stride 4, one output: each column of work->normalised becomes four samples. Behind the first tap of the first phase
+/* Stride 4, one output: each column of work->normalised becomes four samples. After the first tap of the first phase
  * come two taps of each phase, all of the same columns. */
 static void convolve_to_samples(const vc_eva_convolution *part, uint32_t inputs, uint32_t columns, vc_eva_work *work,
                                 int32_t level, int16_t *samples, unsigned stride)

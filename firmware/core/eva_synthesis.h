@@ -4,7 +4,7 @@
 
 #include "eva_model.h"
 
-/* Columns of latents that are taken at once, so that each weight is fetched once for all of them. */
+/* Columns of latents processed at once, so that each weight is loaded once for all of them. */
 #define VC_EVA_COLUMNS 4u
 #define VC_EVA_HISTORY 2u
 
@@ -13,9 +13,9 @@ typedef struct {
     int16_t columns[VC_EVA_STAGES][VC_EVA_HISTORY * VC_EVA_MAX_WIDTH];
 } vc_eva_history;
 
-/* Working memory, of no meaning between calls. */
+/* Working memory, without meaning between calls. */
 typedef struct {
-    int16_t inputs[4 * VC_EVA_COLUMNS * VC_EVA_MAX_WIDTH];                        /* the columns that a stage takes */
+    int16_t inputs[4 * VC_EVA_COLUMNS * VC_EVA_MAX_WIDTH];                        /* the input columns of a stage */
     int16_t normalised[(VC_EVA_HISTORY + 4 * VC_EVA_COLUMNS) * VC_EVA_MAX_WIDTH]; /* its history, then its columns */
     int32_t sums[4 * VC_EVA_COLUMNS * VC_EVA_MAX_WIDTH];
 } vc_eva_work;

@@ -27,7 +27,7 @@ def resampling_kernel(crossings: float) -> float:
 
 
 def octave_filter(sample: int) -> float:
-    """Return a tap of the low-pass before every second sample is left out: Kaiser window as above.
+    """Return a tap of the low-pass before decimation by two: Kaiser window as above.
 
     In parts of half the rate it passes up to 0.35 and stops from 0.435 on, 60 dB down.
     """
@@ -67,7 +67,7 @@ TABLES: dict[str, tuple[str, Sequence[float]]] = {
         ],
     ),
     "vc_dct_exponential": ("uint32_t", [2 ** (30 + i / 256) for i in range(257)]),
-    # 256 steps a crossing; 0 at the window's end and one step behind it, so that it falls to 0 without a jump.
+    # 256 steps a crossing; 0 at the window's end and one step after it, so that it falls to 0 without a jump.
     "vc_resampling_kernel": ("int32_t", [2**23 * resampling_kernel(i / 256) for i in range(2048)] + [0, 0]),
     "vc_octave_filter": ("int32_t", [2**23 * octave_filter(i) for i in range(43)]),
 }

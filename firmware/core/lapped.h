@@ -1,7 +1,5 @@
-/* The learned codec `lapped`: streams of `mdct` whose windows, and what its entropy coder begins with, are learned.
- *
- * The encoder is that of `mdct`, for coefficients of another analysis.
- */
+/* The learned codec `lapped`: streams of `mdct` with learned windows and learned initial tables. The encoder is that of
+ * `mdct`, for coefficients of another analysis. */
 #ifndef VIBROCAST_LAPPED_H
 #define VIBROCAST_LAPPED_H
 

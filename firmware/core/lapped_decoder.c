@@ -31,7 +31,7 @@ int vc_lapped_decoder_init(vc_lapped_decoder *decoder, const uint8_t *configurat
     if (status == VC_OK)
         status = vc_mdct_decoder_init(&decoder->spectra, configuration, configuration_length, channels,
                                       model + WINDOWS_BYTES, model_length - WINDOWS_BYTES);
-    if (status == VC_OK) /* those of shorter hops take 4 bytes for each of 16, 16 + 32, ... samples */
+    if (status == VC_OK) /* the windows of shorter hops take 4 bytes for each of 16, 16 + 32, ... samples */
         decoder->window = model + 4 * (decoder->spectra.configuration.hop - 16);
     return status;
 }

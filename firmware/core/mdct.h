@@ -25,7 +25,7 @@ typedef struct {
     unsigned channels;
     int rate_controlled; /* packets carry their quantiser offset */
     uint16_t step_code[VC_MAX_CHANNELS];
-    uint8_t fill[VC_MAX_CHANNELS]; /* magnitude that stands in for a level of 0, in 1/128 step */
+    uint8_t fill[VC_MAX_CHANNELS]; /* magnitude that replaces a level of 0, in 1/128 step */
 } vc_mdct_configuration;
 
 /* Inputs of the mixer: the contexts' probabilities, the network's, and a constant. */
@@ -63,14 +63,14 @@ typedef struct {
     uint32_t mean_sum;   /* of the history's means of them */
 } vc_below;
 
-/* Contexts of one coefficient: what all its decisions share. */
+/* Contexts of one coefficient, shared by all its decisions. */
 typedef struct {
     unsigned index[VC_INPUTS];
     unsigned scale;
     int32_t network[VC_DECISIONS]; /* ln(p / (1 - p)) of each decision, in 1/256; 0 without a network */
 } vc_contexts;
 
-/* The step that a step code, below VC_STEP_CODES, stands for: 64 codes an octave, from 64 on. */
+/* The step of a step code below VC_STEP_CODES: 64 codes an octave, from 64 on. */
 static inline int32_t vc_step_of(uint32_t code)
 {
     return (int32_t)((64 + (code & 63)) << (code >> 6));
@@ -110,7 +110,7 @@ static inline uint32_t vc_history_set(vc_history *history, uint32_t k, uint32_t 
     return kept;
 }
 
-/* Goes on to the next bin: `magnitude`, as kept, is that of bin k. */
+/* Moves to the next bin: `magnitude`, as kept, is that of bin k. */
 static inline void vc_below_add(vc_below *below, const vc_history *history, uint32_t k, uint32_t magnitude)
 {
     below->nearest[2] = below->nearest[1];
@@ -120,7 +120,7 @@ static inline void vc_below_add(vc_below *below, const vc_history *history, uint
     below->mean_sum += history->mean[k + VC_PADDING];
 }
 
-/* Context of input 0, by which the encoder's search estimates rates where there is no network. */
+/* Context of input 0; without a network, the encoder's search estimates rates with it. */
 unsigned vc_first_context(const vc_history *history, uint32_t hop, uint32_t k, const vc_below *below);
 /* Contexts of bin k; without a network, those for it stay as they are: 0 from the start. */
 void vc_contexts_find(vc_contexts *contexts, const vc_model *model, const vc_history *history, uint32_t hop, uint32_t k,
@@ -161,7 +161,7 @@ static inline uint32_t vc_level_of(uint32_t index, unsigned quantiser)
     return index == 0 ? 0 : 2 * index - quantiser;
 }
 
-/* Coefficient, in 1/256 of a least significant bit, that a level with its sign stands for. */
+/* The coefficient of a level with its sign, in 1/256 of a least significant bit. */
 static inline int32_t vc_reconstruct(int32_t level, int32_t step)
 {
     int64_t value = (int64_t)level * step;
@@ -172,7 +172,7 @@ static inline int32_t vc_reconstruct(int32_t level, int32_t step)
 
 extern const int16_t vc_stretch[2048]; /* ln(p / (1 - p)) at p = (i + 1/2) / 2048, in 1/256 */
 extern const uint16_t vc_squash[1024]; /* 65536 / (1 + exp(-d / 256)) at d = 4 i - 2046 */
-extern const uint16_t vc_initial[256]; /* vc_squash at 16 times an int8_t: what a byte of the tables stands for */
+extern const uint16_t vc_initial[256]; /* vc_squash at 16 times an int8_t: the value of a byte of the tables */
 extern const uint16_t vc_cost[2048];   /* -log2((i + 1/2) / 2048) in 1/256 bit */
 extern const uint8_t vc_builtin_tables[];
 

@@ -1,4 +1,4 @@
-/* Decoding of packets to spectra, of the codecs whose streams are those of `mdct` but for the synthesis. */
+/* Packets to spectra, for codecs whose streams differ from `mdct` only in the synthesis. */
 #ifndef VIBROCAST_MDCT_DECODER_H
 #define VIBROCAST_MDCT_DECODER_H
 

@@ -28,7 +28,7 @@ static inline int32_t vc_stretched(uint32_t probability)
     return vc_stretch[probability >> 5];
 }
 
-/* A probability as the range coder takes it. */
+/* A probability within the range coder's limits. */
 static inline uint32_t vc_codable(uint32_t probability)
 {
     return probability < VC_MIN_PROBABILITY           ? VC_MIN_PROBABILITY
@@ -45,7 +45,7 @@ static inline uint16_t vc_adapted(uint16_t probability, int bit)
 /* Index into vc_squash, (d + 2048) / 4 rounded down, of d = sum / 65536 rounded towards zero; within the table. */
 static inline int32_t vc_squash_index(int64_t sum)
 {
-    const int64_t one = 1 << 18; /* a step of the table; the bits below are cleared, so that a shift is enough */
+    const int64_t one = 1 << 18; /* a step of the table; the lower bits are cleared, so that a shift is enough */
     const int32_t index = (int32_t)(((sum + (sum < 0 ? 65535 : 0) + 512 * one) & -one) / one);
     return index < 0 ? 0 : index > 1023 ? 1023 : index;
 }

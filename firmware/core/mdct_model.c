@@ -43,7 +43,7 @@ void vc_model_reset(vc_model *model, const uint8_t *tables)
     uint16_t *cells = &model->probability[0][0][0][0];
     int32_t *weights = &model->weight[0][0][0][0];
     unsigned i;
-    for (i = 0; i < CELLS; i += 4, cells += 4, tables += 4) { /* reads first: they may not be moved across writes */
+    for (i = 0; i < CELLS; i += 4, cells += 4, tables += 4) { /* reads first: the compiler may not move them */
         const uint16_t first = vc_initial[tables[0]], second = vc_initial[tables[1]];
         const uint16_t third = vc_initial[tables[2]], fourth = vc_initial[tables[3]];
         cells[0] = first;

@@ -47,7 +47,7 @@ void vc_network_inputs(int16_t *inputs, const vc_model *model, const vc_contexts
             *inputs++ = (int16_t)(vc_stretched(model->probability[decision][quantiser][i][contexts->index[i]]) / 16);
 }
 
-/* sums / divisor + biases, from `least` to MAX_ACTIVATION; returns the bytes behind the layer. */
+/* sums / divisor + biases, from `least` to MAX_ACTIVATION; returns the bytes after the layer. */
 static const uint8_t *layer(const uint8_t *bytes, uint32_t outputs, uint32_t inputs, const int16_t *from,
                             int32_t divisor, int32_t least, int16_t *to)
 {

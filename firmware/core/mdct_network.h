@@ -7,9 +7,9 @@
 #include "mdct.h"
 
 #define VC_NETWORK_MAGNITUDES 18
-#define VC_NETWORK_DECISIONS 2 /* whose contexts' probabilities are inputs too */
+#define VC_NETWORK_DECISIONS 2 /* decisions whose contexts' probabilities are inputs, too */
 #define VC_NETWORK_INPUTS (VC_NETWORK_MAGNITUDES + 3 + VC_NETWORK_DECISIONS * VC_INPUTS)
-#define VC_NETWORK_EXAMPLE (VC_NETWORK_INPUTS + 2) /* with the quantiser and the index */
+#define VC_NETWORK_EXAMPLE (VC_NETWORK_INPUTS + 2) /* inputs, then the quantiser and the index */
 #define VC_NETWORK_FIRST 32
 #define VC_NETWORK_SECOND 24
 
@@ -19,7 +19,7 @@
     (VC_NETWORK_FIRST * (VC_NETWORK_INPUTS + 2) + VC_NETWORK_SECOND * (VC_NETWORK_FIRST + 2) +                         \
      2 * VC_DECISIONS * (VC_NETWORK_SECOND + 2))
 
-/* Inputs of bin k, in 1/16. `contexts`: whose indices have been found. */
+/* Inputs of bin k, in 1/16. `contexts`: with their indices already found. */
 void vc_network_inputs(int16_t *inputs, const vc_model *model, const vc_contexts *contexts, const vc_history *history,
                        const vc_below *below, uint32_t bins, uint32_t k, unsigned quantiser);
 

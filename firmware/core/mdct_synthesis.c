@@ -8,8 +8,8 @@ typedef struct {
     uint32_t frequency;
 } spectral_line;
 
-/* sum_k X[k] cos(angle (2 k + 1)), in 1/2^24, and the same a quarter of a turn later; angles in 1/1024 of a turn. By
- * itself, so that all of the loop stays in registers. */
+/* sum_k X[k] cos(angle (2 k + 1)), in 1/2^24, and the same a quarter of a turn later; angles in 1/1024 of a turn. A
+ * separate function, so that the whole loop stays in registers. */
 __attribute__((noinline)) static void cosine_sums(const spectral_line *lines, uint32_t count, uint32_t angle,
                                                   int64_t *sums)
 {
@@ -82,7 +82,7 @@ static int32_t learned(const uint8_t *window, uint32_t i)
     return (int16_t)(window[2 * i] | window[2 * i + 1] << 8) * (1 << 9);
 }
 
-/* Behind its 2 N values the transform's output repeats with the other sign, and the window's second half mirrors its
+/* After its 2 N values the transform's output repeats with the opposite sign, and the window's second half mirrors its
  * first. */
 void vc_lapped_synthesise(const uint8_t *window, const int32_t *spectrum, int32_t *overlap, int32_t *later,
                           uint32_t hop, int16_t *samples, unsigned stride)

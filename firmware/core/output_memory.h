@@ -9,7 +9,7 @@
 #include "common.h"
 #include "output.h"
 
-/* Taps of the resampler at the lower of the two rates; for every doubling of a higher rate of the stream, twice. */
+/* Taps of the resampler at the lower of the two rates; twice as many for every doubling of a stream's higher rate. */
 #define VC_RESAMPLER_TAPS 16
 /* Highest rate of a stream, in rates of the DAC. */
 #define VC_RESAMPLER_MAX_RATIO 128
@@ -19,8 +19,8 @@
 #define VC_DRIVE_MEMORY(channels, ratio)                                                                               \
     (sizeof(struct vc_drive) + VC_RESAMPLER_TAPS * (ratio) * (1 + 2 * (channels)) * sizeof(int32_t))
 
-/* The integrators of a state variable filter, in 1/2^29 of the signal's unit so that nothing is rounded where it would
- * add up, and the band-pass of the last sample. */
+/* The integrators of a state variable filter, in 1/2^29 of the signal's unit so that rounding does not accumulate, and
+ * the band-pass of the last sample. */
 typedef struct {
     int64_t band, low;
     int32_t last_band;
@@ -28,7 +28,7 @@ typedef struct {
 
 typedef struct {
     vc_section_state high_pass, integrator, compensation;
-    /* Joints: the last sample before and behind them, what is held and the share of it in 1/2^16, the largest step. */
+    /* Joints: the last sample before and after them, the held value and its share in 1/2^16, the largest step. */
     int32_t before, last, held, held_share, largest_step;
 } vc_drive_channel;
 
@@ -40,9 +40,9 @@ struct vc_drive {
     int integrates;
     /* Joints. */
     int joining;                    /* the next sample begins another iteration */
-    uint32_t unmeasured;            /* samples to come whose step is none of the recording */
+    uint32_t unmeasured;            /* samples to come whose step does not count as the recording's */
     uint32_t fade_samples, fade_at; /* samples of the fade, and of it since the last joint */
-    /* Resampler: the next drive sample lies phase / dac_rate_hz samples behind the one that is `wait` samples ahead of
+    /* Resampler: the next drive sample lies phase / dac_rate_hz samples after the one that is `wait` samples ahead of
      * the newest. */
     uint32_t delay_samples, taps; /* 0 where both rates are the same */
     uint32_t wait, phase;
@@ -51,8 +51,8 @@ struct vc_drive {
     uint32_t tap_step;              /* from tap to tap, in 1/2^22 of a zero crossing's distance */
     uint64_t phase_step;            /* of a phase of 1, in 1/2^52 of it */
     uint32_t reciprocal;            /* 2^(31 + sum_shift) / sum of the taps at phase 0 */
-    uint32_t sum_shift;             /* so that the sum is from 4 to 8 times 2^sum_shift */
-    uint32_t newest;                /* index of the newest sample; those before it follow, round the end */
+    uint32_t sum_shift;             /* chosen so that the sum is from 4 to 8 times 2^sum_shift */
+    uint32_t newest;                /* index of the newest sample; earlier ones follow, in a ring */
     vc_drive_channel channel[VC_MAX_CHANNELS];
     int32_t values[]; /* taps of this drive sample, then as many samples of history, twice, for each channel */
 };
@@ -92,11 +92,11 @@ struct vc_dac {
     vc_dac_channel channel[VC_MAX_CHANNELS];
 };
 
-/* sinc(0.9 t) times a Kaiser window over |t| < 8, from t = 0 on, in 1/2^23, 256 steps to 1; 0 at 8 and behind it. */
+/* sinc(0.9 t) times a Kaiser window over |t| < 8, from t = 0 on, in 1/2^23, 256 steps to 1; 0 from 8 on. */
 extern const int32_t vc_resampling_kernel[2050];
 
 /* Writes 2 `half` taps of the kernel. They are `step` apart in 1/2^22 of a crossing, with at least 8 crossings on
- * either side. Tap `half` lies `behind`, at most `step`, behind the kernel's middle, the taps after it farther. Returns
+ * either side. Tap `half` lies `behind`, at most `step`, after the kernel's middle, the later taps farther. Returns
  * their sum. */
 uint32_t vc_kernel_taps(int32_t *taps, uint32_t half, uint32_t step, uint32_t behind);
 

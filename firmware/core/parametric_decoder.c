@@ -1,5 +1,5 @@
-/* Decoder of `parametric`: packets to a description, noise of its band levels by an inverse MDCT, ridges by
- * oscillators, fades where packets miss. */
+/* Decoder of `parametric`: packets to a description; from it, noise with its band levels by an inverse MDCT, and ridges
+ * by oscillators; fades at missing packets. */
 #include "codec.h"
 #include "decoder_memory.h"
 #include "mdct_synthesis.h"
@@ -36,9 +36,9 @@ static int32_t amplitude(const vc_parametric_configuration *configuration, int32
     return level > 0 && sum > 0 ? vc_step_of((uint32_t)(sum - 1) << (6 - configuration->level_bits)) : 0;
 }
 
-/* Adds the next block of the ridges to the output: harmonics whose amplitudes go to `target` in a straight line. Their
- * phases are shifted by pi h^2 / 8, so that their crests do not meet (M. R. Schroeder, "Synthesis of low-peak-factor
- * signals and binary sequences with low autocorrelation", IEEE Trans. IT 16, 1970). */
+/* Adds the next block of the ridges to the output: harmonics whose amplitudes move to `target` in a straight line.
+ * Phase shifts of pi h^2 / 8 keep their crests apart (M. R. Schroeder, "Synthesis of low-peak-factor signals and binary
+ * sequences with low autocorrelation", IEEE Trans. IT 16, 1970). */
 static void add_ridges(vc_parametric_synthesis *synthesis, uint32_t *phase, uint32_t hop, const int32_t *target)
 {
     unsigned i;
@@ -105,7 +105,7 @@ int vc_parametric_decode(vc_parametric_decoder *decoder, const uint8_t *packet, 
         vc_parametric_channel_reset(&decoder->channels[channel]);
     decoder->in_sequence = 1;
     decoder->next_sequence = sequence + 1;
-    decoder->random = sequence; /* so that a decoder that begins here draws alike */
+    decoder->random = sequence; /* so that a decoder that begins here draws the same numbers */
     vc_range_decoder_init(&coder, packet + head, length - head);
     for (index = 0; index < configuration->packet_frames; index++) {
         for (channel = 0; channel < configuration->channels; channel++) {
@@ -119,7 +119,7 @@ int vc_parametric_decode(vc_parametric_decoder *decoder, const uint8_t *packet, 
     return VC_OK;
 }
 
-/* Returns the value one step further on a ramp to zero that has `left` steps left. */
+/* Returns the next value of a ramp to zero that has `left` steps left. */
 static int32_t faded(int32_t value, uint32_t left)
 {
     return left > 1 ? value / (int32_t)left * (int32_t)(left - 1) : 0;
@@ -135,7 +135,7 @@ void vc_parametric_conceal(vc_parametric_decoder *decoder, int16_t *samples)
     decoder->in_sequence = 0;
     for (block = 0; block < blocks; block++)
         for (channel = 0; channel < configuration->channels; channel++) {
-            /* Each block repeats the last one with random signs, scaled so that it ramps to zero. */
+            /* Each block repeats the last one with random signs, scaled to ramp to zero. */
             const uint32_t left = block < fade ? fade - block : 0;
             vc_parametric_synthesis *synthesis = &decoder->synthesis[channel];
             int32_t target[VC_PARAMETRIC_MAX_HARMONICS];

@@ -2,8 +2,8 @@
 #include "parametric_frame.h"
 
 #define ADAPTATION 4u
-#define FIRST_OCTAVE 12          /* of the level that the first band of all is expected at: 1/32 of full scale */
-#define LARGEST_DIFFERENCE 1024u /* of two numbers: more than the range of levels */
+#define FIRST_OCTAVE 12          /* expected level of the very first band: 1/32 of full scale */
+#define LARGEST_DIFFERENCE 1024u /* of two numbers; more than the range of levels */
 
 int vc_parametric_configuration_read(vc_parametric_configuration *configuration, const uint8_t *bytes, size_t length,
                                      unsigned channels)
@@ -76,7 +76,7 @@ typedef struct {
     unsigned context; /* magnitude of the last difference, at most 2 */
 } number_coder;
 
-/* Codes a number of a kind, from `least` to `greatest`, by its difference from the expected value. */
+/* Codes a number of a kind, from `least` to `greatest`, as its difference from the expected value. */
 static int16_t code_number(number_coder *with, unsigned kind, int32_t expected, int32_t least, int32_t greatest,
                            int32_t number)
 {

@@ -1,4 +1,4 @@
-/* A profile's octaves, the hand's way over it, and the heights under the hand; see profile.h. */
+/* A profile's octaves, the path of the hand over it, and the heights under the hand; see profile.h. */
 #include "profile.h"
 
 #include "profile_memory.h"
@@ -18,8 +18,8 @@
 #define WHOLE_LEVEL (1 << LEVEL_BITS)
 #define FADES_PER_SECOND 50 /* of 20 ms */
 
-/* The kernel of the resampler passes up to 0.7 and stops from 1.13 on, in parts of half the rate of an octave. So it
- * leaves no images of content below 2 - 1.13 = 0.87. An octave's band may reach that far, and the filter of the next
+/* The kernel of the resampler passes up to 0.7 and stops from 1.13 on, in parts of half the rate of an octave. So
+ * content below 2 - 1.13 = 0.87 leaves no images. An octave's band may reach that far, and the filter of the next
  * octave passes that far. */
 #define TAPS VC_RESAMPLER_TAPS
 #define HALF_TAPS (TAPS / 2)
@@ -30,7 +30,7 @@
 #define CROSSFADE_PART 16
 #define MOST_CROSSFADE 4096u
 
-/* Octaves down to the one whose band ends below half the DAC's rate at 600 mm/s. */
+/* The number of octaves down to the one whose band ends below half the DAC's rate at 600 mm/s. */
 static uint32_t octaves_of(uint32_t samples_per_metre, uint32_t dac_rate_hz)
 {
     const uint64_t step = (uint64_t)samples_per_metre * FASTEST_MM_PER_S * BAND_256;
@@ -69,7 +69,7 @@ void vc_profile_init(vc_profile *profile, uint32_t samples_per_metre, uint32_t s
     profile->period = (samples - crossfade) >> (profile->octaves - 1) << (profile->octaves - 1);
     for (octave = 1; octave < profile->octaves; octave++)
         profile->first[octave] = profile->first[octave - 1] + (profile->period >> (octave - 1)) + TAPS;
-    /* 1 / (1 + n) lags behind a steady motion by n samples. */
+    /* A low-pass of 1 / (1 + n) lags a steady motion by n samples. */
     profile->share =
         (uint32_t)(((uint64_t)US_PER_S << SHARE_BITS) / ((uint64_t)dac_rate_hz * VC_HAND_SMOOTHING_US + US_PER_S));
     profile->fastest = (int64_t)(((uint64_t)samples_per_metre * FASTEST_MM_PER_S << PLACE_BITS) /
@@ -85,7 +85,7 @@ static int16_t limited_sample(int64_t value)
     return (int16_t)(value > INT16_MAX ? INT16_MAX : value < INT16_MIN ? INT16_MIN : value);
 }
 
-/* Repeats an octave behind its end, as far as the interpolator reaches: more than once where that is longer. */
+/* Repeats an octave after its end, as far as the interpolator reaches: more than once if that is longer. */
 static void continue_end(vc_profile *profile, uint32_t octave)
 {
     const size_t count = (size_t)(profile->period >> octave) * profile->channels;
@@ -95,7 +95,7 @@ static void continue_end(vc_profile *profile, uint32_t octave)
         heights[count + at] = heights[at];
 }
 
-/* Makes the profile periodic: what lies behind the period is faded out over its beginning, which fades in. */
+/* Makes the profile periodic: the samples after the period fade out over its beginning, which fades in. */
 static void join_ends(vc_profile *profile)
 {
     const uint32_t channels = profile->channels, period = profile->period;
@@ -158,7 +158,7 @@ void vc_profile_load(vc_profile *profile, const int16_t *decoded, uint32_t sampl
     }
 }
 
-/* ---- the hand's way ---- */
+/* ---- the path of the hand ---- */
 
 void vc_profile_begin(vc_profile *profile)
 {
@@ -181,7 +181,7 @@ int vc_profile_position(vc_profile *profile, uint64_t time_us, int64_t position_
     return profile->positions++ > 0 && profile->rendered_us > last->time_us && next->place != last->place;
 }
 
-/* Where the hand was at a time: between the positions before and behind it, or at the last one. */
+/* The place of the hand at a time: between the positions before and after it, or at the last one. */
 static int64_t place_at(vc_profile *profile, uint64_t time_us)
 {
     const vc_hand_position *before, *behind;
@@ -202,7 +202,7 @@ static int64_t place_at(vc_profile *profile, uint64_t time_us)
     return before->place + profile->slope * (int64_t)(time_us - before->time_us);
 }
 
-/* How far a low-pass goes towards what is so far from it. It rests where it is a few 1/2^32 of a sample before it. */
+/* The step of a low-pass towards a target at this distance. It stops a few 1/2^32 of a sample before it. */
 static int64_t towards(const vc_profile *profile, int64_t distance)
 {
     if (distance > profile->furthest)
@@ -212,8 +212,8 @@ static int64_t towards(const vc_profile *profile, int64_t distance)
     return (distance * profile->share) >> SHARE_BITS;
 }
 
-/* Goes on to the place of this DAC sample; returns the magnitude of the step to it. Until it is anchored it is where
- * the hand is, and it is anchored as soon as that goes no faster than at 300 mm/s. */
+/* Moves to the place of this DAC sample; returns the magnitude of the step. Until the place is anchored, it is the
+ * hand's; it is anchored once the hand goes no faster than 300 mm/s. */
 static int64_t follow(vc_profile *profile, int64_t target)
 {
     const int64_t period = profile->period * WHOLE_PLACE;
@@ -235,7 +235,7 @@ static int64_t follow(vc_profile *profile, int64_t target)
     return step < 0 ? -step : step;
 }
 
-/* The fade of this DAC sample, on its way to the level for this speed; 0 until the place is anchored. A fade that
+/* The fade of this DAC sample, as it moves to the level for this speed; 0 until the place is anchored. A fade that
  * reaches 0 releases the place. */
 static void fade(vc_profile *profile, int64_t step)
 {
@@ -291,7 +291,8 @@ void vc_profile_render(vc_profile *profile, uint64_t time_us, int16_t *heights)
     profile->rendered_us = time_us;
     step = follow(profile, place_at(profile, time_us));
     fade(profile, step);
-    /* An octave is there alone until its band ends at 3/4 of half the DAC's rate, and is gone when it ends there. */
+    /* With a band that ends at 3/4 of half the DAC's rate or lower, an octave is alone. It has faded out when its band
+     * ends at half the DAC's rate. */
     band = ((uint64_t)step * BAND_256) >> 7;
     if (band >> PLACE_BITS > 0) {
         octave = vc_floor_log2((uint32_t)(band >> PLACE_BITS));

@@ -27,19 +27,19 @@ struct vc_profile {
     uint32_t loaded;
     uint32_t octaves, period;           /* samples after which the profile repeats */
     uint32_t first[VC_PROFILE_OCTAVES]; /* of each octave, in samples from the first */
-    /* The hand's way. */
+    /* The path of the hand. */
     vc_hand_position hand[VC_KEPT_POSITIONS]; /* by number modulo VC_KEPT_POSITIONS */
-    uint64_t positions, behind;               /* that have come; the number of the last one before the present time */
-    uint64_t rendered_us;                     /* up to when the hand's way has been followed */
+    uint64_t positions, behind;               /* positions received; number of the last one before now */
+    uint64_t rendered_us;                     /* time up to which the path has been followed */
     uint64_t sloped;                          /* `slope` leads from `behind` on where this is one more */
     int64_t slope;                            /* place per microsecond */
     /* The low-passes: places of both, less `origin`, a multiple of the period, so that `place` lies within it. */
     int64_t origin, between, place;
-    uint32_t share;           /* of its distance that each goes in a DAC sample, in 1/2^22 */
-    int64_t furthest;         /* distance beyond which it goes no faster */
+    uint32_t share;           /* part of its distance that each moves in a DAC sample, in 1/2^22 */
+    int64_t furthest;         /* distance beyond which it moves no faster */
     int64_t fastest;          /* place per DAC sample at 600 mm/s */
-    int anchored;             /* `place` follows the hand; otherwise it is where the hand is, and `level` is 0 */
-    int32_t level, most_rise; /* fade, in 1/2^16, and by how much it changes in a DAC sample at most */
+    int anchored;             /* `place` follows the hand; otherwise it is the hand's, and `level` is 0 */
+    int32_t level, most_rise; /* fade, in 1/2^16, and its largest change in a DAC sample */
     int16_t heights[];
 };
 

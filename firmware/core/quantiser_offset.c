@@ -2,7 +2,7 @@
 #include "quantiser_offset.h"
 
 #define STEERED 1u
-#define ADAPTATION_SHIFT 2 /* fast: a live stream has few packets from one refresh to the next */
+#define ADAPTATION_SHIFT 2 /* fast, because a live stream has few packets from one refresh to the next */
 
 int vc_rate_control_read(const uint8_t *bytes, size_t length, size_t fields_length, int *rate_controlled)
 {
@@ -39,7 +39,7 @@ void vc_quantiser_offset_encode(vc_range_coder *coder, vc_quantiser_offset *quan
 uint32_t vc_quantiser_offset_encode_fours(vc_range_coder *coder, vc_quantiser_offset *quantiser_offset, int32_t value,
                                           uint32_t lambda)
 {
-    /* 2^(3/16) for each, in 1/256, from -1 on: within it the search for levels loses next to nothing. */
+    /* 2^(3/16) for each, in 1/256, from -1 on: within it the search for levels loses almost nothing. */
     static const uint32_t weights[4] = {225, 256, 292, 332};
     const int32_t most = 4 * VC_MAX_QUANTISER_OFFSET;
     const uint32_t above_least = (uint32_t)((value > most ? most : value < -most ? -most : value) + most + 1);

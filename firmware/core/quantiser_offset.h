@@ -16,8 +16,8 @@ typedef struct {
     uint16_t same; /* probability that a packet has that of the one before */
 } vc_quantiser_offset;
 
-/* Reads the end of a configuration, whose other fields take `fields_length` bytes: nothing, or one byte, 1, which says
- * that packets carry their quantiser offset. Returns 0 where it is neither. */
+/* Reads the end of a configuration, whose other fields take `fields_length` bytes: nothing, or one byte of 1, if
+ * packets carry their quantiser offset. Returns 0 for other bytes. */
 int vc_rate_control_read(const uint8_t *bytes, size_t length, size_t fields_length, int *rate_controlled);
 
 /* At a refresh. */

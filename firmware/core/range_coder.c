@@ -83,8 +83,8 @@ int vc_range_decode(vc_range_coder *coder, uint32_t probability)
 size_t vc_range_encoder_finish(vc_range_coder *coder, const uint8_t *start)
 {
     uint8_t *end;
-    /* low and high differ in their top byte: unless low is 0, the shortest number inside starts with the byte above
-     * low's. */
+    /* low and high differ in their top byte. Unless low is 0, the shortest number between them starts with the byte
+     * above low's. */
     if (coder->low != 0)
         put_byte(coder, (uint8_t)((coder->low >> 24) + 1));
     end = coder->output;

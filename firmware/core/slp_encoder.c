@@ -1,10 +1,11 @@
 /* Encoder of `slp`, its integer half: chooses predictors, quantises the residual in a closed loop, codes the frames. */
 #include "slp_frame.h"
 
-/* Part of a step from which a magnitude is rounded up, in 1/256: what is nearly between two levels takes the lower,
- * which costs less than it spoils. */
+/* Part of a step from which a magnitude is rounded up, in 1/256. A value nearly between two levels takes the lower,
+ * which saves more than it spoils. */
 #define ROUNDING 98
-/* Frames that a new predictor is expected to serve: its bits are weighed against the savings in one frame by this. */
+/* Frames that a new predictor is expected to serve: its bits are divided by this before they are compared with the
+ * savings in one frame. */
 #define PREDICTOR_LIFE 6
 
 struct vc_slp_encoder {
@@ -15,7 +16,7 @@ struct vc_slp_encoder {
     vc_slp_channel channels[VC_MAX_CHANNELS];
 };
 
-/* A predictor that may serve a frame, and what it leaves. */
+/* A candidate predictor for a frame, and the residual that it leaves. */
 typedef struct {
     int8_t reflections[VC_SLP_MAX_ORDER];
     int32_t log_steps[VC_SLP_MAX_FRAME], steps[VC_SLP_MAX_FRAME];
@@ -41,8 +42,8 @@ static uint32_t magnitude_of(int32_t value)
     return (uint32_t)(value < 0 ? -value : value);
 }
 
-/* Finds the steps and the residual of a frame from the state that the decoder's filter is in, and estimates its bits:
- * of a coefficient c, log2(1 + |c| / step). */
+/* Finds the steps and the residual of a frame from the state of the decoder's filter, and estimates its bits: of a
+ * coefficient c, log2(1 + |c| / step). */
 static void measure(candidate *tried, const vc_slp_encoder *encoder, const vc_slp_channel *channel,
                     const int32_t *samples)
 {

@@ -50,7 +50,7 @@ static uint32_t class_start(uint32_t number)
 void vc_slp_model_reset(vc_slp_model *model)
 {
     unsigned context, decision, i;
-    /* As if magnitudes were geometrically distributed about the mean that the context expects (in 1/64). */
+    /* Assumes that magnitudes have a geometric distribution with the mean that the context expects (in 1/64). */
     for (context = 0; context < VC_SLP_CONTEXTS; context++)
         for (decision = 0; decision < VC_SLP_DECISIONS; decision++) {
             uint32_t expected = class_start(context) + class_start(context + 1);
@@ -105,8 +105,8 @@ static void code_reflections(vc_range_coder *coder, int encoding, vc_slp_model *
     }
 }
 
-/* Context of bin k: the class of the magnitude, in 1/64, that its neighbours in this and the last frame, and the
- * averages over time, let expect. */
+/* Context of bin k: the class of its expected magnitude, in 1/64, from its neighbours in this and the last frame, and
+ * from the averages over time. */
 static unsigned level_context(const vc_slp_channel *channel, uint32_t k)
 {
     const uint8_t *now = channel->now + k + 2, *last = channel->last + k + 2;
@@ -302,7 +302,7 @@ void vc_slp_inverse_dct(const int32_t *spectrum, uint32_t frame, int32_t *values
         values[n] = vc_limited(scaled(sums[n] + (sums[n] < 0 ? -(1 << 27) : 1 << 27), 28));
 }
 
-/* Product of a value and a reflection coefficient, towards zero, so that the filter's ringing dies out. */
+/* Product of a value and a reflection coefficient, rounded towards zero, so that the filter's ringing dies out. */
 static int32_t reflected(int8_t code, int32_t value)
 {
     return (int32_t)scaled((int64_t)reflection_value(code) * value, 24);
@@ -313,7 +313,7 @@ static int32_t limited(int32_t value, int32_t limit)
     return value > limit ? limit : value < -limit ? -limit : value;
 }
 
-/* A backward error as the filter keeps it until the next sample. */
+/* A backward error, as kept for the next sample. */
 static int32_t kept(int32_t error)
 {
     return limited((int32_t)scaled((int64_t)error * 255, 8), VC_SLP_MAX_STATE);

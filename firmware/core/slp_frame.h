@@ -72,7 +72,7 @@ void vc_slp_log_steps(const vc_slp_configuration *configuration, unsigned number
                       int32_t *log_steps);
 int32_t vc_slp_step(int32_t log_step, const vc_quantiser_offset *quantiser_offset);
 
-/* The residual's coefficient that a level stands for. */
+/* The residual's coefficient of a level. */
 int32_t vc_slp_reconstruct(int32_t level, int32_t step);
 
 /* Orthonormal DCT-II of `frame` values, and its inverse. */
@@ -80,7 +80,7 @@ void vc_slp_dct(const int32_t *values, uint32_t frame, int32_t *spectrum);
 void vc_slp_inverse_dct(const int32_t *spectrum, uint32_t frame, int32_t *values);
 
 /* Lattice filter A(z) or 1 / A(z) of a predictor over a frame, from signal to residual and back. `backward`: its state,
- * order + 1 values, which both move on alike. */
+ * order + 1 values, which both update in the same way. */
 void vc_slp_analyse(const vc_slp_configuration *configuration, const int8_t *reflections, int32_t *backward,
                     const int32_t *samples, int32_t *residual);
 void vc_slp_synthesise(const vc_slp_configuration *configuration, const int8_t *reflections, int32_t *backward,

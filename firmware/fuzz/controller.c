@@ -1,4 +1,4 @@
-/* Target: a whole controller, which must answer, and bring its output to rest, whatever came before. */
+/* Target: a whole controller, which must answer and bring its output to rest after any input. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -12,7 +12,7 @@ enum { WIRE, PAYLOAD, TIME, KINDS };
 
 #define STEP_US 5000u
 #define MAX_TIME_US 5000000u
-/* Numbers that requests of the corpus do not have; one of two Hellos is no copy of one that came before. */
+/* Sequence numbers that requests of the corpus do not have; of two Hellos, one is no copy of an earlier one. */
 #define FIRST_HELLO 0x7001
 #define SECOND_HELLO 0x7002
 #define LAST_STOP 0x7003
@@ -61,7 +61,7 @@ static void take_codes(void *context, const int16_t *codes, uint32_t samples, un
         }
 }
 
-/* Takes what the controller sends, as a host does. */
+/* Takes the bytes that the controller sends, as a host does. */
 static void receive(bench *test)
 {
     uint8_t bytes[1000];
@@ -83,7 +83,7 @@ static void receive(bench *test)
 
 static void send(bench *test, const uint8_t *payload, size_t length)
 {
-    uint8_t frame[VC_FRAME_BYTES + 1] = {0}; /* a zero before it ends what came before */
+    uint8_t frame[VC_FRAME_BYTES + 1] = {0}; /* a zero before it ends earlier bytes */
     vc_frame_writer writer;
     vc_frame_begin(&writer, frame + 1, VC_FRAME_BYTES);
     vc_frame_write(&writer, payload, length);

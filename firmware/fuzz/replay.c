@@ -22,7 +22,7 @@ static size_t random_below(size_t limit)
     return random_state % limit;
 }
 
-/* Runs a copy of an input of this very length, so that a sanitiser sees what is read beyond it. */
+/* Runs a copy of an input of exactly this length, so that a sanitiser sees any read beyond it. */
 static void run(const uint8_t *input, size_t length)
 {
     uint8_t *copy = malloc(length);

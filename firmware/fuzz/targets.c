@@ -1,4 +1,4 @@
-/* The table of targets, and what they share; see targets.h. */
+/* The table of targets, and their shared functions; see targets.h. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>

@@ -11,7 +11,7 @@
 
 typedef void (*vc_fuzz_target)(const uint8_t *data, size_t length);
 
-/* The bytes of a wire, which a reader of frames is given in pieces. */
+/* The bytes of a link, which a reader of frames gets in pieces. */
 void vc_fuzz_frames(const uint8_t *data, size_t length);
 /* The payload of a frame: the message, the stream header in it, the heads of its packets. */
 void vc_fuzz_messages(const uint8_t *data, size_t length);
@@ -21,8 +21,8 @@ void vc_fuzz_images(const uint8_t *data, size_t length);
 void vc_fuzz_streams(const uint8_t *data, size_t length);
 /* Records: the two copies of the record, without their CRC-32, and the two slots of a flash, then requests. */
 void vc_fuzz_flash(const uint8_t *data, size_t length);
-/* Records for a whole controller, of a kind and what follows it: 0, bytes of the wire; 1, a payload that becomes a
- * frame; 2, milliseconds that pass, in two bytes. */
+/* Records for a whole controller; a record's first byte is its kind. 0: bytes of the link. 1: a payload that becomes a
+ * frame. 2: milliseconds that pass, in two bytes. */
 void vc_fuzz_controller(const uint8_t *data, size_t length);
 
 /* Takes the next record off the front of `data`: a length of two bytes and that number of bytes, fewer at the end.

@@ -21,7 +21,7 @@
 
 typedef void (*vc_handler)(void); /* of an exception, in a vector table */
 
-extern const uint32_t vc_stack_top[]; /* by the linker script */
+extern const uint32_t vc_stack_top[]; /* set by the linker script */
 
 /* The beginning of a vector table (B1.5.3); a board's interrupts follow. */
 typedef struct {
@@ -29,7 +29,7 @@ typedef struct {
     vc_handler exceptions[15];
 } vc_core_vectors;
 
-/* All but reset and SysTick are faults, or do not happen. */
+/* All except reset and SysTick are faults, or never happen. */
 #define VC_CORE_VECTORS(fault, tick)                                                                                   \
     {                                                                                                                  \
         vc_stack_top,                                                                                                  \

@@ -6,7 +6,7 @@ void *memcpy(void *destination, const void *source, size_t length);
 void *memset(void *destination, int value, size_t length);
 int memcmp(const void *one, const void *other, size_t length);
 
-/* Words where both ends are aligned to words, or can be made so by the same few bytes. */
+/* Copies words if both ends are aligned to words, or can be after the same few bytes. */
 void *memcpy(void *destination, const void *source, size_t length)
 {
     uint8_t *to = destination;

@@ -106,7 +106,7 @@ static int program(void *context, uint32_t offset, const uint8_t *data, uint32_t
     return 0;
 }
 
-/* Maps the flash, blank where it is new; `path`: of the file, NULL = memory only. */
+/* Maps the flash; a new one is blank. `path`: of the file, NULL = memory only. */
 static uint8_t *open_flash(const char *path)
 {
     uint8_t *memory;
@@ -137,7 +137,7 @@ static uint8_t *open_flash(const char *path)
     return memory;
 }
 
-/* Opens a pseudo-terminal and returns the name of its other end, which stays open here: so it outlives every host
+/* Opens a pseudo-terminal and returns the name of its other end. That stays open here, so it outlives every host
  * program that closes it. */
 static const char *open_terminal(void)
 {

@@ -1,4 +1,4 @@
-/* Flash in the board's memory: it behaves like NOR flash, and keeps its content until the power goes. */
+/* Flash in the board's memory: it behaves like NOR flash, and keeps its content until power-off. */
 #include "board.h"
 #include "common.h"
 

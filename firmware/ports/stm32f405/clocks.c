@@ -25,8 +25,8 @@ void vc_clocks_start(void)
     (void)becomes(&VC_RCC_CR, VC_RCC_PLLRDY, VC_RCC_PLLRDY);
     VC_FLASH_ACR = VC_FLASH_LATENCY_5 | VC_FLASH_PREFETCH | VC_FLASH_INSTRUCTION_CACHE | VC_FLASH_DATA_CACHE;
     VC_RCC_CFGR = VC_RCC_PPRE1_4 | VC_RCC_PPRE2_2;
-    /* The switch happens when the PLL is ready (7.3.3). If it never were, everything would run at a tenth of its speed,
-     * and no host would be understood: nothing plays then. */
+    /* The switch happens when the PLL is ready (7.3.3). Without it, everything would run at a tenth of its speed, and
+     * no host could understand the board: then nothing plays. */
     VC_RCC_CFGR |= VC_RCC_SW_PLL;
     (void)becomes(&VC_RCC_CFGR, VC_RCC_SWS, VC_RCC_SWS_PLL);
 }

@@ -105,7 +105,7 @@ static void put_sample(const int16_t *codes, unsigned channels)
     unsigned channel;
     for (channel = 0; channel < CHANNELS; channel++)
         ring[put & (CAPACITY - 1)][channel] = channel < channels ? (int16_t)(codes[channel] >> shift) : 0;
-    __asm volatile("" ::: "memory"); /* the sample is there before the count says so */
+    __asm volatile("" ::: "memory"); /* the sample is stored before the count says so */
     put++;
 }
 
@@ -113,14 +113,14 @@ static void put_sample(const int16_t *codes, unsigned channels)
 static void begin_lag(void)
 {
     const uint32_t kept = samples_in(vc_port_now_us() - turn_us);
-    if (kept > 0) /* else nothing was decoded now, as after a pause */
+    if (kept > 0) /* otherwise nothing was decoded now, as after a pause */
         lag_samples = samples_in(LEAST_LAG_MS * 1000) + 2 * kept;
     if (lag_samples > CAPACITY - 2 * SPARE)
         lag_samples = CAPACITY - 2 * SPARE;
     waiting = lag_samples;
 }
 
-/* Lets nothing wait longer than the lag, part of which has passed already where many samples come at once. If something
+/* Lets no sample wait longer than the lag; part of it has passed already if many samples come at once. If something
  * else stopped the loop for long, drops the oldest samples. */
 static void keep_lag(void)
 {

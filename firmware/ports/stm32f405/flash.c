@@ -46,7 +46,7 @@ VC_IN_RAM static int erase_sector(uint32_t sector)
     return finish() || failed;
 }
 
-/* 3.6.4: bytes up to a whole word, words, and the bytes behind them. */
+/* 3.6.4: bytes up to a whole word, words, and the remaining bytes. */
 VC_IN_RAM static int program_all(uint32_t address, const uint8_t *data, uint32_t length)
 {
     int failed = finish();

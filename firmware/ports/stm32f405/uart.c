@@ -19,7 +19,7 @@ void vc_uart_start(void)
     VC_GPIO_AFRH(VC_GPIOB) = (VC_GPIO_AFRH(VC_GPIOB) & ~0xFF00u) | 0x7700u;
     VC_GPIO_PUPDR(VC_GPIOB) = (VC_GPIO_PUPDR(VC_GPIOB) & ~(0xFu << 20)) | 0x5u << 20;
     VC_GPIO_MODER(VC_GPIOB) = (VC_GPIO_MODER(VC_GPIOB) & ~(0xFu << 20)) | 0xAu << 20;
-    /* 30.3.4: 42 MHz / 46 = 913 kbaud, 0.9 % slow, where 3.3 % are borne (30.3.5). */
+    /* 30.3.4: 42 MHz / 46 = 913 kbaud, 0.9 % slow; 3.3 % are allowed (30.3.5). */
     VC_USART_BRR = (VC_APB1_HZ + BAUD / 2) / BAUD;
     VC_USART_CR1 = VC_USART_UE | VC_USART_TE | VC_USART_RE | VC_USART_RXNEIE;
     vc_enable_interrupt(VC_USART3_LINE, 1);

@@ -17,7 +17,7 @@ void vc_board_start(void)
     vc_enable_interrupt(VC_UART_SEND_LINE, 1);
 }
 
-/* SysTick ends the wait after a millisecond at most, whatever happened since the loop looked. */
+/* SysTick ends the wait after a millisecond at most, even if a byte came after the loop's last look. */
 void vc_board_wait(void)
 {
     vc_wait_for_interrupt();
