@@ -28,7 +28,7 @@ ALLOWED = {
     },
 }
 """What each package may import; host may import them all."""
-PRODUCTS = ("conformance", "harness", "planner", "stability")
+PRODUCTS = ("conformance", "harness", "planner", "stability", "study")
 """The packages of host that stand on the others; the command, in cli, stands on them."""
 
 

@@ -1,0 +1,298 @@
+"""A study as its parts see it: stimuli, screens that a participant meets, answers, and the session between them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol, TypeAlias
+
+from vibrocast.codec.stream import Stream
+from vibrocast.files import InputFileError
+
+
+class StudyError(InputFileError):
+    """A study file, a set of stimuli or results that cannot be used; the message says what to correct."""
+
+
+class Rejected(RuntimeError):
+    """A request of a participant or experimenter that does not fit the screen; the message says why."""
+
+
+@dataclass(frozen=True)
+class Stimulus:
+    """One coded texture, ready to play.
+
+    Attributes:
+        key: Texture and condition, such as "wood/linear 14"; nobody who is blind sees it.
+        texture: Name of the texture.
+        condition: Name of the condition.
+        role: "condition", "reference", "hidden reference" or "anchor".
+        stream: The coded stream, its level matched at the skin.
+        gain_db: The change of level that matched it.
+        facts: Figures for results and report: snr_db, st_sim, spqi, third_octave_db, bits_per_second, level_db
+            (over the detection threshold), limited (part of DAC samples that a limit changed). None where undefined.
+    """
+
+    key: str
+    texture: str
+    condition: str
+    role: str
+    stream: Stream = field(repr=False)
+    gain_db: float
+    facts: Mapping[str, float | None]
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A stimulus within a trial. `label`: its blind name on the button; `stimulus`: the key of its Stimulus."""
+
+    label: str
+    stimulus: str
+
+
+@dataclass(frozen=True)
+class Choices:
+    """The participant gives one of some answers, by button or by the keys 1, 2, 3 ..."""
+
+    options: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Sliders:
+    """The participant gives a whole number from `low` to `high` for each label.
+
+    `words`: names of equal ranges of the scale, from low to high, such as "bad" to "excellent".
+    """
+
+    labels: tuple[str, ...]
+    low: int = 0
+    high: int = 100
+    words: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One trial.
+
+    Attributes:
+        number: From 1 in a run, practice included.
+        total: Trials of the run; None in a staircase, which ends by itself.
+        phase: "practice" or "main".
+        block: From 1; a break lies between blocks.
+        texture: Name of the texture.
+        intervals: In the order of presentation.
+        question: For the participant.
+        response: How the participant answers.
+        max_plays: How often each interval may be played; None = without limit.
+        in_order: Whether the intervals play by themselves, once, one after the other.
+        switches: Whether a press on another label continues at the same place, without a gap.
+        pause_s: Silence between intervals that play by themselves.
+        max_seconds: Time to answer after the last interval began; None = without limit.
+        feedback: Whether the page says afterwards if the answer was correct.
+        facts: What the method needs to know when the answer comes, and what goes into the results: condition,
+            correct (index of the right choice), level_db of a staircase and so on.
+    """
+
+    number: int
+    total: int | None
+    phase: str
+    block: int
+    texture: str
+    intervals: tuple[Interval, ...]
+    question: str
+    response: Choices | Sliders
+    max_plays: int | None = None
+    in_order: bool = False
+    switches: bool = False
+    pause_s: float = 0.5
+    max_seconds: float | None = None
+    feedback: bool = False
+    facts: Mapping[str, str | float | None] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Message:
+    """A text with one button: the welcome, instructions, the end. `kind`: "welcome", "instructions" or "end"."""
+
+    kind: str
+    title: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Break:
+    """A rest. The participant may go on after `seconds`."""
+
+    seconds: float
+    done: int
+    total: int | None
+
+
+@dataclass(frozen=True)
+class Question:
+    """A question of the experimenter before or after the trials. `options`: none = the answer is a line of text."""
+
+    name: str
+    text: str
+    options: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Paused:
+    """The experimenter has paused the run."""
+
+    text: str = "Please wait."
+
+
+Screen: TypeAlias = Message | Question | Trial | Break | Paused
+
+
+@dataclass(frozen=True)
+class Answer:
+    """An answer to a trial.
+
+    Attributes:
+        values: The index of the choice, from 0; or a value for each slider.
+        reaction_s: From the start of the last interval that was played first, by the session's clock.
+        plays: How often each label was played.
+    """
+
+    values: tuple[int, ...]
+    reaction_s: float
+    plays: Mapping[str, int]
+
+
+@dataclass(frozen=True)
+class State:
+    """A run as the experimenter sees it. `now_playing`: a blind label, None at rest. `warnings`: newest last."""
+
+    participant: int
+    screen: str
+    trial: int
+    total: int | None
+    block: int
+    paused: bool
+    ended: bool
+    now_playing: str | None
+    level_db: float | None
+    device: str
+    warnings: tuple[str, ...] = ()
+
+
+class Run(Protocol):
+    """One participant's run, as pages and terminal use it. Safe to call from several threads.
+
+    Each method raises Rejected where it does not fit the screen, and DeviceLost (a ControllerError or TransportError)
+    where the device is gone; the run then pauses, and resumes when the experimenter does so.
+    """
+
+    def screen(self) -> Screen:
+        """Return the present screen."""
+
+    def version(self) -> int:
+        """Return a number that changes whenever `screen` or `state` does: pages poll it."""
+
+    def go_on(self) -> None:
+        """Leave a Message, or a Break after its time."""
+
+    def reply(self, text: str) -> None:
+        """Answer a Question."""
+
+    def play(self, label: str) -> None:
+        """Play an interval of the present trial, or switch to it; returns while it plays."""
+
+    def stop_playing(self) -> None:
+        """Bring the actuator to rest; the trial goes on."""
+
+    def answer(self, values: tuple[int, ...]) -> bool | None:
+        """Store the answer on disk and go on; return whether it was correct, None without feedback."""
+
+    def pause(self) -> None:
+        """Stop the actuator and show Paused until `resume`."""
+
+    def resume(self) -> None:
+        """Show the trial again, from its beginning."""
+
+    def abort(self) -> None:
+        """Stop the actuator and end the run for good; all answers stay."""
+
+    def plays(self) -> Mapping[str, int]:
+        """Return how often each label of the present trial was played."""
+
+    def state(self) -> State:
+        """Return what the experimenter sees."""
+
+
+@dataclass(frozen=True)
+class Played:
+    """One presentation as the device played it, for the log.
+
+    Attributes:
+        stimulus: Key of the stimulus.
+        stream_sha256: Of the bytes of the .vct file, in hex.
+        started_utc: When it began at the skin, ISO 8601 with microseconds.
+        latency_ms: From the request to the skin, as far as the device states it.
+        gain_db: The level that was sent, re the recording.
+        limited: DAC samples that a limit changed.
+        underruns: Counted by the device.
+        seconds: For how long it played.
+    """
+
+    stimulus: str
+    stream_sha256: str
+    started_utc: str
+    latency_ms: float | None
+    gain_db: float
+    limited: int
+    underruns: int
+    seconds: float
+
+
+class StimulusPlayer(Protocol):
+    """Plays stimuli on a device for a run. Calls return at once; another thread plays."""
+
+    def start(self, stimulus: Stimulus) -> None:
+        """Play from the beginning; what plays before ramps down. Raises ControllerError, TransportError."""
+
+    def switch(self, stimulus: Stimulus) -> None:
+        """Go on at the same place in another stimulus, without a gap where the device can; else as `start`."""
+
+    def stop(self) -> None:
+        """Bring the actuator to rest. Never raises for a device that is gone."""
+
+    def playing(self) -> str | None:
+        """Return the key of the stimulus that plays, None at rest. Raises what went wrong in the other thread."""
+
+    def take_played(self) -> list[Played]:
+        """Return what has been played since the last call."""
+
+    def close(self) -> None:
+        """Stop, and release the device."""
+
+
+RESULT_COLUMNS = (
+    "study",
+    "participant",
+    "trial",
+    "phase",
+    "block",
+    "method",
+    "texture",
+    "condition",
+    "comparison",
+    "label",
+    "presentation",
+    "response",
+    "value",
+    "correct",
+    "level_db",
+    "reversal",
+    "reaction_s",
+    "plays",
+    "answered_utc",
+)
+"""The columns of results.csv, one row for each rated or chosen stimulus of a trial.
+
+`condition`: of the stimulus that the row rates. `comparison`: of the one it was compared with. `label`: the blind name.
+`presentation`: labels with their conditions in order, such as "A=linear 14 B=reference". `response`: in words; `value`:
+the number (grade 0 to 3, slider 0 to 100, index of the choice). `correct`: 0 or 1, empty where nothing is right or
+wrong. `level_db`, `reversal`: of a staircase. `plays`: of this stimulus.
+"""
