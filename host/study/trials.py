@@ -26,6 +26,7 @@ class Stimulus:
         condition: Name of the condition.
         role: "condition", "reference", "hidden reference" or "anchor".
         stream: The coded stream, its level matched at the skin.
+        loops: How often it plays to fill the study's duration.
         gain_db: The change of level that matched it.
         facts: Figures for results and report: snr_db, st_sim, spqi, third_octave_db, bits_per_second, level_db
             (over the detection threshold), limited (part of DAC samples that a limit changed). None where undefined.
@@ -36,16 +37,27 @@ class Stimulus:
     condition: str
     role: str
     stream: Stream = field(repr=False)
+    loops: int
     gain_db: float
     facts: Mapping[str, float | None]
+
+    @property
+    def seconds(self) -> float:
+        """The duration in s."""
+        return self.loops * self.stream.seconds
 
 
 @dataclass(frozen=True)
 class Interval:
-    """A stimulus within a trial. `label`: its blind name on the button; `stimulus`: the key of its Stimulus."""
+    """A stimulus within a trial.
+
+    `label`: its blind name on the button. `stimulus`: the key of its Stimulus; None = silence. `gain_db`: the change of
+    level that a staircase asks for.
+    """
 
     label: str
-    stimulus: str
+    stimulus: str | None
+    gain_db: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -82,7 +94,7 @@ class Trial:
         question: For the participant.
         response: How the participant answers.
         max_plays: How often each interval may be played; None = without limit.
-        in_order: Whether the intervals play by themselves, once, one after the other.
+        in_order: Whether `play` plays all intervals, one after the other; with `switches`, only the first time.
         switches: Whether a press on another label continues at the same place, without a gap.
         pause_s: Silence between intervals that play by themselves.
         max_seconds: Time to answer after the last interval began; None = without limit.
@@ -151,7 +163,7 @@ class Answer:
 
     Attributes:
         values: The index of the choice, from 0; or a value for each slider.
-        reaction_s: From the start of the last interval that was played first, by the session's clock.
+        reaction_s: From the start of the interval that was the last to be played for the first time.
         plays: How often each label was played.
     """
 
@@ -180,8 +192,8 @@ class State:
 class Run(Protocol):
     """One participant's run, as pages and terminal use it. Safe to call from several threads.
 
-    Each method raises Rejected where it does not fit the screen, and DeviceLost (a ControllerError or TransportError)
-    where the device is gone; the run then pauses, and resumes when the experimenter does so.
+    Each method raises Rejected where it does not fit the screen. A run whose device is gone pauses, with the reason in
+    `state().warnings`, until the experimenter resumes it.
     """
 
     def screen(self) -> Screen:
@@ -216,6 +228,9 @@ class Run(Protocol):
 
     def plays(self) -> Mapping[str, int]:
         """Return how often each label of the present trial was played."""
+
+    def wait_for_change(self, version: int, seconds: float) -> int:
+        """Return the version once it is another one, or after some seconds."""
 
     def state(self) -> State:
         """Return what the experimenter sees."""

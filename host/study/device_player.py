@@ -1,0 +1,212 @@
+"""Plays the stimuli of a study on a controller, or nowhere: the same interface for the session."""
+
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+
+from vibrocast.codec.encoding import encode_recording
+from vibrocast.codec.stream import Stream
+from vibrocast.device_protocol.coded_stream import StreamError
+from vibrocast.device_protocol.messages import State
+from vibrocast.device_protocol.transports import TransportError
+from vibrocast.host import player
+from vibrocast.host.controller import Controller, ControllerError
+from vibrocast.host.stream_session import check_limits, check_packet
+from vibrocast.host.study.stimuli import UNCODED_SNR_DB, stream_sha256
+from vibrocast.host.study.trials import Played, Stimulus, StimulusPlayer
+
+# A controller that has not come to rest after this time is given up; its watchdog stops it.
+_STOP_WITHIN_S = 5.0
+
+
+class _Stopped(Exception):
+    """Raised in the thread that plays, to end a stimulus before its time."""
+
+
+@dataclass
+class _Playing:
+    """A stimulus under way, and its thread."""
+
+    stimulus: Stimulus
+    thread: threading.Thread
+    stopping: threading.Event
+
+
+class ControllerPlayer(StimulusPlayer):
+    """Plays on a controller session, which it owns from now on and closes.
+
+    One thread at a time talks to the controller. `switch` stops and starts, because a controller plays one stream at a
+    time: about 0.4 s lie between. A stream that a controller cannot take, such as one that is coded as a whole file,
+    is decoded here and sent as the default codec's at UNCODED_SNR_DB, whose error lies far below the stream's own.
+    """
+
+    def __init__(self, controller: Controller, close: Callable[[], None] = lambda: None) -> None:
+        self._controller, self._close = controller, close
+        self._playing: _Playing | None = None
+        self._error: Exception | None = None
+        self._played: list[Played] = []
+        self._carried: dict[str, Stream] = {}
+
+    def start(self, stimulus: Stimulus) -> None:
+        """Play from the beginning; the one before ramps down first. Raises ControllerError, TransportError."""
+        self._end()
+        self._raise_error()
+        stopping = threading.Event()
+        thread = threading.Thread(target=self._play, args=(stimulus, stopping), name="stimulus", daemon=True)
+        self._playing = _Playing(stimulus, thread, stopping)
+        thread.start()
+
+    def switch(self, stimulus: Stimulus) -> None:
+        """Play another stimulus from its beginning."""
+        self.start(stimulus)
+
+    def stop(self) -> None:
+        """Bring the actuator to rest. Never raises for a device that is gone."""
+        self._end()
+
+    def playing(self) -> str | None:
+        """Return the key of the stimulus that plays, None at rest. Raises ControllerError, TransportError."""
+        self._raise_error()
+        now = self._playing
+        return now.stimulus.key if now is not None and now.thread.is_alive() else None
+
+    def take_played(self) -> list[Played]:
+        """Return what has been played since the last call."""
+        played, self._played = self._played, []
+        return played
+
+    def close(self) -> None:
+        """Stop, and close the session."""
+        self._end()
+        with suppress(ControllerError, TransportError):
+            self._close()
+
+    def _end(self) -> None:
+        """End what plays, and wait until the controller has been told."""
+        now, self._playing = self._playing, None
+        if now is not None:
+            now.stopping.set()
+            now.thread.join(_STOP_WITHIN_S)
+
+    def _raise_error(self) -> None:
+        error, self._error = self._error, None
+        if error is not None:
+            raise error
+
+    def _play(self, stimulus: Stimulus, stopping: threading.Event) -> None:
+        """Play one stimulus, in its own thread."""
+        begun_utc: datetime | None = None
+        begun_s = 0.0
+        asked_s = time.monotonic()
+        latest: player.Progress | None = None
+
+        def watch(now: player.Progress) -> None:
+            nonlocal begun_utc, begun_s, latest
+            latest = now
+            if begun_utc is None and now.status.state == State.PLAYING:
+                begun_s = time.monotonic() - now.position_s
+                begun_utc = datetime.now(UTC) - timedelta(seconds=now.position_s)
+            if stopping.is_set():
+                raise _Stopped
+
+        try:
+            stream = self._playable(stimulus)
+            packet_samples = stream.decoder().packet_samples
+            if not stopping.is_set():
+                player.play(
+                    self._controller,
+                    stream.header,
+                    stream.packets,
+                    packet_samples,
+                    loops=stimulus.loops,
+                    progress=watch,
+                )
+        except _Stopped:
+            pass
+        except (ControllerError, TransportError) as error:
+            self._error = error
+        except (StreamError, ValueError) as error:
+            self._error = ControllerError(f"{stimulus.key} cannot be played: {error}")
+        if latest is not None and begun_utc is not None:
+            limits = latest.status
+            limited = limits.compensation_clipped + limits.voltage_limited + limits.slew_limited + limits.power_limited
+            self._played.append(
+                Played(
+                    stimulus=stimulus.key,
+                    stream_sha256=stream_sha256(stimulus.stream),
+                    started_utc=begun_utc.isoformat(timespec="microseconds"),
+                    latency_ms=1000 * (begun_s - asked_s),
+                    gain_db=stimulus.gain_db,
+                    limited=limited,
+                    underruns=limits.underruns,
+                    seconds=time.monotonic() - begun_s,
+                )
+            )
+
+    def _playable(self, stimulus: Stimulus) -> Stream:
+        """Return the stream that the controller is sent for a stimulus."""
+        stream = stimulus.stream
+        try:
+            check_limits(self._controller, stream.header.channels, stream.header.rate_hz)
+            check_packet(self._controller, stream.decoder().packet_samples)
+            if max(map(len, stream.packets)) <= self._controller.description.limits.sendable_packet_bytes:
+                return stream
+        except (StreamError, ControllerError):
+            pass
+        sha256 = stream_sha256(stream)
+        if sha256 not in self._carried:
+            recording = stream.recording(stimulus.key)
+            carried = encode_recording(
+                recording, stream_rate_hz=stream.header.rate_hz, snr_db=UNCODED_SNR_DB, live=True, highpass_hz=None
+            )
+            self._carried[sha256] = carried.stream
+        return self._carried[sha256]
+
+
+class SilentPlayer(StimulusPlayer):
+    """Plays nothing, for simulated observers, rehearsals and tests.
+
+    `speed`: how many times faster than real time it is; infinite = every stimulus is over at once.
+    """
+
+    def __init__(self, speed: float = float("inf")) -> None:
+        self._speed = speed
+        self._now: Stimulus | None = None
+        self._until_s = 0.0
+        self._played: list[Played] = []
+
+    def start(self, stimulus: Stimulus) -> None:
+        """Note that a stimulus begins."""
+        self._now = stimulus
+        self._until_s = time.monotonic() + stimulus.seconds / self._speed
+        now_utc = datetime.now(UTC).isoformat(timespec="microseconds")
+        sha256 = stream_sha256(stimulus.stream)
+        self._played.append(Played(stimulus.key, sha256, now_utc, None, stimulus.gain_db, 0, 0, stimulus.seconds))
+
+    def switch(self, stimulus: Stimulus) -> None:
+        """Note another stimulus, at the same place."""
+        until_s = self._until_s
+        self.start(stimulus)
+        self._until_s = until_s
+
+    def stop(self) -> None:
+        """Note that nothing plays."""
+        self._now = None
+
+    def playing(self) -> str | None:
+        """Return the key of the stimulus whose time is not over."""
+        if self._now is not None and time.monotonic() >= self._until_s:
+            self._now = None
+        return None if self._now is None else self._now.key
+
+    def take_played(self) -> list[Played]:
+        """Return what has been noted since the last call."""
+        played, self._played = self._played, []
+        return played
+
+    def close(self) -> None:
+        """Do nothing."""
+        self.stop()
