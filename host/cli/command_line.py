@@ -54,6 +54,9 @@ SECTIONS: Mapping[str, Mapping[str, Subcommand]] = {
         ),
         "conformance": Subcommand("conformance", "conformance", "Test a controller against the protocol."),
     },
+    "Studies": {
+        "study": Subcommand("study", "study", "Check, run, simulate and report listening studies."),
+    },
     "Learned codecs": {
         "models": Subcommand("codecs", "list_models", "List the shipped models, with rate and quality."),
         "train": Subcommand("train", "train", "Train a model from a TOML configuration."),

@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -14,7 +14,7 @@ from vibrocast.device_protocol.messages import State
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import player
 from vibrocast.host.controller import Controller, ControllerError
-from vibrocast.host.stream_session import check_limits, check_packet
+from vibrocast.host.stream_session import check_limits, configure_steps
 from vibrocast.host.study.stimuli import UNCODED_SNR_DB, stream_sha256
 from vibrocast.host.study.trials import Played, Stimulus, StimulusPlayer
 
@@ -49,6 +49,22 @@ class ControllerPlayer(StimulusPlayer):
         self._error: Exception | None = None
         self._played: list[Played] = []
         self._carried: dict[str, Stream] = {}
+
+    def prepare(self, stimuli: Sequence[Stimulus]) -> None:
+        """Offer each stream to the controller, and code those again that it rejects."""
+        for stimulus in stimuli:
+            stream = stimulus.stream
+            steps = configure_steps(self._controller, stream.header, 1, packets=len(stream.packets))
+            try:
+                check_limits(self._controller, stream.header.channels, stream.header.rate_hz)
+                self._controller.run(steps)
+                self._controller.stop()
+            except StreamError as error:
+                raise ControllerError(f"{stimulus.key}: {error}") from error
+            except ControllerError as error:
+                if error.code is None:
+                    raise
+                self._carried[stream_sha256(stream)] = _carried(stream)
 
     def start(self, stimulus: Stimulus) -> None:
         """Play from the beginning; the one before ramps down first. Raises ControllerError, TransportError."""
@@ -113,7 +129,7 @@ class ControllerPlayer(StimulusPlayer):
                 raise _Stopped
 
         try:
-            stream = self._playable(stimulus)
+            stream = self._carried.get(stream_sha256(stimulus.stream), stimulus.stream)
             packet_samples = stream.decoder().packet_samples
             if not stopping.is_set():
                 player.play(
@@ -146,24 +162,12 @@ class ControllerPlayer(StimulusPlayer):
                 )
             )
 
-    def _playable(self, stimulus: Stimulus) -> Stream:
-        """Return the stream that the controller is sent for a stimulus."""
-        stream = stimulus.stream
-        try:
-            check_limits(self._controller, stream.header.channels, stream.header.rate_hz)
-            check_packet(self._controller, stream.decoder().packet_samples)
-            if max(map(len, stream.packets)) <= self._controller.description.limits.sendable_packet_bytes:
-                return stream
-        except (StreamError, ControllerError):
-            pass
-        sha256 = stream_sha256(stream)
-        if sha256 not in self._carried:
-            recording = stream.recording(stimulus.key)
-            carried = encode_recording(
-                recording, stream_rate_hz=stream.header.rate_hz, snr_db=UNCODED_SNR_DB, live=True, highpass_hz=None
-            )
-            self._carried[sha256] = carried.stream
-        return self._carried[sha256]
+
+def _carried(stream: Stream) -> Stream:
+    """Return a decoded stream, coded again by the default codec for a link."""
+    recording = stream.recording()
+    rate_hz = stream.header.rate_hz
+    return encode_recording(recording, rate_hz, snr_db=UNCODED_SNR_DB, live=True, highpass_hz=None).stream
 
 
 class SilentPlayer(StimulusPlayer):
@@ -177,6 +181,9 @@ class SilentPlayer(StimulusPlayer):
         self._now: Stimulus | None = None
         self._until_s = 0.0
         self._played: list[Played] = []
+
+    def prepare(self, stimuli: Sequence[Stimulus]) -> None:
+        """Do nothing."""
 
     def start(self, stimulus: Stimulus) -> None:
         """Note that a stimulus begins."""

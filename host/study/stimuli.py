@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
 from importlib.util import find_spec
 from pathlib import Path
@@ -222,8 +222,8 @@ def _advice(study: Study, actuator: Actuator, group: Sequence[Stimulus]) -> str:
     return "give an actuator with a larger stroke"
 
 
-def save(folder: Path, stimuli: Sequence[Stimulus]) -> None:
-    """Write the stimuli, so that runs play the very streams that were checked. Raises OSError."""
+def save(folder: Path, stimuli: Sequence[Stimulus], actuator: Actuator) -> None:
+    """Write the stimuli, so that runs play the very streams that were checked on an actuator. Raises OSError."""
     with atomic_folder(folder) as partial:
         rows = []
         for number, each in enumerate(stimuli, 1):
@@ -232,17 +232,22 @@ def save(folder: Path, stimuli: Sequence[Stimulus]) -> None:
             row = {key: value for key, value in vars(each).items() if key != "stream"}
             row["facts"] = {key: _finite(value) for key, value in each.facts.items()}
             rows.append({**row, "file": file, "stream_sha256": stream_sha256(each.stream)})
-        (partial / STIMULI).write_text(json.dumps(rows, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        document = {"actuator": asdict(actuator), "stimuli": rows}
+        (partial / STIMULI).write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def load(folder: Path) -> tuple[Stimulus, ...]:
-    """Read the stimuli that `save` wrote. Raises StudyError for a folder without, or with others."""
+def load(folder: Path, actuator: Actuator | None = None) -> tuple[Stimulus, ...]:
+    """Read the stimuli that `save` wrote. Raises StudyError for a folder without, or one for another actuator."""
     path = folder / STIMULI
     try:
-        rows = json.loads(path.read_text(encoding="utf-8"))
-        return tuple(_loaded(folder, row) for row in rows)
+        document = json.loads(path.read_text(encoding="utf-8"))
+        if actuator is not None and document["actuator"] != asdict(actuator):
+            raise ValueError("levels were matched for another actuator")
+        return tuple(_loaded(folder, row) for row in document["stimuli"])
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise StudyError(f"{path}: not the stimuli of a study ({error}); prepare them again") from error
+        raise StudyError(
+            f"{path}: not the stimuli of a study ({error}); prepare them again in another folder"
+        ) from error
 
 
 def _loaded(folder: Path, row: Mapping[str, Any]) -> Stimulus:

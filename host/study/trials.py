@@ -1,6 +1,6 @@
 """A study as its parts see it: stimuli, screens that a participant meets, answers, and the session between them."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, TypeAlias
 
@@ -263,6 +263,9 @@ class Played:
 
 class StimulusPlayer(Protocol):
     """Plays stimuli on a device for a run. Calls return at once; another thread plays."""
+
+    def prepare(self, stimuli: Sequence[Stimulus]) -> None:
+        """Do all that would delay a first presentation. Raises ControllerError, TransportError."""
 
     def start(self, stimulus: Stimulus) -> None:
         """Play from the beginning; what plays before ramps down. Raises ControllerError, TransportError."""

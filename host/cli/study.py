@@ -1,0 +1,216 @@
+"""The subcommand `study`: checks, runs, simulates and reports listening studies."""
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+
+from vibrocast import extras, progress
+from vibrocast.host import devices
+from vibrocast.host.cli.option_types import FOLDER, INPUT, Number, Whole
+from vibrocast.host.cli.options import BadInput, device_option
+from vibrocast.host.cli.sections import CONTROLLER, OUTPUT, RUN, SectionedCommand, section
+from vibrocast.host.study import stimuli as stimuli_module
+from vibrocast.host.study.study_file import Study, read_study
+from vibrocast.host.study.trials import Stimulus, StimulusPlayer
+from vibrocast.output import actuator_files
+from vibrocast.output.actuator import ACTUATORS, Actuator
+
+STUDY_FILE = "study.toml"
+STIMULI = "stimuli"
+
+study_argument = click.argument("study_path", metavar="STUDY", type=INPUT)
+actuator_option = click.option(
+    "--actuator",
+    "actuator_name",
+    metavar="NAME|FILE",
+    help=f"Match levels for {', '.join(ACTUATORS)} or a TOML file. Default: the study's.",
+)
+out_option = click.option("--out", type=FOLDER, required=True, help="Keep stimuli and results in this folder.")
+
+
+@click.group()
+def study() -> None:
+    """Check, run, simulate and report listening studies.
+
+    A TOML file describes the study. Each participant's answers are on disk before the next trial.
+    """
+
+
+@study.command(cls=SectionedCommand)
+@study_argument
+@section(CONTROLLER, actuator_option)
+@section(OUTPUT, click.option("--out", type=FOLDER, help="Keep the stimuli in this folder, for `study run`."))
+def check(study_path: Path, actuator_name: str | None, out: Path | None) -> None:
+    """Render all stimuli, match their levels at the skin, and reject sets that cannot be compared."""
+    read = read_study(study_path)
+    actuator = chosen_actuator(read, actuator_name)
+    prepared = prepare(read, actuator)
+    if out is not None:
+        stimuli_module.save(out / STIMULI, prepared, actuator)
+    click.echo(f"{'stimulus':42} {'level dB':>9} {'gain dB':>8} {'limited %':>9} {'SNR dB':>7}")
+    for each in prepared:
+        facts = each.facts
+        ratio = "" if facts["snr_db"] is None else f"{facts['snr_db']:.1f}"
+        click.echo(
+            f"{each.key:42} {facts['level_db'] or 0.0:9.1f} {each.gain_db:8.1f} {100 * (facts['limited'] or 0):9.2f} "
+            f"{ratio:>7}"
+        )
+    reject_problems(read, actuator, prepared)
+    click.echo(f"{len(prepared)} stimuli can be compared on {actuator.name}")
+
+
+@study.command(cls=SectionedCommand)
+@study_argument
+@section(
+    RUN,
+    click.option(
+        "--participant", type=Whole("NUMBER", 1, 9999), required=True, help="Number the participant; give no names."
+    ),
+    click.option("--terminal", is_flag=True, help="Ask in the terminal. Default: in a browser."),
+    click.option("--host", default="127.0.0.1", show_default=True, help="Serve the pages at this address."),
+    click.option("--port", type=Whole("PORT", 0, 65_535), default=8765, show_default=True, help="Serve at this port."),
+)
+@section(CONTROLLER, device_option, actuator_option)
+@section(OUTPUT, out_option)
+def run(
+    study_path: Path,
+    participant: int,
+    terminal: bool,
+    host: str,
+    port: int,
+    address: str,
+    actuator_name: str | None,
+    out: Path,
+) -> None:
+    """Lead a participant through a study, in a browser or in the terminal.
+
+    The command prepares the stimuli at the first run and keeps them in the folder. If it is interrupted, run it again:
+    it goes on after the last answer.
+    """
+    from vibrocast.host.study.session import Session
+    from vibrocast.host.study.terminal import run_in_terminal
+
+    if not terminal:
+        extras.require("study", "starlette", "uvicorn")
+    read = read_study(study_path)
+    actuator = chosen_actuator(read, actuator_name)
+    prepared = prepared_once(read, actuator, study_path, out)
+    with open_player(address, actuator, prepared) as player:
+        session = Session(read, prepared, participant, participant_folder(out, participant), player, address)
+        try:
+            for warning in session.state().warnings:
+                click.echo(f"warning: {warning}", err=True)
+            if terminal:
+                run_in_terminal(session, lambda prompt: click.prompt(prompt, default="", prompt_suffix="",
+                                show_default=False), click.echo)  # fmt: skip
+            else:
+                from vibrocast.host.study import server
+
+                server.serve(session, read, host, port, click.echo)
+        finally:
+            session.close()
+
+
+@study.command(cls=SectionedCommand)
+@study_argument
+@section(
+    RUN,
+    click.option(
+        "--participants",
+        type=Whole("NUMBER", 1, 1000),
+        default=10,
+        show_default=True,
+        help="Simulate so many participants.",
+    ),
+    click.option(
+        "--noise",
+        type=Number("JND", 0, 100),
+        default=1.0,
+        show_default=True,
+        help="Set the observers' internal noise, in just noticeable differences.",
+    ),
+)
+@section(CONTROLLER, actuator_option)
+@section(OUTPUT, out_option)
+def simulate(study_path: Path, participants: int, noise: float, actuator_name: str | None, out: Path) -> None:
+    """Let simulated observers take part, to test a study and to plan its size.
+
+    A simulated observer is no person: use it to find mistakes in a study, not to answer its question.
+    """
+    from vibrocast.host.study.observer import ObserverSettings
+    from vibrocast.host.study.simulation import SkinOf, simulate_participant
+
+    read = read_study(study_path)
+    actuator = chosen_actuator(read, actuator_name)
+    prepared = prepared_once(read, actuator, study_path, out)
+    skin_of, settings = SkinOf(prepared, actuator), ObserverSettings(noise=noise)
+    with progress.bar("simulating") as update:
+        for number in range(1, participants + 1):
+            simulate_participant(read, prepared, skin_of, number, participant_folder(out, number), settings)
+            update(number / participants)
+    click.echo(f"{participants} simulated observers answered; `vibrocast study report {out}` analyses them")
+
+
+@study.command(cls=SectionedCommand)
+@click.argument("folder", type=INPUT)
+@section(OUTPUT, click.option("--out", type=FOLDER, help="Write the report into this folder. Default: FOLDER/report."))
+def report(folder: Path, out: Path | None) -> None:
+    """Analyse the answers of a study: tables, charts and one page."""
+    extras.require("study")
+    from vibrocast.host.study.report import write_report
+
+    click.echo(str(write_report(folder, out or folder / "report")))
+
+
+def chosen_actuator(read: Study, name: str | None) -> Actuator:
+    """Return the actuator that the option or the study file names. Raises BadInput where neither does."""
+    chosen = name or read.actuator
+    if chosen is None:
+        raise BadInput(f"{read.name}: no actuator; give --actuator, or actuator in the study file")
+    path = Path(read.folder) / chosen
+    return actuator_files.find(path if name is None and path.is_file() else chosen)
+
+
+def prepare(read: Study, actuator: Actuator) -> tuple[Stimulus, ...]:
+    """Prepare the stimuli of a study, with a progress bar."""
+    with progress.bar("preparing") as update:
+        return stimuli_module.prepare(read, actuator, update)
+
+
+def prepared_once(read: Study, actuator: Actuator, study_path: Path, out: Path) -> tuple[Stimulus, ...]:
+    """Return the stimuli in a results folder, which are prepared and checked if they are not there yet."""
+    folder, kept = out / STIMULI, out / STUDY_FILE
+    if (folder / stimuli_module.STIMULI).exists() and kept.exists():
+        if kept.read_bytes() != study_path.read_bytes():
+            raise BadInput(f"{out}: results of another study file; give another folder, or {kept}")
+        return stimuli_module.load(folder, actuator)
+    prepared = prepare(read, actuator)
+    reject_problems(read, actuator, prepared)
+    out.mkdir(parents=True, exist_ok=True)
+    stimuli_module.save(folder, prepared, actuator)
+    kept.write_bytes(study_path.read_bytes())
+    return prepared
+
+
+def reject_problems(read: Study, actuator: Actuator, prepared: tuple[Stimulus, ...]) -> None:
+    """Raise BadInput if stimuli cannot be compared."""
+    if problems := stimuli_module.problems(read, actuator, prepared):
+        raise BadInput("; ".join(f"{each.texture}: {each.text}" for each in problems))
+
+
+def participant_folder(out: Path, participant: int) -> Path:
+    """Return the folder of one participant's results."""
+    return out / f"participant_{participant:03}"
+
+
+@contextlib.contextmanager
+def open_player(address: str, actuator: Actuator, prepared: tuple[Stimulus, ...]) -> Iterator[StimulusPlayer]:
+    """Open a device for a study, and prepare it for all stimuli. Raises ControllerError, TransportError."""
+    from vibrocast.host.study.device_player import ControllerPlayer
+
+    with devices.connect(address, actuator=actuator) as controller:
+        player = ControllerPlayer(controller)
+        player.prepare(prepared)
+        yield player
