@@ -223,15 +223,19 @@ class Study(Table, frozen=True, kw_only=True):
         return loaded
 
 
-def read_study(path: Path) -> Study:
-    """Read a study file. Raises StudyError, and OSError where it cannot be read."""
+def read_study(path: Path, with_files: bool = True) -> Study:
+    """Read a study file. Raises StudyError, and OSError where it cannot be read.
+
+    `with_files`: whether the files that it names must be there; its copy in a results folder needs none.
+    """
     with located(path, StudyError):
         document = read_toml(path, "study file")
         for key in ("folder", "sha256"):
             if key in document:
                 raise ValueError(f"there is no key {key}; drop it")
         study = convert(document, Study)
-        read_each("textures", study.textures, partial(_check_texture, path.parent))
+        if with_files:
+            read_each("textures", study.textures, partial(_check_texture, path.parent))
     return structs.replace(study, folder=str(path.parent), sha256=hashlib.sha256(path.read_bytes()).hexdigest())
 
 
