@@ -70,7 +70,7 @@ def check(study_path: Path, actuator_name: str | None, out: Path | None) -> None
     ),
     click.option("--terminal", is_flag=True, help="Ask in the terminal. Default: in a browser."),
     click.option("--host", default="127.0.0.1", show_default=True, help="Serve the pages at this address."),
-    click.option("--port", type=Whole("PORT", 0, 65_535), default=8765, show_default=True, help="Serve at this port."),
+    click.option("--port", type=Whole("PORT", 0, 65_535), default=8017, show_default=True, help="Serve at this port."),
 )
 @section(CONTROLLER, device_option, actuator_option)
 @section(OUTPUT, out_option)
@@ -106,9 +106,14 @@ def run(
                 run_in_terminal(session, lambda prompt: click.prompt(prompt, default="", prompt_suffix="",
                                 show_default=False), click.echo)  # fmt: skip
             else:
-                from vibrocast.host.study import server
+                from vibrocast.host.study.server import Aids, serve
 
-                server.serve(session, read, host, port, click.echo)
+                noise, hand = read.masking_noise, read.hand
+                aids = Aids(
+                    masking_noise_dbfs=None if noise is None else noise.level_db,
+                    strokes_per_minute=None if hand is None else 60 / hand.stroke_s,
+                )
+                serve(session, host, port, aids, click.echo)
         finally:
             session.close()
 

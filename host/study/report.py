@@ -115,7 +115,7 @@ def _charts(read: Analysis) -> list[tuple[str, Figure]]:
         charts.append(("Staircases", _tracks(read)))
     if read.is_simulated:
         for _, figure in charts:
-            figure.text(0.995, 0.005, _OF_SIMULATION, ha="right", va="bottom", size=6.5, color=pictures.GREY)
+            figure.suptitle(_OF_SIMULATION, fontsize=pictures.SMALL_POINTS, color=pictures.GREY)
     return charts
 
 

@@ -50,7 +50,8 @@ def prepare(study: Study, actuator: Actuator, progress: Callable[[float], None] 
     """Code each texture under each condition, and bring all to the level of the texture's reference at the skin.
 
     The level is that of `skin_level_db`. The reference, or the first condition without one, keeps the recording's level
-    and `gain_db` of the study. Raises StudyError, which names texture and condition, and CodecError of `check_unit`.
+    and `gain_db` of the study. The metrics of the others compare with it, as the participants do. Raises StudyError,
+    which names texture and condition, and CodecError of `check_unit`.
     """
     prepared: list[Stimulus] = []
     recordings = study.recordings()
@@ -59,12 +60,11 @@ def prepare(study: Study, actuator: Actuator, progress: Callable[[float], None] 
         check_unit(recording.unit, None)
         cut = _cut(recording, study.stimulus_seconds)
         ordered = sorted(study.conditions, key=lambda each: each.role != REFERENCE)
-        target_db: float | None = None
+        first: Stimulus | None = None
         for condition in ordered:
             with located(f"texture {name}, condition {condition.name}", StudyError):
-                stimulus = _stimulus(study, actuator, cut, name, condition, target_db)
-            if target_db is None and study.match_levels:
-                target_db = stimulus.facts["level_db"]
+                stimulus = _stimulus(study, actuator, cut, name, condition, first)
+            first = first or stimulus
             prepared.append(stimulus)
             if progress is not None:
                 progress(len(prepared) / count)
@@ -78,14 +78,15 @@ def _cut(recording: Recording, seconds: float) -> Recording:
 
 
 def _stimulus(
-    study: Study, actuator: Actuator, recording: Recording, texture: str, condition: Condition, target_db: float | None
+    study: Study, actuator: Actuator, recording: Recording, texture: str, condition: Condition, first: Stimulus | None
 ) -> Stimulus:
-    """Return one stimulus, `target_db` loud at the skin; None = as the recording says. Raises ValueError."""
+    """Return one stimulus, as loud at the skin as the texture's first one and compared with it. Raises ValueError."""
     filtered = recording if condition.lowpass_hz is None else _low_passed(recording, condition.lowpass_hz)
     coded, reference = _coded(study, filtered, condition)
-    if condition.lowpass_hz is not None:
-        _, reference = _coded(study, recording, Condition(name=condition.name))
     loops = max(1, math.ceil(study.stimulus_seconds / coded.seconds - 1e-6))
+    if first is not None:
+        reference = replace(reference, samples=first.stream.with_gain(-first.gain_db).decode())
+    target_db = first.facts["level_db"] if first is not None and study.match_levels else None
     decoded = coded.decode()
     gain_db = study.gain_db
     stream, codes, counts = _played(coded, gain_db, actuator, loops)

@@ -101,13 +101,12 @@ class Condition(Table, frozen=True, kw_only=True):
 
 
 class MaskingNoise(Table, frozen=True):
-    """[masking_noise]: noise that the participant hears, so that nobody hears the actuator.
+    """[masking_noise]: white noise that the participant hears, so that nobody hears the actuator.
 
-    `level_db`: re the full scale of the computer's sound output.
+    `level_db`: its RMS re the full scale of the computer's sound output.
     """
 
-    kind: Literal["white", "pink"] = "pink"
-    level_db: Annotated[float, within(-80, 0, "level in dB re full scale")] = -20.0
+    level_db: Annotated[float, within(-80, -6, "level in dB re full scale")] = -30.0
 
 
 class Hand(Table, frozen=True):
