@@ -11,6 +11,7 @@ from vibrocast.evaluation import external
 from vibrocast.export import configuration
 from vibrocast.host import bench_file
 from vibrocast.host.planner import plan_file, scene
+from vibrocast.host.study import study_file
 from vibrocast.output import actuator_files
 
 PAGE = Path(__file__).parents[1] / "docs/reference/toml_files.md"
@@ -20,6 +21,7 @@ SECTIONS: dict[str, tuple[type, ...]] = {
     "Bench file": (bench_file._BenchFile,),
     "Actuator": (actuator_files.ActuatorTable,),
     "Training": (configuration.Configuration,),
+    "Study": (study_file.StudyTables,),
     "Programs": (external._ProgramTable,),
 }
 

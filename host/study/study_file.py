@@ -5,11 +5,10 @@ docs/reference/toml_files.md lists its keys.
 
 import hashlib
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from msgspec import Meta, field, structs
+from msgspec import Meta, field
 
 from vibrocast import codec, textures
 from vibrocast.host.bench_file import TextureTable
@@ -56,13 +55,24 @@ class StudyTexture(TextureTable, frozen=True, kw_only=True):
             return textures.GENERATORS[self.generate](**options)
         return textures.load_for_actuators(folder / str(self.file), **options)
 
+    def check(self, folder: Path) -> None:
+        """Raise ValueError for keys that do not go together, or a file that is not there."""
+        if self.surface is None:
+            self.options()
+        else:
+            for key in ("file", "generate", "unit", "full_scale", "axis", "reduce", "key"):
+                if getattr(self, key) is not None:
+                    raise ValueError(f"{key} does not go with surface; leave one out")
+            if self.hand_speed_mm_s is None:
+                raise ValueError("hand_speed_mm_s is missing; give the speed of the hand over the surface in mm/s")
+        names = (self.file,) if isinstance(self.file, str) else self.file or ()
+        for name in names:
+            if not (folder / name).exists():
+                raise ValueError(f"file {folder / name} does not exist; correct its name")
+
     def _surface(self) -> Recording:
         """Return the displacement of a probe over a generated surface, um."""
-        for key in ("file", "generate", "unit", "full_scale", "axis", "reduce", "key"):
-            if getattr(self, key) is not None:
-                raise ValueError(f"{key} does not go with surface; leave one out")
-        if self.hand_speed_mm_s is None:
-            raise ValueError("hand_speed_mm_s is missing; give the speed of the hand over the surface in mm/s")
+        assert self.hand_speed_mm_s is not None, "checked"
         choices: dict[str, Any] = {"seed": self.seed, "seconds": self.seconds, "rate_hz": self.rate_hz}
         given = {key: value for key, value in choices.items() if value is not None}
         profile = textures.surface_profile(str(self.surface), hand_speed_mm_s=self.hand_speed_mm_s, **given)
@@ -152,8 +162,8 @@ class StudyQuestion(Table, frozen=True, kw_only=True):
     when: Literal["before", "after"] = "before"
 
 
-class Study(Table, frozen=True, kw_only=True):
-    """A whole study file. `folder` is the file's, for names of files; `sha256` is of the file's bytes."""
+class StudyTables(Table, frozen=True, kw_only=True):
+    """The keys of a study file."""
 
     name: Name
     title: Text
@@ -182,8 +192,6 @@ class Study(Table, frozen=True, kw_only=True):
     questions: tuple[StudyQuestion, ...] = ()
     textures: Annotated[tuple[StudyTexture, ...], Meta(min_length=1)]
     conditions: Annotated[tuple[Condition, ...], Meta(min_length=1)]
-    folder: str = ""
-    sha256: str = ""
 
     def __post_init__(self) -> None:
         check_names("textures", [each.name for each in self.textures])
@@ -203,6 +211,13 @@ class Study(Table, frozen=True, kw_only=True):
             raise ValueError('none of [[conditions]] has the role "condition", so nothing is rated; add one')
         if (self.method == "staircase") != (self.staircase is not None):
             raise ValueError("the table [staircase] and the method staircase belong together; add or drop one")
+
+
+class Study(StudyTables, frozen=True, kw_only=True):
+    """A study file as it was read. `folder` is the file's, for names of files; `sha256` is of the file's bytes."""
+
+    folder: str
+    sha256: str
 
     @property
     def reference(self) -> Condition | None:
@@ -229,21 +244,9 @@ def read_study(path: Path, with_files: bool = True) -> Study:
     """
     with located(path, StudyError):
         document = read_toml(path, "study file")
-        for key in ("folder", "sha256"):
-            if key in document:
-                raise ValueError(f"there is no key {key}; drop it")
-        study = convert(document, Study)
+        tables = convert(document, StudyTables)
         if with_files:
-            read_each("textures", study.textures, partial(_check_texture, path.parent))
-    return structs.replace(study, folder=str(path.parent), sha256=hashlib.sha256(path.read_bytes()).hexdigest())
-
-
-def _check_texture(folder: Path, texture: StudyTexture) -> None:
-    """Raise ValueError for a texture that cannot be loaded."""
-    if texture.surface is None:
-        texture.options()
-    if texture.file is not None:
-        names = (texture.file,) if isinstance(texture.file, str) else texture.file
-        for name in names:
-            if not (folder / name).exists():
-                raise ValueError(f"file {folder / name} does not exist; correct its name")
+            read_each("textures", tables.textures, lambda each: each.check(path.parent))
+    sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
+    values = {key: getattr(tables, key) for key in tables.__struct_fields__}
+    return Study(**values, folder=str(path.parent), sha256=sha256)

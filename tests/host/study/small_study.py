@@ -53,11 +53,11 @@ ANCHORS = """
 [[conditions]]
 name = "low"
 role = "anchor"
-lowpass_hz = 60
+lowpass_hz = 120
 [[conditions]]
 name = "middle"
 role = "anchor"
-lowpass_hz = 200
+lowpass_hz = 250
 """
 CONDITIONS = {
     "degradation": REFERENCE + HIDDEN + CODED,

@@ -14,7 +14,6 @@ import pytest
 
 from tests.host.study.small_study import CONDITIONS, stimuli_of, study_of, text_of
 from vibrocast.device_protocol.transports import TransportError
-from vibrocast.host.study import session as session_module
 from vibrocast.host.study.device_player import SilentPlayer
 from vibrocast.host.study.methods import DESIGNS
 from vibrocast.host.study.session import LOG, RESULTS, RUN, Session
@@ -288,7 +287,7 @@ def test_a_full_disk_keeps_the_trial(folder: Path, tmp_path: Path, monkeypatch: 
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(session_module.os, "fsync", full)
+        patch.setattr(os, "fsync", full)
         with pytest.raises(OSError, match="No space"):
             session.answer((0,))
     assert session.screen() == trial
