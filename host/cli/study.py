@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from vibrocast import extras, progress
+from vibrocast.files import atomic_write
 from vibrocast.host import devices
 from vibrocast.host.cli.option_types import FOLDER, INPUT, Number, Whole
 from vibrocast.host.cli.options import BadInput, device_option
@@ -47,8 +48,6 @@ def check(study_path: Path, actuator_name: str | None, out: Path | None) -> None
     read = read_study(study_path)
     actuator = chosen_actuator(read, actuator_name)
     prepared = prepare(read, actuator)
-    if out is not None:
-        stimuli_module.save(out / STIMULI, prepared, actuator)
     click.echo(f"{'stimulus':42} {'level dB':>9} {'gain dB':>8} {'limited %':>9} {'SNR dB':>7}")
     for each in prepared:
         facts = each.facts
@@ -58,6 +57,8 @@ def check(study_path: Path, actuator_name: str | None, out: Path | None) -> None
             f"{ratio:>7}"
         )
     reject_problems(read, actuator, prepared)
+    if out is not None:
+        keep(out, study_path, prepared, actuator)
     click.echo(f"{len(prepared)} stimuli can be compared on {actuator.name}")
 
 
@@ -193,10 +194,16 @@ def prepared_once(read: Study, actuator: Actuator, study_path: Path, out: Path) 
         return stimuli_module.load(folder, actuator)
     prepared = prepare(read, actuator)
     reject_problems(read, actuator, prepared)
-    out.mkdir(parents=True, exist_ok=True)
-    stimuli_module.save(folder, prepared, actuator)
-    kept.write_bytes(study_path.read_bytes())
+    keep(out, study_path, prepared, actuator)
     return prepared
+
+
+def keep(out: Path, study_path: Path, prepared: tuple[Stimulus, ...], actuator: Actuator) -> None:
+    """Write the stimuli and a copy of the study file into a results folder."""
+    out.mkdir(parents=True, exist_ok=True)
+    stimuli_module.save(out / STIMULI, prepared, actuator)
+    with atomic_write(out / STUDY_FILE) as partial:
+        partial.write_bytes(study_path.read_bytes())
 
 
 def reject_problems(read: Study, actuator: Actuator, prepared: tuple[Stimulus, ...]) -> None:

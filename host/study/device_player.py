@@ -2,8 +2,7 @@
 
 import threading
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
@@ -36,15 +35,16 @@ class _Playing:
 
 
 class ControllerPlayer(StimulusPlayer):
-    """Plays on a controller session, which it owns from now on and closes.
+    """Plays on a controller session, which nobody else uses meanwhile.
 
     One thread at a time talks to the controller. `switch` stops and starts, because a controller plays one stream at a
     time: about 0.4 s lie between. A stream that a controller cannot take, such as one that is coded as a whole file,
     is decoded here and sent as the default codec's at UNCODED_SNR_DB, whose error lies far below the stream's own.
+    `reconnect_s`: how long a broken connection is opened again.
     """
 
-    def __init__(self, controller: Controller, close: Callable[[], None] = lambda: None) -> None:
-        self._controller, self._close = controller, close
+    def __init__(self, controller: Controller, reconnect_s: float = player.RECONNECT_S) -> None:
+        self._controller, self._reconnect_s = controller, reconnect_s
         self._playing: _Playing | None = None
         self._error: Exception | None = None
         self._played: list[Played] = []
@@ -95,10 +95,8 @@ class ControllerPlayer(StimulusPlayer):
         return played
 
     def close(self) -> None:
-        """Stop, and close the session."""
+        """Stop; whoever opened the session closes it."""
         self._end()
-        with suppress(ControllerError, TransportError):
-            self._close()
 
     def _end(self) -> None:
         """End what plays, and wait until the controller has been told."""

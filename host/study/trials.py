@@ -283,7 +283,7 @@ class StimulusPlayer(Protocol):
         """Return what has been played since the last call."""
 
     def close(self) -> None:
-        """Stop, and release the device."""
+        """Bring the actuator to rest for good."""
 
 
 RESULT_COLUMNS = (
