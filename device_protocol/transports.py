@@ -34,6 +34,10 @@ class TransportError(OSError):
     """The transport cannot be opened, or failed; the message says what to do."""
 
 
+class DeviceGone(TransportError):
+    """The device is gone with all that it was playing: opening it again would begin anew."""
+
+
 class Transport(Protocol):
     """Bytes to and from a controller. Not safe to share between threads.
 

@@ -26,7 +26,7 @@ from vibrocast.device_protocol.messages import (
     pack,
     unpack,
 )
-from vibrocast.device_protocol.transports import Closing, Transport, TransportError, selectable
+from vibrocast.device_protocol.transports import Closing, DeviceGone, Transport, TransportError, selectable
 from vibrocast.host import event_loop
 from vibrocast.host.event_loop import Pause, Steps
 
@@ -235,8 +235,8 @@ class Controller(Closing):
                 self._reader = FrameReader()
                 yield from self.open_session_steps()
                 return
-            except (TransportError, ConnectionLost):
-                if self.clock() >= deadline_s:
+            except (TransportError, ConnectionLost) as error:
+                if isinstance(error, DeviceGone) or self.clock() >= deadline_s:
                     raise
             yield Pause(_RECONNECT_PAUSE_S)
 

@@ -1,7 +1,7 @@
 """Actuators and their amplifiers: response from DAC code to displacement at the skin, its inverse, and their limits."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -45,6 +45,20 @@ class Actuator:
     dac_bits: int = 16
     dac_rate_hz: int = 3000
     maximum_boost: float = 8.0
+
+    def with_full_scale(self, volts: float) -> "Actuator":
+        """Return this actuator behind an amplifier that gives it these volts, from rest, at full drive.
+
+        The actuator is linear: its stroke grows with the voltage, and the mean square of the drive at its power limit
+        falls with the square. The limits in volts stay. `volts` is positive.
+        """
+        factor = volts / (self.volts / 2)
+        return replace(
+            self,
+            stroke_um=self.stroke_um * factor,
+            volts=2 * volts,
+            power_limit=min(1.0, self.power_limit / factor**2),
+        )
 
     @property
     def excursion_um(self) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast import extras
-from vibrocast.device_protocol.transports import Closing, TransportError
+from vibrocast.device_protocol.transports import Closing, DeviceGone, TransportError
 from vibrocast.output.actuator import Codes
 
 DEFAULT = "default"
@@ -26,6 +26,7 @@ _PLAYBACK_PERIODS = 3
 _CAPTURE_PERIODS = 20
 # A sound server may take this long to begin, and then asks once a period.
 _FIRST_S = 5.0
+_FIRST_BLOCKS = 8
 _LOST_S = 0.5
 # Of a recording that nobody reads, this much is kept.
 _UNREAD_S = 10.0
@@ -104,7 +105,7 @@ class _Stream(Closing):
         self._columns = [channel - 1 for channel in self.channels]
         self._failure: Exception | None = None
         self._stopped = False
-        self._closing = False
+        self._blocks_done = 0
         self._last_s: float | None = None
         self._started_s = time.monotonic()
         self._device: Any = None
@@ -138,31 +139,41 @@ class _Stream(Closing):
 
     def _note_block(self) -> bool:
         """Note that the card has asked; return whether it had to wait for longer than its buffer lasts."""
-        now_s = time.monotonic()
-        late = self._last_s is not None and now_s - self._last_s > self.buffer_s
-        # The first periods of a stream fill the server's buffer; some servers then pause once.
-        if self._last_s is None:
-            self._started_s = now_s
-        self._last_s = now_s
-        return late and now_s - self._started_s > _FIRST_S
+        before_s, self._last_s = self._last_s, time.monotonic()
+        self._blocks_done += 1
+        # The first blocks fill the server's buffer, and then some servers pause.
+        return (
+            before_s is not None
+            and self._blocks_done > _FIRST_BLOCKS
+            and self._last_s - before_s > max(self.buffer_s, 2 * PERIOD_S)
+        )
+
+    @property
+    def gone(self) -> bool:
+        """Whether the card takes or brings samples no more."""
+        silent_s = time.monotonic() - (self._last_s or self._started_s)
+        return self._stopped or silent_s > (_LOST_S if self._blocks_done >= _FIRST_BLOCKS else _FIRST_S)
+
+    def wait_for_begin(self) -> None:
+        """Wait until the card asks regularly. Raises TransportError after some seconds, as `check`."""
+        while self._blocks_done < _FIRST_BLOCKS:
+            self.check()
+            time.sleep(PERIOD_S / 2)
 
     def check(self) -> None:
-        """Raise TransportError if the card is gone, or what passed the samples on failed."""
+        """Raise DeviceGone if the card is gone, and whatever the function that passes samples on has raised."""
         if self._failure is not None:
             raise self._failure
-        if self._closing:
-            raise TransportError(f"the sound card {self.card.name!r} is closed; open it again")
-        silent_s = time.monotonic() - (self._last_s or self._started_s)
-        begun = self._last_s is not None and self._last_s - self._started_s > _LOST_S
-        if self._stopped or silent_s > (_LOST_S if begun else _FIRST_S):
-            raise TransportError(
+        if self._device is None:
+            raise DeviceGone(f"the sound card {self.card.name!r} is closed; open it again")
+        if self.gone:
+            raise DeviceGone(
                 f"the sound card {self.card.name!r} is gone; it was unplugged or its sound server ended; connect it, "
                 "and start again"
             )
 
     def close(self) -> None:
         """Stop the card after it has played all that it has taken; may be called again."""
-        self._closing = True
         device, self._device = self._device, None
         if device is not None:
             context = device._context

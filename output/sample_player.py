@@ -1,0 +1,172 @@
+"""Plays rendered DAC codes on a sound card, and switches between signals at the same place without a gap."""
+
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vibrocast.device_protocol.transports import Closing
+from vibrocast.output.actuator import Actuator, Codes
+from vibrocast.output.code_queue import fade_frames, within_slew
+from vibrocast.output.sound_card import Card, Playback
+
+_AT_REST_S = 1.0
+
+
+@dataclass(frozen=True)
+class PlayedCodes:
+    """A part of a signal that was played.
+
+    Attributes:
+        key: Of the signal.
+        first: Its first frame that was played.
+        frames: How many were played, from that one on.
+        started_s: When the first one left the card, as `time.time` counts, as far as the card's buffer tells.
+    """
+
+    key: str
+    first: int
+    frames: int
+    started_s: float
+
+
+class _Voice:
+    """A signal while it plays: `at` is its next frame, `level` moves towards `target` with each frame."""
+
+    def __init__(self, key: str, codes: Codes, at: int, level: float) -> None:
+        self.key, self.codes = key, codes
+        self.first = self.at = at
+        self.level, self.target = level, 1.0
+        self.started_s: float | None = None
+
+    def next(self, frames: int, step: float) -> NDArray[np.float64]:
+        """Return the next frames, float64 (frames, channels), with silence behind the end."""
+        codes = self.codes[self.at : self.at + frames]
+        self.at += len(codes)
+        signal = np.zeros((frames, self.codes.shape[1]))
+        if self.level == self.target == 1.0:
+            signal[: len(codes)] = codes
+            return signal
+        way = self.level + np.sign(self.target - self.level) * step * np.arange(1, frames + 1)
+        levels = np.clip(way, 0.0, 1.0)
+        self.level = float(levels[-1])
+        signal[: len(codes)] = codes * levels[: len(codes), np.newaxis]
+        return signal
+
+    @property
+    def ended(self) -> bool:
+        """Whether only silence is left."""
+        return self.at >= len(self.codes) or self.level == self.target == 0.0
+
+
+class SamplePlayer(Closing):
+    """Plays codes that `output.rendering.render` has made for `actuator`, whose DAC is the card.
+
+    Codes are int16 (n, channels) at `actuator.dac_rate_hz`, one column for each of `channels`, which count from 1. One
+    signal fades into the next within 5 ms. Both keep the voltage limit, so their weighted sum does; the slew limit is
+    applied to the sum again. `start`, `switch` and `stop` return at once. Raises TransportError and MissingExtraError.
+    """
+
+    def __init__(self, card: Card, channels: Sequence[int], actuator: Actuator) -> None:
+        self._lock = threading.Lock()
+        self._slew = actuator.code_step_limit
+        self._step = 1.0 / fade_frames(actuator)
+        self._last = np.zeros(len(channels), np.int64)
+        self._voices: list[_Voice] = []
+        self._played: list[PlayedCodes] = []
+        self._rate_hz = actuator.dac_rate_hz
+        self._playback: Playback | None = None
+        self._playback = Playback(card, channels, self._fill, actuator.dac_rate_hz)
+
+    @property
+    def latency_s(self) -> float:
+        """The time from a call to the output: a period and the card's buffer."""
+        return self._card.period_s + self._card.buffer_s
+
+    @property
+    def underruns(self) -> int:
+        """How often the card had to wait for codes."""
+        return self._card.late
+
+    @property
+    def _card(self) -> Playback:
+        assert self._playback is not None
+        return self._playback
+
+    def start(self, key: str, codes: Codes, offset: int = 0) -> None:
+        """Play a signal from frame `offset` on; whatever plays fades out. Raises TransportError."""
+        self._card.check()
+        with self._lock:
+            self._begin(key, codes, offset)
+
+    def switch(self, key: str, codes: Codes) -> None:
+        """Go on in another signal at the same frame; from the beginning where nothing plays. Raises TransportError."""
+        self._card.check()
+        with self._lock:
+            self._begin(key, codes, next((each.at for each in self._voices if each.target), 0))
+
+    def _begin(self, key: str, codes: Codes, offset: int) -> None:
+        self._fade_out()
+        # Codes begin at rest: only in their middle do they need to fade in.
+        self._voices.append(_Voice(key, codes, offset, 0.0 if offset or self._voices else 1.0))
+
+    def _fade_out(self) -> None:
+        for voice in self._voices:
+            if voice.target:
+                voice.target = 0.0
+                self._note(voice)
+
+    def stop(self) -> None:
+        """Bring the output to rest."""
+        with self._lock:
+            self._fade_out()
+
+    def playing(self) -> str | None:
+        """Return the key of the signal that plays, None where none does. Raises TransportError if the card is gone."""
+        self._card.check()
+        with self._lock:
+            return next((each.key for each in self._voices if each.target), None)
+
+    def position(self) -> int:
+        """Return the next frame of the signal that plays; 0 where none does."""
+        with self._lock:
+            return next((each.at for each in self._voices if each.target), 0)
+
+    def take_played(self) -> list[PlayedCodes]:
+        """Return what has been played to its end, up to a switch or up to a stop since the last call."""
+        with self._lock:
+            played, self._played = self._played, []
+            return played
+
+    def close(self) -> None:
+        """Bring the output to rest, and release the card; may be called again. Never raises for a card that is gone."""
+        self.stop()
+        until_s = time.monotonic() + _AT_REST_S
+        while (self._voices or self._last.any()) and time.monotonic() < until_s and not self._card.gone:
+            time.sleep(self._card.period_s / 2)
+        self._card.close()
+
+    def _note(self, voice: _Voice) -> None:
+        if voice.started_s is not None:
+            self._played.append(PlayedCodes(voice.key, voice.first, voice.at - voice.first, voice.started_s))
+
+    def _fill(self, frames: int) -> Codes:
+        with self._lock:
+            if not self._voices and not self._last.any():
+                return np.zeros((frames, len(self._last)), np.int16)
+            total = np.zeros((frames, len(self._last)))
+            for voice in self._voices:
+                if voice.started_s is None:
+                    delay_s = self._playback.buffer_s if self._playback is not None else 0.0
+                    voice.started_s = time.time() + delay_s
+                total += voice.next(frames, self._step)
+            for voice in self._voices:
+                if voice.ended and voice.target:
+                    self._note(voice)
+            self._voices = [voice for voice in self._voices if not voice.ended]
+            codes = within_slew(np.trunc(total).astype(np.int16), self._last, self._slew)
+            self._last = codes[-1].astype(np.int64)
+            return codes
