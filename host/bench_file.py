@@ -37,7 +37,7 @@ class BenchFileError(InputFileError):
 
 
 _ADDRESS = rf"\A({'|'.join(map(re.escape, devices.SIMULATED))}|{devices.ADDRESS.pattern})\Z"
-_ADDRESSES = f"{', '.join(devices.SIMULATED)}, serial:PORT or usb:VID:PID"
+_ADDRESSES = f"{', '.join(devices.SIMULATED)}, {devices.FORMS}"
 Address = Annotated[str, Meta(pattern=_ADDRESS, description=f"an address: {_ADDRESSES}")]
 
 
@@ -228,7 +228,7 @@ def choose_controller(bench: Bench | None, device: str | None) -> Bench:
 
 @contextlib.contextmanager
 def connect(bench: Bench, controller: BenchController) -> Iterator[Controller]:
-    """Open a session with a controller of the bench; a simulated one has the actuator that the bench has there.
+    """Open a session with a controller of the bench; one that can be given an actuator has the bench's.
 
     Raises as `host.devices.connect`.
     """
@@ -241,13 +241,13 @@ def actuator_of(bench: Bench, controller: BenchController, description: Actuator
 
     `description`: the controller's own, whose DAC it is.
     """
-    model = bench.actuator(controller.name) or actuator_model(description)
-    return replace(model, dac_bits=description.dac_bits, dac_rate_hz=description.dac_rate_hz)
+    model = bench.actuator(controller.name)
+    return devices.behind_dac(controller.address, model, description) if model else actuator_model(description)
 
 
 def driven_actuator(bench: Bench, controller: BenchController, description: ActuatorDescription) -> Actuator:
     """Return the model that a controller itself works with, whose limits and compensation make its DAC's codes."""
-    if controller.address in devices.SIMULATED and controller.address not in devices.FIRMWARE:
+    if devices.takes_actuator(controller.address):
         return actuator_of(bench, controller, description)
     return actuator_model(description)
 

@@ -29,6 +29,7 @@ from vibrocast.device_protocol.messages import (
 from vibrocast.device_protocol.transports import Closing, DeviceGone, Transport, TransportError, selectable
 from vibrocast.host import event_loop
 from vibrocast.host.event_loop import Pause, Steps
+from vibrocast.output.sound_card import CardUse
 
 # docs/reference/protocol.md, "Sequence numbers"
 ANSWER_TIMEOUT_S = 0.1
@@ -101,6 +102,12 @@ class Controller(Closing):
     def close(self) -> None:
         """Close the transport."""
         self._transport.close()
+
+    @property
+    def sound_card(self) -> CardUse | None:
+        """How the sound card plays that is this controller's DAC; None for any other controller."""
+        use: CardUse | None = getattr(self._transport, "sound_card", None)
+        return use
 
     # ---- what an event loop needs ----
 

@@ -13,7 +13,7 @@ import usb.core
 import usb.util
 
 from vibrocast import extras
-from vibrocast.device_protocol.messages import HelloResponse, SlotState
+from vibrocast.device_protocol.messages import ActuatorDescription, HelloResponse, SlotState
 from vibrocast.device_protocol.transports import (
     VENDOR_INTERFACE_CLASS,
     SerialTransport,
@@ -47,11 +47,17 @@ SIMULATED = {
     **FIRMWARE,
 }
 """All that need no hardware."""
-WITH_ANY_ACTUATOR = ("sim", "sim-usb")
-"""Those that can be given any actuator; all others have theirs compiled in."""
 IN_PROCESS = ("sim", "sim-usb", *EMULATED)
 """Those that this program itself simulates, and so could in simulated time."""
-ADDRESS = re.compile("serial:.+|usb:[0-9a-fA-F]{1,4}:[0-9a-fA-F]{1,4}")
+ADDRESS = re.compile("serial:.+|usb:[0-9a-fA-F]{1,4}:[0-9a-fA-F]{1,4}|audio:.+")
+"""Those of hardware."""
+FORMS = "serial:PORT, usb:VID:PID (hexadecimal) or audio:CARD[:CHANNELS][@VOLTS]"
+"""How they are written."""
+
+_AUDIO = re.compile(r"audio:(?P<card>.+?)(:(?P<channels>\d+(,\d+)*))?(@(?P<volts>[^@]+))?")
+_MAX_FULL_SCALE_VOLTS = 1000.0
+# As many channels as the controller in this process has.
+_CARD_CHANNELS = 8
 
 
 @contextlib.contextmanager
@@ -98,10 +104,11 @@ def open_all(
 
 @contextlib.contextmanager
 def reach(address: str, runtime: str | None = None, actuator: "Actuator | None" = None) -> Iterator[Transport]:
-    """Open the way to the controller at `address`: one of SIMULATED, serial:PORT or usb:VID:PID.
+    """Open the way to the controller at `address`: one of SIMULATED, or hardware as FORMS says.
 
-    A simulated controller lives as long as the way is open; `runtime` is that by which it decodes, None = the default;
-    `actuator` is that of sim and sim-usb, None = the default. Raises TransportError.
+    A controller that is simulated or on a sound card lives as long as the way is open; `runtime` is that by which it
+    decodes, None = the default; `actuator` is its own if it `takes_actuator`, None = the default of sim and sim-usb.
+    Raises TransportError, and MissingExtraError without the extra of sound cards.
     """
     with contextlib.ExitStack() as stack:
         transport: Transport
@@ -119,6 +126,8 @@ def reach(address: str, runtime: str | None = None, actuator: "Actuator | None" 
             else:
                 usb_port = UsbPort(simulated(runtime, actuator))
                 transport = UsbTransport(VENDOR_ID, PRODUCT_ID, stack.enter_context(usb_port))
+        elif address.startswith("audio:"):
+            transport = _sound_card(address, runtime, actuator)
         else:
             transport = open_transport(address)
         yield stack.enter_context(transport)
@@ -131,6 +140,68 @@ def simulated(runtime: str | None = None, actuator: "Actuator | None" = None) ->
 
     settings = Settings(runtime=runtime)
     return Controller(settings if actuator is None else replace(settings, actuator=actuator))
+
+
+def takes_actuator(address: str) -> bool:
+    """Return whether the controller at an address can be given any actuator; all others have theirs compiled in."""
+    return address in ("sim", "sim-usb") or address.startswith("audio:")
+
+
+def behind_dac(address: str, actuator: "Actuator", dac: ActuatorDescription) -> "Actuator":
+    """Return an actuator with the DAC that the controller at an address describes; of a sound card, with its volts."""
+    if address.startswith("audio:"):
+        actuator = actuator.with_full_scale(_volts(address, actuator))
+    return replace(actuator, dac_bits=dac.dac_bits, dac_rate_hz=dac.dac_rate_hz)
+
+
+def _parsed(address: str) -> re.Match[str]:
+    match = _AUDIO.fullmatch(address)
+    if match is None:
+        raise TransportError(f"{address!r} names no sound card; give audio:CARD[:CHANNELS][@VOLTS]")
+    return match
+
+
+def _volts(address: str, actuator: "Actuator") -> float:
+    """Return the actuator's volts at digital full scale of a sound card. Raises TransportError."""
+    text = _parsed(address)["volts"]
+    if text is None:
+        return actuator.volts / 2
+    try:
+        volts = float(text)
+    except ValueError:
+        volts = math.nan
+    if not 0.001 <= volts <= _MAX_FULL_SCALE_VOLTS:
+        raise TransportError(
+            f"{address}: @{text} is no voltage; give the volts at the actuator for digital full scale, from 0.001 to "
+            f"{_MAX_FULL_SCALE_VOLTS:g}"
+        )
+    return volts
+
+
+def _sound_card(address: str, runtime: str | None, actuator: "Actuator | None") -> Transport:
+    """Return the controller on a sound card, not yet running. Raises TransportError and MissingExtraError."""
+    from vibrocast.output import sound_card
+    from vibrocast.simulated_device.sound_card_port import SoundCardPort
+
+    if actuator is None:
+        raise TransportError(
+            f"{address}: nothing says which actuator is behind the sound card; name one by `actuator`, or by "
+            "[[actuators]] in the bench file"
+        )
+    match = _parsed(address)
+    volts = _volts(address, actuator)
+    card = sound_card.find(match["card"])
+    all_channels = range(1, min(card.channels or 2, _CARD_CHANNELS) + 1)
+    channels = [int(number) for number in match["channels"].split(",")] if match["channels"] else list(all_channels)
+    if len(channels) > _CARD_CHANNELS:
+        raise TransportError(f"{address}: {len(channels)} channels; name at most {_CARD_CHANNELS}")
+    driven = replace(actuator.with_full_scale(volts), dac_bits=16, dac_rate_hz=card.rate_hz)
+    try:
+        return SoundCardPort(card, channels, driven, runtime)
+    except (ValueError, OverflowError) as error:
+        raise TransportError(
+            f"{address}: no controller can drive this actuator at {card.rate_hz} Hz: {error}"
+        ) from error
 
 
 def decoding_runtime(address: str, runtime: str | None) -> str | None:
@@ -190,6 +261,7 @@ def available() -> dict[str, str]:
         found[f"serial:{port.device}"] = "serial port" if port.description == "n/a" else port.description
     # Without libusb there are no USB devices to list; `connect` says what to do then.
     backend = libusb_backend()
+    found |= _sound_cards()
     for device in usb.core.find(find_all=True, backend=backend) if backend else ():
         # A device that cannot be read, or has no vendor interface, is of no use.
         with contextlib.suppress(usb.core.USBError, NotImplementedError):
@@ -197,6 +269,18 @@ def available() -> dict[str, str]:
                 if usb.util.find_descriptor(configuration, bInterfaceClass=VENDOR_INTERFACE_CLASS) is not None:
                     found[f"usb:{device.idVendor:04x}:{device.idProduct:04x}"] = "vendor interface"
     return found
+
+
+def _sound_cards() -> dict[str, str]:
+    from vibrocast.output import sound_card
+
+    if advice := extras.advice("audio"):
+        return {"audio:CARD": f"a sound card; {advice}"}
+    return {
+        f"audio:{card.name}": f"sound card, {card.backend}, {card.channels or 'any number of'} channels, "
+        f"{card.rate_hz} Hz" + (", the default" if card.default else "")
+        for card in sound_card.cards()
+    }
 
 
 def model_images(hello: HelloResponse) -> list[str]:
@@ -211,10 +295,12 @@ def model_images(hello: HelloResponse) -> list[str]:
 def facts(controller: Controller) -> dict[str, Any]:
     """Return what a controller is and what it is doing, ready for JSON. Raises as `Controller.request_status`."""
     status = controller.request_status()
-    return {
+    facts = {
         **described(controller.description),
         "status": {**asdict(status), "state": status.state.name.lower()},
     }
+    use = controller.sound_card
+    return facts if use is None else {**facts, "sound_card": asdict(use)}
 
 
 def described(hello: HelloResponse) -> dict[str, Any]:

@@ -17,9 +17,8 @@ from vibrocast.codec.threshold import over_threshold_db, read_threshold
 from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader
 from vibrocast.device_protocol.messages import ActuatorDescription
 from vibrocast.device_protocol.transports import TransportError
-from vibrocast.host import player, uploader
+from vibrocast.host import devices, player, uploader
 from vibrocast.host.controller import Controller, ControllerError
-from vibrocast.host.devices import model_images
 from vibrocast.host.event_loop import run_all
 from vibrocast.host.picture import Trace
 from vibrocast.host.report import ActuatorUse, DeviceDescription, Latency, Report, Touch
@@ -61,6 +60,17 @@ class Member:
     skin_model: Actuator | None = None
 
 
+def member(controller: Controller, address: str, actuator: Actuator | None) -> Member:
+    """Return who plays: a session, its address, and the actuator there; None = as the controller says.
+
+    A controller that can be given any actuator drives this one itself; else it is the model of the skin alone.
+    """
+    if actuator is None:
+        return Member(controller, address)
+    model = devices.behind_dac(address, actuator, controller.description.actuator)
+    return Member(controller, address, model if devices.takes_actuator(address) else None, model)
+
+
 def play(
     controller: Controller,
     address: str,
@@ -100,6 +110,7 @@ def play_together(
     offline, packet_samples = stream.decode_integers(), stream.decoder().packet_samples
     outcomes: dict[_Key, Outcome | Exception] = {}
     works = {}
+    underruns_before = {}
     for key, member in members.items():
         try:
             if stream.image is not None:
@@ -108,6 +119,8 @@ def play_together(
         except (ControllerError, TransportError) as error:
             outcomes[key] = error
             continue
+        if member.controller.sound_card is not None:
+            underruns_before[key] = member.controller.sound_card.underruns
         captures = member.controller.description.limits.capture_samples > 0
         settings = player.PlaybackSettings(
             loops=loops,
@@ -122,7 +135,9 @@ def play_together(
         outcomes[key] = (
             result
             if isinstance(result, Exception)
-            else _compared(members[key], file_name, stream, encoding, loops, offline, result)
+            else _compared(
+                members[key], file_name, stream, encoding, loops, offline, result, underruns_before.get(key, 0)
+            )
         )
     return {key: outcomes[key] for key in members}
 
@@ -135,8 +150,12 @@ def _compared(
     loops: int,
     offline: NDArray[np.int16],
     result: player.PlaybackResult,
+    underruns_before: int,
 ) -> Outcome:
-    """Return what a controller did, compared with the same computed here; `offline`: one pass, decoded here."""
+    """Return what a controller did, compared with the same computed here.
+
+    `offline`: one pass, decoded here. `underruns_before`: of the sound card, before it played.
+    """
     header, decoder, hello = stream.header, stream.decoder(), member.controller.description
     actuator = member.actuator or actuator_model(hello.actuator)
     skin_model = member.skin_model or actuator
@@ -149,6 +168,10 @@ def _compared(
     source = "read back from the controller" if result.dac_codes is not None else "computed here"
     algorithmic_s = (decoder.packet_samples + decoder.delay_samples) / header.rate_hz
     quality = stream.quality
+    card = member.controller.sound_card
+    if card is not None:
+        card = replace(card, underruns=card.underruns - underruns_before)
+    card_s = card.latency_ms / 1e3 if card else 0.0
     report = Report(
         version=version("vibrocast"),
         file=file_name,
@@ -172,14 +195,19 @@ def _compared(
         latency_ms=Latency(
             algorithmic=1e3 * algorithmic_s,
             buffered=1e3 * result.buffered_s,
-            end_to_end=1e3 * (algorithmic_s + result.buffered_s + drive_s),
+            end_to_end=1e3 * (algorithmic_s + result.buffered_s + drive_s + card_s),
         ),
         underruns=result.underruns,
         lost_packets=result.lost_packets,
         reconnects=result.reconnects,
         device=DeviceDescription(
-            member.address, hello.build, hello.hardware, f"{hello.major}.{hello.minor}", tuple(model_images(hello))
+            member.address,
+            hello.build,
+            hello.hardware,
+            f"{hello.major}.{hello.minor}",
+            tuple(devices.model_images(hello)),
         ),
+        sound_card=card,
         actuator=ActuatorUse(
             name=actuator.name,
             clipped_samples=result.status.compensation_clipped,

@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from vibrocast.files import atomic_write
+from vibrocast.output.sound_card import CardUse
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,7 @@ class Report:
     lost_packets: int
     reconnects: int
     device: DeviceDescription
+    sound_card: CardUse | None
     actuator: ActuatorUse
     touch: Touch
     decoded_equals_offline: bool | None

@@ -24,7 +24,7 @@ class CodeQueue:
         self._pieces: deque[Codes] = deque()
         self._lock = threading.Lock()
         self._last = np.zeros(channels, np.int64)
-        self._fall: NDArray[np.int64] | None = None  # codes by which the output falls with each frame
+        self._fall = np.zeros(channels, np.int64)  # codes by which the output falls with each frame, 0: it does not
         self._faded = self._fade_frames
         self.playing = False
         self.underruns = 0
@@ -46,14 +46,14 @@ class CodeQueue:
         """Return the next codes int16 (frames, channels)."""
         codes = np.zeros((frames, len(self._last)), np.int16)
         with self._lock:
-            at = self._descend(codes) if self._fall is not None else 0
-            if self._fall is None:
+            at = self._descend(codes, self._fall)
+            if not self._fall.any():
                 at += self._move(codes[at:])
                 if at < frames and (self.playing or self._last.any()):
                     self.underruns += self.playing
-                    self._fall = np.clip(-(-np.abs(self._last) // self._fade_frames), 1, self._step)
                     self._faded = 0
-                    self._descend(codes[at:])
+                    self._fall = np.minimum(-(-np.abs(self._last) // self._fade_frames), self._step)
+                    self._descend(codes[at:], self._fall)
         return codes
 
     def _move(self, codes: Codes) -> int:
@@ -77,16 +77,17 @@ class CodeQueue:
             self._last = codes[at - 1].astype(np.int64)
         return at
 
-    def _descend(self, codes: Codes) -> int:
-        """Write the way to rest into `codes`; return the number of frames until it is reached."""
+    def _descend(self, codes: Codes, fall: NDArray[np.int64]) -> int:
+        """Write the way to rest into `codes`, if the output falls; return the number of frames until it rests."""
+        if not fall.any() or not len(codes):
+            return 0
         frames = np.arange(1, len(codes) + 1)[:, np.newaxis]
-        way = np.sign(self._last) * np.maximum(0, np.abs(self._last) - frames * self._fall)
+        way = np.sign(self._last) * np.maximum(0, np.abs(self._last) - frames * fall)
         codes[:] = way
-        moving = int(np.count_nonzero(way.any(axis=1)))
-        if moving < len(codes):
-            self._fall = None
-        self._last = way[-1] if len(way) else self._last
-        return moving
+        self._last = way[-1]
+        if not self._last.any():
+            self._fall = np.zeros_like(fall)
+        return int(np.count_nonzero(way.any(axis=1)))
 
 
 def fade_frames(actuator: Actuator) -> int:

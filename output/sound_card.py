@@ -53,6 +53,24 @@ class Card:
     identifier: Any = field(repr=False, compare=False)
 
 
+@dataclass(frozen=True)
+class CardUse:
+    """How a card plays: the card, the actuator's volts at digital full scale, and how late and how well it plays.
+
+    `latency_ms`: from the controller to the card's output, without what the card itself adds. `underruns`: how often
+    the card had nothing to play since it was opened.
+    """
+
+    name: str
+    backend: str
+    rate_hz: int
+    channels: tuple[int, ...]
+    full_scale_volts: float
+    period_ms: float
+    latency_ms: float
+    underruns: int
+
+
 def cards(recording: bool = False) -> list[Card]:
     """Return the cards of this computer that play, or those that record. Raises MissingExtraError."""
     miniaudio = _miniaudio()
@@ -147,6 +165,11 @@ class _Stream(Closing):
             and self._blocks_done > _FIRST_BLOCKS
             and self._last_s - before_s > max(self.buffer_s, 2 * PERIOD_S)
         )
+
+    @property
+    def waiting_s(self) -> float:
+        """How long ago the card asked for the last time; 0 before the first."""
+        return 0.0 if self._last_s is None else time.monotonic() - self._last_s
 
     @property
     def gone(self) -> bool:

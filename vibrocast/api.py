@@ -247,7 +247,7 @@ class Connection:
         chosen = _playable(stream, unit, gain_db)
         _check_callable(progress)
         name = str(stream) if isinstance(stream, str | os.PathLike) else "stream"
-        simulated = self._address in devices.WITH_ANY_ACTUATOR
+        member = end_to_end.member(self.controller, self._address, self._actuator)
         outcome = end_to_end.play(
             self.controller,
             self._address,
@@ -255,8 +255,8 @@ class Connection:
             chosen,
             loops=arguments.whole_number("loops", loops, 1, _MAX_LOOPS),
             progress=progress,
-            actuator=self._actuator if simulated else None,
-            skin_model=self._actuator,
+            actuator=member.actuator,
+            skin_model=member.skin_model,
         )
         return outcome.report
 
@@ -297,9 +297,10 @@ def connect(
     """Open a session with a controller, and close it at the end of the `with` block.
 
     Args:
-        address: "sim", another name that `vibrocast devices` lists, "serial:PORT" or "usb:VID:PID".
-        actuator: A name, an Actuator or a TOML file. A simulated controller drives it; for a real one it is the model
-            of the actuator. None: as the controller says.
+        address: "sim", another name that `vibrocast devices` lists, "serial:PORT", "usb:VID:PID" or
+            "audio:CARD[:CHANNELS][@VOLTS]".
+        actuator: A name, an Actuator or a TOML file. A sound card or a simulated controller drives it; for a real
+            controller it is the model of the actuator. None: as the controller says; a sound card needs one.
         runtime: "core" or "onnx": the decoder that a simulated controller uses. None: as the model says.
 
     Yields:

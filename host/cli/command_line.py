@@ -40,7 +40,7 @@ SECTIONS: Mapping[str, Mapping[str, Subcommand]] = {
     },
     "Controllers": {
         "devices": Subcommand(
-            "devices", "list_devices", "List the addresses of controllers: simulated, serial and USB."
+            "devices", "list_devices", "List the addresses of controllers: simulated, serial, USB and sound cards."
         ),
         "status": Subcommand("devices", "status", "Show the properties and state of a controller."),
         "flash": Subcommand("devices", "flash", "Upload a trained model to a controller."),

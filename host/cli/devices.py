@@ -12,20 +12,26 @@ from vibrocast.host.cli import planned
 from vibrocast.host.cli.option_types import OutputFile, Whole
 from vibrocast.host.cli.options import (
     BadInput,
+    actuator_option,
     chosen_model,
     device_option,
     json_option,
+    own_actuator,
     plan_option,
     runtime_option,
 )
 from vibrocast.host.cli.steps import needed, show
+from vibrocast.host.printable import plain
 from vibrocast.output.actuator import ACTUATORS, PIEZO_STACK
 
 
 @click.command("devices")
 def list_devices() -> None:
-    """List the addresses of controllers: simulated, serial and USB."""
-    show(devices.available())
+    """List the addresses of controllers: simulated, serial, USB and sound cards."""
+    found = devices.available()
+    width = max(map(len, found))
+    for address, description in found.items():
+        click.echo(plain(f"{address:{width}}  {description}"))
 
 
 @click.command()
@@ -61,10 +67,11 @@ def uploaded(model: models.Model, address: str) -> str:
 
 @click.command()
 @device_option
+@actuator_option
 @json_option
-def status(address: str, as_json: bool) -> None:
+def status(address: str, actuator_name: str | None, as_json: bool) -> None:
     """Show the properties and state of a controller."""
-    with devices.connect(address) as controller:
+    with devices.connect(address, actuator=own_actuator(address, actuator_name)) as controller:
         facts = devices.facts(controller)
     show(facts, as_json)
 

@@ -4,7 +4,7 @@ import json
 import math
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -24,16 +24,19 @@ from vibrocast.host import live as streaming
 from vibrocast.host.cli.option_types import Number, OutputFile, Whole, positive
 from vibrocast.host.cli.options import (
     BadInput,
+    actuator_option,
     chosen_highpass_hz,
     codec_option,
     device_option,
     grouped,
     keep_dc_option,
     model_option,
+    own_actuator,
     setting_option,
 )
 from vibrocast.host.cli.rate_options import RateOptions, rate_controlled_options
 from vibrocast.host.cli.sections import CODING, CONTROLLER, INPUT, OUTPUT, SectionedCommand, section
+from vibrocast.host.cli.steps import describe_card, warn_of_underruns
 from vibrocast.textures.recording import MAX_CHANNELS
 
 # By name: the type in NumPy's words, and the number that stands for full scale.
@@ -129,6 +132,7 @@ class CodingOptions:
 @section(
     CONTROLLER,
     device_option,
+    actuator_option,
     click.option(
         "--playout-delay-ms",
         type=Number("ms", 0, 10_000),
@@ -140,6 +144,7 @@ class CodingOptions:
 def live(
     source: str,
     address: str,
+    actuator_name: str | None,
     samples: SampleOptions,
     playout_delay_ms: float | None,
     report_path: Path | None,
@@ -172,7 +177,8 @@ def live(
     chosen = chosen_codec(coding.codec_name, model)
     if chosen.needs_model and model is None:
         model = default_model(chosen)
-    with devices.connect(address) as controller, progress.bar("streaming") as update:
+    actuator = own_actuator(address, actuator_name)
+    with devices.connect(address, actuator=actuator) as controller, progress.bar("streaming") as update:
         if model is not None:
             uploader.provide(controller, address, model.image)
         live_coding = streaming.LiveCoding(chosen.name, coding.setting, model)
@@ -220,6 +226,9 @@ def live(
         )
     restarts = f", restarts {result.streams - 1}" if result.streams > 1 else ""
     click.echo(f"underruns {result.underruns}, lost packets {result.lost_packets}{restarts}")
+    if card := stream.controller.sound_card:
+        click.echo(f"sound card {describe_card(card)}")
+        warn_of_underruns(card)
     if result.lost_packets or result.dropped_packets:
         click.echo(
             "warning: packets were late or lost: the computer or the link was too busy; pass a --playout-delay-ms "
@@ -230,6 +239,7 @@ def live(
 
 def figures(result: streaming.LiveResult, stream: streaming.LiveStream) -> dict[str, Any]:
     """Return the report of a live stream, ready for JSON; docs/reference/report.md explains each figure."""
+    card = stream.controller.sound_card
     return {
         "version": version("vibrocast"),
         "codec": codec.codec_by_identifier(stream.header.codec_identifier, stream.header.configuration).name,
@@ -245,6 +255,7 @@ def figures(result: streaming.LiveResult, stream: streaming.LiveStream) -> dict[
         "lost_packets": result.lost_packets,
         "dropped_packets": result.dropped_packets,
         "streams": result.streams,
+        "sound_card": None if card is None else asdict(card),
     }
 
 

@@ -18,6 +18,8 @@ from vibrocast.host.cli.exit_codes import BAD_INPUT
 from vibrocast.host.cli.option_types import INPUT, Number, Whole, positive
 from vibrocast.host.cli.sections import CODING, section
 from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
+from vibrocast.output import actuator_files
+from vibrocast.output.actuator import ACTUATORS, Actuator
 
 
 def command_run() -> str:
@@ -56,8 +58,7 @@ def checked_address(ctx: click.Context, param: click.Parameter, value: str) -> s
     """Return a controller's address as `host.devices.connect` takes it, or raise click.BadParameter."""
     if value not in devices.SIMULATED and not devices.ADDRESS.fullmatch(value):
         raise click.BadParameter(
-            f"{value!r} is no address; give {', '.join(devices.SIMULATED)}, serial:PORT, or usb:VID:PID in "
-            "hexadecimal digits",
+            f"{value!r} is no address; give {', '.join(devices.SIMULATED)}, {devices.FORMS}",
             ctx,
             param,
         )
@@ -137,6 +138,21 @@ setting_option = click.option(
     metavar="NAME=VALUE",
     help="Fix a parameter that `vibrocast codecs` lists; may be repeated.",
 )
+
+actuator_option = click.option(
+    "--actuator",
+    "actuator_name",
+    metavar="NAME|FILE",
+    help=f"Choose the actuator of sim or a sound card: {', '.join(ACTUATORS)} or a TOML file.",
+)
+
+
+def own_actuator(address: str, name: str | None) -> Actuator | None:
+    """Return the actuator of `actuator_option` for a controller that takes one. Raises click.UsageError."""
+    if name is not None and not devices.takes_actuator(address):
+        raise click.UsageError(f"{address} has its actuator compiled in; drop --actuator")
+    return None if name is None else actuator_files.find(name)
+
 
 plan_option = click.option(
     "--plan", "plan_path", type=INPUT, metavar="FILE", help="Take codecs and controllers from a plan file."

@@ -23,6 +23,7 @@ from vibrocast.host.cli.options import (
     RecordingOptions,
     devices_option,
     grouped,
+    own_actuator,
     plan_option,
     quality_options,
     recording_options,
@@ -30,6 +31,7 @@ from vibrocast.host.cli.options import (
 )
 from vibrocast.host.cli.sections import CONTROLLER, OUTPUT, PLAYBACK, SectionedCommand, section
 from vibrocast.host.cli.steps import (
+    describe_card,
     describe_quality,
     encoded,
     encoded_profile,
@@ -37,11 +39,12 @@ from vibrocast.host.cli.steps import (
     needed,
     reject_overwriting,
     show,
+    warn_of_underruns,
 )
 from vibrocast.host.controller import ControllerError
 from vibrocast.host.report import Report, Touch
 from vibrocast.output import actuator_files
-from vibrocast.output.actuator import ACTUATORS
+from vibrocast.output.actuator import ACTUATORS, Actuator
 
 if TYPE_CHECKING:
     from vibrocast.host import end_to_end, position_playback
@@ -180,17 +183,16 @@ def play(
     if hand.positions_path or hand.stroke_mm:
         if outputs.report_path:
             raise click.UsageError("a profile under a hand has no report; drop --report")
-        if playback.gain_db or actuator:
-            raise click.UsageError(
-                "a profile under a hand has its own level and actuator; drop --gain-db and --actuator"
-            )
+        if playback.gain_db:
+            raise click.UsageError("a profile under a hand has its own level; drop --gain-db")
+        own = own_actuator(addresses[0], playback.actuator_name)
         from vibrocast.host import position_playback
 
         movement = position_playback.chosen_movement(
             hand.positions_path, hand.stroke_mm, recording.hand_speed_mm_s, playback.loops
         )
         stream = spatial_stream(file, quality, replace(recording, hand_speed_mm_s=None))
-        play_profile(file.name, addresses[0], replace(stream, runtime=runtime), movement, outputs.plot_path)
+        play_profile(file.name, addresses[0], own, replace(stream, runtime=runtime), movement, outputs.plot_path)
         return
     if file.suffix.lower() == ".vct":
         coded = coded_already(file, quality, replace(recording, unit=None) if recording.unit == "drive" else recording)
@@ -213,9 +215,7 @@ def play(
             except StreamError as error:
                 failures[name] = error
         members = {
-            name: end_to_end.Member(
-                controller, names[name], actuator if names[name] in devices.WITH_ANY_ACTUATOR else None, actuator
-            )
+            name: end_to_end.member(controller, names[name], actuator)
             for name, controller in controllers.items()
             if name not in failures
         }
@@ -244,6 +244,8 @@ def play(
     show(summary(outcome.report, stream))
     if outcome.report.touch.level_db <= 0:
         click.echo("warning: nobody would feel this; raise --gain-db, or check --unit and --full-scale", err=True)
+    if outcome.report.sound_card:
+        warn_of_underruns(outcome.report.sound_card)
     if outcome.report.differs:
         raise ControllerError(
             "the controller played something else than was sent: the lines above count underruns and lost packets; if "
@@ -295,14 +297,20 @@ def spatial_stream(file: Path, quality: QualityOptions, recording: RecordingOpti
 
 
 def play_profile(
-    name: str, address: str, stream: Stream, movement: "position_playback.Movement", plot_path: Path | None
+    name: str,
+    address: str,
+    actuator: Actuator | None,
+    stream: Stream,
+    movement: "position_playback.Movement",
+    plot_path: Path | None,
 ) -> None:
     """Play a spatial stream under a moving hand; print what was played, and draw it."""
     from vibrocast.host import end_to_end, picture, position_playback
 
-    with devices.connect(address, stream.runtime) as controller, progress.bar("playing") as update:
+    with devices.connect(address, stream.runtime, actuator) as controller, progress.bar("playing") as update:
         played = position_playback.play(controller, stream, movement, progress=update)
-        actuator = end_to_end.actuator_model(controller.description.actuator)
+        card, dac = controller.sound_card, controller.description.actuator
+    actuator = devices.behind_dac(address, actuator, dac) if actuator else end_to_end.actuator_model(dac)
     expected = position_playback.computed(stream, played, actuator)
     status, facts = played.status, stream.facts()
     if plot_path:
@@ -316,6 +324,7 @@ def play_profile(
             f"{status.voltage_limited}, slew {status.slew_limited}, power {status.power_limited} samples",
             "positions": f"{len(played.positions)} sent, {status.underruns} came too late, frames damaged "
             f"{played.damaged}",
+            **({"sound card": describe_card(card)} if card else {}),
             "DAC as computed": {**ANSWERS, False: "no, as where a position is lost"}[
                 position_playback.as_computed(played, expected, actuator)
             ],
@@ -380,6 +389,7 @@ def summary(report: Report, stream: Stream) -> dict[str, object]:
         "latency": f"{latency.algorithmic:.1f} ms codec + {latency.buffered:.1f} ms buffer, "
         f"{latency.end_to_end:.1f} ms to the skin",
         "underruns": f"{report.underruns}, lost packets {report.lost_packets}, reconnects {report.reconnects}",
+        **({"sound card": describe_card(report.sound_card)} if report.sound_card else {}),
         "actuator": f"{limits.name}, clipped {limits.clipped_samples}, limited by voltage {limits.voltage_limited}, "
         f"slew {limits.slew_limited}, power {limits.power_limited} samples",
         "touch": describe_touch(report.touch),

@@ -16,6 +16,7 @@ from vibrocast.host import profiles
 from vibrocast.host.cli.options import QualityOptions
 from vibrocast.host.printable import plain
 from vibrocast.host.report import Report
+from vibrocast.output.sound_card import CardUse
 
 _Argument = TypeVar("_Argument")
 
@@ -84,6 +85,24 @@ def describe_quality(quality: CodingQuality | Report) -> str:
     return (
         f"{text}, {100 * (quality.removed_energy or 0.0):.2g} % of the energy removed below {quality.highpass_hz:g} Hz"
     )
+
+
+def describe_card(card: CardUse) -> str:
+    """Return how a sound card plays, in words."""
+    channels = ", ".join(map(str, card.channels))
+    return (
+        f"{card.name}, {card.backend}, channels {channels}, {card.rate_hz} Hz, {card.full_scale_volts:g} V at full "
+        f"scale, period {card.period_ms:g} ms, latency {card.latency_ms:g} ms, underruns {card.underruns}"
+    )
+
+
+def warn_of_underruns(card: CardUse) -> None:
+    """Say on stderr that a sound card had nothing to play for a while, where it had."""
+    if card.underruns:
+        click.echo(
+            f"warning: {card.name} had nothing to play {card.underruns} time(s) and came to rest; close other programs",
+            err=True,
+        )
 
 
 def show(facts: Mapping[str, object], as_json: bool = False) -> None:
