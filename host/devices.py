@@ -55,7 +55,6 @@ FORMS = "serial:PORT, usb:VID:PID (hexadecimal) or audio:CARD[:CHANNELS][@VOLTS]
 """How they are written."""
 
 _AUDIO = re.compile(r"audio:(?P<card>.+?)(:(?P<channels>\d+(,\d+)*))?(@(?P<volts>[^@]+))?")
-_MAX_FULL_SCALE_VOLTS = 1000.0
 # As many channels as the controller in this process has.
 _CARD_CHANNELS = 8
 
@@ -147,6 +146,12 @@ def takes_actuator(address: str) -> bool:
     return address in ("sim", "sim-usb") or address.startswith("audio:")
 
 
+def on_sound_card(actuator: "Actuator", rate_hz: int, full_scale_volts: float | None = None) -> "Actuator":
+    """Return an actuator whose DAC is a sound card; None = the actuator's highest volts are digital full scale."""
+    volts = actuator.volts / 2 if full_scale_volts is None else full_scale_volts
+    return replace(actuator.with_full_scale(volts), dac_bits=16, dac_rate_hz=rate_hz)
+
+
 def behind_dac(address: str, actuator: "Actuator", dac: ActuatorDescription) -> "Actuator":
     """Return an actuator with the DAC that the controller at an address describes; of a sound card, with its volts."""
     if address.startswith("audio:"):
@@ -163,6 +168,8 @@ def _parsed(address: str) -> re.Match[str]:
 
 def _volts(address: str, actuator: "Actuator") -> float:
     """Return the actuator's volts at digital full scale of a sound card. Raises TransportError."""
+    from vibrocast.output.actuator import MAX_FULL_SCALE_VOLTS, MIN_FULL_SCALE_VOLTS
+
     text = _parsed(address)["volts"]
     if text is None:
         return actuator.volts / 2
@@ -170,10 +177,10 @@ def _volts(address: str, actuator: "Actuator") -> float:
         volts = float(text)
     except ValueError:
         volts = math.nan
-    if not 0.001 <= volts <= _MAX_FULL_SCALE_VOLTS:
+    if not MIN_FULL_SCALE_VOLTS <= volts <= MAX_FULL_SCALE_VOLTS:
         raise TransportError(
-            f"{address}: @{text} is no voltage; give the volts at the actuator for digital full scale, from 0.001 to "
-            f"{_MAX_FULL_SCALE_VOLTS:g}"
+            f"{address}: @{text} is no voltage; give the volts at the actuator for digital full scale, from "
+            f"{MIN_FULL_SCALE_VOLTS:g} to {MAX_FULL_SCALE_VOLTS:g}"
         )
     return volts
 
@@ -195,9 +202,8 @@ def _sound_card(address: str, runtime: str | None, actuator: "Actuator | None") 
     channels = [int(number) for number in match["channels"].split(",")] if match["channels"] else list(all_channels)
     if len(channels) > _CARD_CHANNELS:
         raise TransportError(f"{address}: {len(channels)} channels; name at most {_CARD_CHANNELS}")
-    driven = replace(actuator.with_full_scale(volts), dac_bits=16, dac_rate_hz=card.rate_hz)
     try:
-        return SoundCardPort(card, channels, driven, runtime)
+        return SoundCardPort(card, channels, on_sound_card(actuator, card.rate_hz, volts), runtime)
     except (ValueError, OverflowError) as error:
         raise TransportError(
             f"{address}: no controller can drive this actuator at {card.rate_hz} Hz: {error}"

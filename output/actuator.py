@@ -14,6 +14,9 @@ Filter: TypeAlias = tuple[Samples, Samples]
 # Fingers feel textures up to 400 Hz, and little above 800 Hz, where the Pacinian band ends; a boost there is wasted.
 COMPENSATED_HZ = 800.0
 
+MIN_FULL_SCALE_VOLTS, MAX_FULL_SCALE_VOLTS = 0.001, 1000.0
+"""From a headphone jack at a low volume to a piezo amplifier."""
+
 
 @dataclass(frozen=True)
 class Actuator:

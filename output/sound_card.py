@@ -3,7 +3,7 @@
 import contextlib
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -37,7 +37,7 @@ class Card:
     """A sound card, or a device of a sound server, for playback or for recording.
 
     Attributes:
-        name: As the system names it.
+        name: As the system names it, with a number behind it where another one has the same.
         channels: How many it has; 0 = as many as are asked for.
         rate_hz: The sample rate at which it works.
         default: Whether the system uses it by default.
@@ -319,6 +319,7 @@ def _listed(miniaudio: Any, context: Any, backend: str, recording: bool) -> list
         return []
     kind = lib.ma_device_type_capture if recording else lib.ma_device_type_playback
     found = []
+    names: Counter[str] = Counter()
     for info in infos[0][0 : count[0]]:
         # A card that was unplugged meanwhile is none.
         if lib.ma_context_get_device_info(context, kind, ffi.addressof(info.id), ffi.addressof(info)) == lib.MA_SUCCESS:
@@ -327,7 +328,10 @@ def _listed(miniaudio: Any, context: Any, backend: str, recording: bool) -> list
             rates_hz = [each.sampleRate for each in formats if each.channels == channels and each.sampleRate]
             rate_hz = _USUAL_RATE_HZ if _USUAL_RATE_HZ in rates_hz or not rates_hz else max(rates_hz)
             identifier = ffi.new("ma_device_id *", info.id)
-            found.append(Card(_text(ffi, info.name), channels, rate_hz, bool(info.isDefault), backend, identifier))
+            name = _text(ffi, info.name)
+            names[name] += 1
+            name = name if names[name] == 1 else f"{name} ({names[name]})"
+            found.append(Card(name, channels, rate_hz, bool(info.isDefault), backend, identifier))
     return found
 
 

@@ -154,7 +154,7 @@ def save_profile(path: str | Path, profile: Profile) -> None:
     np.savetxt(path, columns, fmt=("%.10g", "%.3f"), delimiter=",", header=names, comments="")
 
 
-def save(path: str | Path, recording: Recording, sixteen_bit: bool = False) -> float:
+def save(path: str | Path, recording: Recording, sixteen_bit: bool = False, note: str = "") -> float:
     """Save a recording in the format of the suffix, one of SAVED_SUFFIXES; return its full scale.
 
     - WAV holds 32-bit floats or, if `sixteen_bit`, 16-bit integers, with the unit in its comment.
@@ -162,8 +162,8 @@ def save(path: str | Path, recording: Recording, sixteen_bit: bool = False) -> f
       exactly. `load` finds rate and unit again, except in NPY, which holds only samples (n, channels).
 
     Full scale is the value of 1.0 in the file, in the recording's unit. It is 1, except with `sixteen_bit`: then it is
-    the largest magnitude, or 1 for a signal in "full scale" that fits. Raises TextureError if the format cannot hold
-    the recording, or the file cannot be written.
+    the largest magnitude, or 1 for a signal in "full scale" that fits. `note` goes into the comment of a WAV file, for
+    people. Raises TextureError if the format cannot hold the recording, or the file cannot be written.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -173,7 +173,7 @@ def save(path: str | Path, recording: Recording, sixteen_bit: bool = False) -> f
         raise TextureError(f"{path}: `sixteen_bit` is for a .wav file; leave it out here")
     try:
         if suffix == ".wav":
-            return wav.write(path, recording, sixteen_bit)
+            return wav.write(path, recording, sixteen_bit, note)
         if suffix == ".csv":
             write_table(path, recording)
         elif suffix == ".mat":

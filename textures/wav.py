@@ -14,7 +14,7 @@ _CUT_OFF = re.compile(r"(?:data|Riff size) : (\d+) \(should be (\d+)\)")
 # Programs that write into a pipe state about 2 or 4 GiB, because they cannot correct the header at the end.
 UNKNOWN_LENGTHS_BYTES = (2**31, 2**32)
 UNKNOWN_LENGTH_MARGIN_BYTES = 2**16
-_COMMENT = re.compile(r"unit=(.+); full_scale=(.+)")
+_COMMENT = re.compile(r"unit=(.+?); full_scale=([^;]+)(; .*)?")
 
 
 def read(path: Path) -> Contents:
@@ -37,12 +37,12 @@ def read(path: Path) -> Contents:
     return Contents(samples, rate_hz, unit)
 
 
-def write(path: Path, recording: Recording, sixteen_bit: bool) -> float:
+def write(path: Path, recording: Recording, sixteen_bit: bool, note: str = "") -> float:
     """Write a WAV file; return its full scale: the value, in the recording's unit, of 1.0 in the file.
 
     With 16 bits, full scale is the largest magnitude, or 1 for a signal in "full scale" that fits. With 32-bit floats
-    the file holds the values themselves, and full scale is 1. Raises TextureError when the rate is not a whole number,
-    OSError or soundfile.SoundFileError when the file cannot be written.
+    the file holds the values themselves, and full scale is 1. `note` goes into the file's comment, for people. Raises
+    TextureError when the rate is not a whole number, OSError or soundfile.SoundFileError when the file cannot be written.
     """
     if recording.rate_hz != int(recording.rate_hz):
         raise TextureError(f"{path}: a WAV file needs a whole number of hertz, not {recording.rate_hz}; resample first")
@@ -61,7 +61,7 @@ def write(path: Path, recording: Recording, sixteen_bit: bool) -> float:
         subtype="PCM_16" if sixteen_bit else "FLOAT",
         format="WAV",
     ) as file:
-        file.comment = f"unit={recording.unit}; full_scale={full_scale}"
+        file.comment = f"unit={recording.unit}; full_scale={full_scale}" + (f"; {note}" if note else "")
         file.write(samples)
     return full_scale
 

@@ -173,34 +173,43 @@ class RecordingOptions:
     hand_speed_mm_s: float | None
 
 
-recording_options = section(
-    INPUT_SECTION,
-    grouped(
-        "recording",
-        RecordingOptions,
-        click.option("--rate-hz", type=positive("Hz"), help="Give the sample rate of a file that states none."),
-        click.option(
-            "--unit",
-            type=click.Choice(list(textures.INPUT_UNITS)),
-            help="Give the unit of a file that states none.",
+def recording_options_with(rate_option: str) -> Callable[[Callable[..., Any]], Any]:
+    """Return the options of RecordingOptions, where the one of the recording's rate has this name."""
+    return section(
+        INPUT_SECTION,
+        grouped(
+            "recording",
+            RecordingOptions,
+            click.option(
+                rate_option, "rate_hz", type=positive("Hz"), help="Give the sample rate of a file that states none."
+            ),
+            click.option(
+                "--unit",
+                type=click.Choice(list(textures.INPUT_UNITS)),
+                help="Give the unit of a file that states none.",
+            ),
+            click.option(
+                "--full-scale", type=positive("VALUE"), help="Give the value of 1.0 in a WAV file, in --unit."
+            ),
+            click.option(
+                "--axis",
+                type=click.Choice(textures.AXES, case_sensitive=False),
+                help="Take one axis of a three-axis recording.",
+            ),
+            click.option(
+                "--reduce",
+                type=click.Choice(textures.REDUCTIONS),
+                help="Reduce three axes to one signal; none keeps them. Default: dft321 for P1918.1.1 recordings only.",
+            ),
+            click.option("--key", metavar="NAME", help="Choose an array of an NPZ, MAT or HDF5 file."),
+            click.option(
+                "--hand-speed-mm-s", type=positive("mm/s"), help="Give the speed of the hand over a height profile."
+            ),
         ),
-        click.option("--full-scale", type=positive("VALUE"), help="Give the value of 1.0 in a WAV file, in --unit."),
-        click.option(
-            "--axis",
-            type=click.Choice(textures.AXES, case_sensitive=False),
-            help="Take one axis of a three-axis recording.",
-        ),
-        click.option(
-            "--reduce",
-            type=click.Choice(textures.REDUCTIONS),
-            help="Reduce three axes to one signal; none keeps them. Default: dft321 for P1918.1.1 recordings only.",
-        ),
-        click.option("--key", metavar="NAME", help="Choose an array of an NPZ, MAT or HDF5 file."),
-        click.option(
-            "--hand-speed-mm-s", type=positive("mm/s"), help="Give the speed of the hand over a height profile."
-        ),
-    ),
-)
+    )
+
+
+recording_options = recording_options_with("--rate-hz")
 
 runtime_option = click.option(
     "--runtime",

@@ -194,14 +194,7 @@ def play(
         stream = spatial_stream(file, quality, replace(recording, hand_speed_mm_s=None))
         play_profile(file.name, addresses[0], own, replace(stream, runtime=runtime), movement, outputs.plot_path)
         return
-    if file.suffix.lower() == ".vct":
-        coded = coded_already(file, quality, replace(recording, unit=None) if recording.unit == "drive" else recording)
-        if coded.header.spatial:
-            raise BadInput(f"{file}: coded over position; give --positions, or --stroke-mm and --hand-speed-mm-s")
-        source: Stream | textures.Recording = replace(coded, runtime=runtime)
-    else:
-        source = textures.load_for_actuators(file, **vars(recording))
-    end_to_end.check_unit(source.header.unit if isinstance(source, Stream) else source.unit, recording.unit)
+    source = read_source(file, quality, recording, runtime)
     names = devices.unique_names(addresses)
     sessions = {name: devices.connect(address, runtime, actuator) for name, address in names.items()}
     with devices.open_all(sessions) as (controllers, failures):
@@ -252,6 +245,24 @@ def play(
             "there are any, use a shorter cable or a less busy machine, else the --runtime by which the controller "
             "decodes"
         )
+
+
+def read_source(
+    file: Path, quality: QualityOptions, recording: RecordingOptions, runtime: str | None
+) -> Stream | textures.Recording:
+    """Return a .vct file, or a recording that is to be coded. Raises BadInput, CodecError and TextureError."""
+    from vibrocast.host import end_to_end
+
+    source: Stream | textures.Recording
+    if file.suffix.lower() == ".vct":
+        coded = coded_already(file, quality, replace(recording, unit=None) if recording.unit == "drive" else recording)
+        if coded.header.spatial:
+            raise BadInput(f"{file}: coded over position; give --positions, or --stroke-mm and --hand-speed-mm-s")
+        source = replace(coded, runtime=runtime)
+    else:
+        source = textures.load_for_actuators(file, **vars(recording))
+    end_to_end.check_unit(source.header.unit if isinstance(source, Stream) else source.unit, recording.unit)
+    return source
 
 
 def report_each(outcomes: "dict[str, end_to_end.Outcome | Exception]", report_path: Path | None) -> None:

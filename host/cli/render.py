@@ -1,0 +1,124 @@
+"""The subcommand `render`: writes the drive signal of a texture for an actuator into a WAV file, for any player."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+
+from vibrocast import textures
+from vibrocast.codec.stream import MAX_GAIN_DB
+from vibrocast.files import atomic_write
+from vibrocast.host import devices
+from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole
+from vibrocast.host.cli.options import (
+    BadInput,
+    QualityOptions,
+    RecordingOptions,
+    grouped,
+    quality_options,
+    recording_options_with,
+    runtime_option,
+)
+from vibrocast.host.cli.play import read_source
+from vibrocast.host.cli.sections import CONTROLLER, PLAYBACK, SectionedCommand, section
+from vibrocast.host.cli.steps import encoded, files_of, reject_overwriting
+from vibrocast.output import actuator_files
+from vibrocast.output.actuator import ACTUATORS, MAX_FULL_SCALE_VOLTS, MIN_FULL_SCALE_VOLTS
+from vibrocast.output.rendering import render as rendered_codes
+
+
+@dataclass(frozen=True)
+class DriveOptions:
+    """For which actuator, and at which level, the drive signal is made."""
+
+    actuator_name: str
+    dac_rate_hz: int
+    full_scale_volts: float | None
+    runtime: str | None
+    loops: int
+    gain_db: float
+
+
+@click.command(cls=SectionedCommand)
+@click.argument("file", type=INPUT)
+@click.argument("out", type=OutputFile(".wav"))
+@recording_options_with("--recording-rate-hz")
+@quality_options
+@grouped(
+    "drive",
+    DriveOptions,
+    section(
+        CONTROLLER,
+        click.option(
+            "--actuator",
+            "actuator_name",
+            metavar="NAME|FILE",
+            required=True,
+            help=f"Choose the actuator: {', '.join(ACTUATORS)} or a TOML file.",
+        ),
+        click.option(
+            "--rate-hz",
+            "dac_rate_hz",
+            type=Whole("Hz", 1000, 384_000),
+            default=48_000,
+            show_default=True,
+            help="Set the sample rate of the drive signal.",
+        ),
+        click.option(
+            "--full-scale-volts",
+            type=Number("V", MIN_FULL_SCALE_VOLTS, MAX_FULL_SCALE_VOLTS),
+            help="Give the volts at the actuator for 1.0. Default: its highest.",
+        ),
+        runtime_option,
+    ),
+    section(
+        PLAYBACK,
+        click.option(
+            "--loop", "loops", type=Whole("PASSES", 1, 65_535), default=1, show_default=True, help="Repeat the texture."
+        ),
+        click.option(
+            "--gain-db",
+            type=Number("dB", -MAX_GAIN_DB, MAX_GAIN_DB),
+            default=0.0,
+            show_default=True,
+            help="Raise or lower the level.",
+        ),
+    ),
+)
+def render(file: Path, out: Path, drive: DriveOptions, quality: QualityOptions, recording: RecordingOptions) -> None:
+    """Write the drive signal of a recording or a .vct file into a WAV file.
+
+    The file holds the 16-bit codes that a sound card would play: resampled, compensated and limited for the actuator.
+    Play it at full volume, without any other processing.
+    """
+    reject_overwriting([out], [file, *files_of(quality.model)])
+    actuator = devices.on_sound_card(
+        actuator_files.find(drive.actuator_name), drive.dac_rate_hz, drive.full_scale_volts
+    )
+    source = read_source(file, quality, recording, drive.runtime)
+    if isinstance(source, textures.Recording):
+        source = encoded(source, quality, recording.unit, live=True, runtime=drive.runtime).stream
+    stream = source.with_gain(drive.gain_db)
+    try:
+        codes, limited = rendered_codes(
+            stream.header, stream.decode_integers(), stream.decoder().delay_samples, actuator, loops=drive.loops
+        )
+    except (ValueError, OverflowError) as error:
+        raise BadInput(
+            f"{file}: cannot be rendered for {actuator.name} at {actuator.dac_rate_hz} Hz: {error}"
+        ) from error
+    volts = actuator.volts / 2
+    signal = textures.Recording(codes / actuator.full_scale, actuator.dac_rate_hz, "full scale", out.stem)
+    with atomic_write(out) as partial:
+        try:
+            textures.save(partial, signal, sixteen_bit=True, note=f"drive of {actuator.name}, 1.0 is {volts:g} V")
+        except textures.TextureError as error:
+            raise textures.TextureError(str(error).replace(str(partial), str(out))) from error
+    click.echo(
+        f"{out}: {len(codes) / actuator.dac_rate_hz:.3f} s at {actuator.dac_rate_hz} Hz, {signal.channels} channel(s), "
+        f"1.0 is {volts:g} V at {actuator.name}"
+    )
+    click.echo(
+        f"clipped {limited.compensation_clipped}, limited by voltage {limited.voltage_limited}, slew "
+        f"{limited.slew_limited}, power {limited.power_limited} samples"
+    )
