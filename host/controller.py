@@ -4,7 +4,7 @@ import random
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from vibrocast.device_protocol.frames import DELIMITER, FrameReader, write_frame
 from vibrocast.device_protocol.messages import (
@@ -29,7 +29,9 @@ from vibrocast.device_protocol.messages import (
 from vibrocast.device_protocol.transports import Closing, DeviceGone, Transport, TransportError, selectable
 from vibrocast.host import event_loop
 from vibrocast.host.event_loop import Pause, Steps
-from vibrocast.output.sound_card import CardUse
+
+if TYPE_CHECKING:
+    from vibrocast.output.sound_card import CardUse
 
 # docs/reference/protocol.md, "Sequence numbers"
 ANSWER_TIMEOUT_S = 0.1
@@ -104,7 +106,7 @@ class Controller(Closing):
         self._transport.close()
 
     @property
-    def sound_card(self) -> CardUse | None:
+    def sound_card(self) -> "CardUse | None":
         """How the sound card plays that is this controller's DAC; None for any other controller."""
         use: CardUse | None = getattr(self._transport, "sound_card", None)
         return use

@@ -1,6 +1,11 @@
-"""Settings of every test: hypothesis tries the same examples everywhere and does not judge the machine's speed."""
+"""Settings of every test: hypothesis tries the same examples everywhere, and ignores the machine's speed; fixtures."""
 
 from hypothesis import HealthCheck, settings
+
+from tests.sound_server import mortal_sound_server as mortal_sound_server
+from tests.sound_server import pulseaudio as pulseaudio
+from tests.sound_server import sound_server as sound_server
+from tests.sound_server import sound_servers as sound_servers
 
 settings.register_profile("all", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("all")

@@ -42,7 +42,7 @@ def write(path: Path, recording: Recording, sixteen_bit: bool, note: str = "") -
 
     With 16 bits, full scale is the largest magnitude, or 1 for a signal in "full scale" that fits. With 32-bit floats
     the file holds the values themselves, and full scale is 1. `note` goes into the file's comment, for people. Raises
-    TextureError when the rate is not a whole number, OSError or soundfile.SoundFileError when the file cannot be written.
+    TextureError when the rate is not a whole number, OSError or soundfile.SoundFileError when it cannot be written.
     """
     if recording.rate_hz != int(recording.rate_hz):
         raise TextureError(f"{path}: a WAV file needs a whole number of hertz, not {recording.rate_hz}; resample first")
