@@ -88,8 +88,8 @@ class SamplePlayer(Closing):
 
     @property
     def underruns(self) -> int:
-        """How often the card had to wait for codes."""
-        return self._card.late
+        """How often the card had nothing to play."""
+        return self._card.underruns
 
     @property
     def _card(self) -> Playback:

@@ -1,6 +1,7 @@
 """Sound cards by miniaudio: finds them, plays DAC codes on them and records from them."""
 
 import contextlib
+import math
 import threading
 import time
 from collections import Counter, deque
@@ -28,6 +29,9 @@ _CAPTURE_PERIODS = 20
 _FIRST_S = 5.0
 _FIRST_BLOCKS = 8
 _LOST_S = 0.5
+# In each window, some block comes on time; clocks of cards differ by less than this in it.
+_WINDOW_S = 0.25
+_SKIP_S = 0.003
 # Of a recording that nobody reads, this much is kept.
 _UNREAD_S = 10.0
 
@@ -123,7 +127,9 @@ class _Stream(Closing):
         self._columns = [channel - 1 for channel in self.channels]
         self._failure: Exception | None = None
         self._stopped = False
-        self._blocks_done = 0
+        self._blocks_done = self._frames = 0
+        self._window_s = 0.0
+        self._behind_s = self._least_s = math.inf
         self._last_s: float | None = None
         self._started_s = time.monotonic()
         self._device: Any = None
@@ -155,16 +161,23 @@ class _Stream(Closing):
     def _note_stop(self) -> None:
         self._stopped = True
 
-    def _note_block(self) -> bool:
-        """Note that the card has asked; return whether it had to wait for longer than its buffer lasts."""
-        before_s, self._last_s = self._last_s, time.monotonic()
+    def _note_block(self, frames: int) -> bool:
+        """Note that the card asks for frames, or brings them; return whether it has skipped.
+
+        The system states no skips. But the card falls behind this computer's clock then, and stays behind.
+        """
+        self._last_s = now_s = time.monotonic()
         self._blocks_done += 1
-        # The first blocks fill the server's buffer, and then some servers pause.
-        return (
-            before_s is not None
-            and self._blocks_done > _FIRST_BLOCKS
-            and self._last_s - before_s > max(self.buffer_s, 2 * PERIOD_S)
-        )
+        if self._blocks_done <= _FIRST_BLOCKS:
+            self._window_s, self._least_s = now_s, math.inf
+            return False
+        self._frames += frames
+        self._least_s = min(self._least_s, now_s - self._frames / self.rate_hz)
+        if now_s - self._window_s < _WINDOW_S:
+            return False
+        behind_s, self._behind_s = self._least_s - self._behind_s, self._least_s
+        self._window_s, self._least_s = now_s, math.inf
+        return behind_s > _SKIP_S
 
     @property
     def waiting_s(self) -> float:
@@ -210,8 +223,8 @@ class Playback(_Stream):
     """Plays codes on some channels of a card, and silence on the others, until it is closed.
 
     `fill` is called with a number of frames from another thread, once a period, and returns codes int16 (frames,
-    channels) without waiting for anything. `channels` count from 1. `rate_hz`: None = that of the card. `late`: how
-    often the card had to wait for longer than its buffer lasts. Raises TransportError and MissingExtraError.
+    channels) without waiting. `channels` count from 1. `rate_hz`: None = that of the card. `underruns`: how
+    often the card had nothing to play, as far as its clock tells. Raises TransportError and MissingExtraError.
     """
 
     def __init__(
@@ -219,13 +232,13 @@ class Playback(_Stream):
     ) -> None:
         super().__init__(card, channels, rate_hz, _PLAYBACK_PERIODS)
         self._fill = fill
-        self.late = 0
+        self.underruns = 0
         self._start("PlaybackDevice", "SIGNED16", self._played())
 
     def _played(self) -> Generator[Codes | bytes, int, None]:
         frames = yield b""
         while True:
-            self.late += self._note_block()
+            self.underruns += self._note_block(frames)
             codes = np.zeros((frames, self._width), np.int16)
             if self._failure is None:
                 try:
@@ -254,7 +267,7 @@ class Capture(_Stream):
         while True:
             block = yield
             full = len(self._blocks) == self._blocks.maxlen
-            self.overruns += self._note_block() or full
+            self.overruns += self._note_block(len(block) // (4 * self._width)) or full
             self._blocks.append(bytes(block))
             self._arrived.set()
 

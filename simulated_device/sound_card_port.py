@@ -70,7 +70,7 @@ class SoundCardPort(RealTimePort):
             full_scale_volts=self._actuator.volts / 2,
             period_ms=1e3 * self._playback.period_s,
             latency_ms=1e3 * (LEAD_S + self._playback.buffer_s),
-            underruns=self._queue.underruns + self._playback.late,
+            underruns=self._queue.underruns + self._playback.underruns,
         )
 
     # ---- the host's end ----

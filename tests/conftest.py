@@ -1,4 +1,4 @@
-"""Settings of every test: hypothesis tries the same examples everywhere, and ignores the machine's speed; fixtures."""
+"""Settings of every test: hypothesis tries the same examples everywhere, whatever the speed; and fixtures."""
 
 from hypothesis import HealthCheck, settings
 

@@ -16,7 +16,7 @@ import pytest
 from numpy.typing import NDArray
 
 from vibrocast.output import sound_card
-from vibrocast.output.actuator import Codes
+from vibrocast.output.actuator import Codes, Samples
 
 PAD, HEADPHONES = "Gamepad", "Headphones"
 """Sinks: one as of a gamepad, with four channels at 48 kHz in int16; one with two at 44.1 kHz in float32."""
@@ -178,15 +178,12 @@ class Listener:
         """How often samples were lost."""
         return self._capture.overruns
 
-    def heard(self) -> Codes:
-        """Return what was played, int16 (n, channels), which must be whole codes."""
-        samples = np.concatenate(self._blocks) * 32768
-        codes = samples.astype(np.int16)
-        assert np.array_equal(codes, samples), "a server that scales or dithers"
-        return codes
+    def heard(self) -> Samples:
+        """Return what was played in codes, float64 (n, channels), which are whole where nothing scales or dithers."""
+        return np.concatenate(self._blocks).astype(np.float64) * 32768
 
 
-def position_of(codes: Codes, heard: Codes) -> int | None:
+def position_of(codes: Codes, heard: Samples) -> int | None:
     """Return the frame of `heard` (n, channels) from which on it equals `codes` (m, channels); None if none is."""
     at = int(np.argmax(np.abs(codes.astype(np.int64)).max(axis=1)))
     for candidate in np.flatnonzero((heard == codes[at]).all(axis=1)) - at:

@@ -8,10 +8,10 @@ import pytest
 
 from tests.sound_server import HEADPHONES, PAD, Listener, SoundServer, position_of
 from vibrocast.device_protocol.transports import DeviceGone, TransportError
-from vibrocast.output.actuator import Codes
+from vibrocast.output.actuator import Codes, Samples
 from vibrocast.output.sound_card import Capture, Playback, cards, find
 
-TRIES = 4
+TRIES = 10
 """A busy machine may let the server skip; then it is played again."""
 
 
@@ -44,7 +44,7 @@ def wait_until(condition: Callable[[], bool], seconds: float = 20.0) -> None:
         time.sleep(0.005)
 
 
-def heard_at(sink: str, channels: tuple[int, ...], codes: Codes) -> Codes:
+def heard_at(sink: str, channels: tuple[int, ...], codes: Codes) -> Samples:
     """Return all that the monitor of a sink hears while codes are played."""
     tape = Tape(codes)
     with Playback(find(sink), channels, tape.fill) as playback:
@@ -59,10 +59,16 @@ def noise(frames: int, channels: int) -> Codes:
     return np.random.default_rng(1).integers(-32768, 32768, (frames, channels), np.int16)
 
 
-@pytest.mark.parametrize(("sink", "channels"), [(PAD, (3, 4)), (PAD, (4, 1)), (HEADPHONES, (2,))])
-def test_codes_come_back_exactly_on_their_channels_alone(
-    sound_server: SoundServer, sink: str, channels: tuple[int, ...]
-) -> None:
+@pytest.mark.parametrize("channels", [(3, 4), (4, 1)])
+def test_codes_come_back_exactly_on_their_channels_alone(sound_server: SoundServer, channels: tuple[int, ...]) -> None:
+    come_back_exactly(PAD, channels)
+
+
+def test_codes_come_back_exactly_at_the_rate_of_the_card(pulseaudio: SoundServer) -> None:
+    come_back_exactly(HEADPHONES, (2,))
+
+
+def come_back_exactly(sink: str, channels: tuple[int, ...]) -> None:
     codes = noise(20_000, len(channels))
     columns = [channel - 1 for channel in channels]
     for _ in range(TRIES):

@@ -1,0 +1,127 @@
+"""Playing rendered signals: switching at the same frame without a gap, limits, and what was played."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.output.test_sound_card import TRIES, wait_until
+from tests.sound_server import PAD, Listener, SoundServer, position_of
+from vibrocast.output import sample_player
+from vibrocast.output.actuator import VOICE_COIL, Codes
+from vibrocast.output.sample_player import SamplePlayer
+from vibrocast.output.sound_card import Card, find
+
+ACTUATOR = replace(VOICE_COIL, dac_rate_hz=48_000)
+CARD = Card("imagined", 2, 48_000, True, "none", None)
+FADE = 240
+
+
+def tone(frequency_hz: float, seconds: float = 1.0) -> Codes:
+    time_s = np.arange(round(48_000 * seconds)) / 48_000
+    return np.round(8000 * np.sin(2 * np.pi * frequency_hz * time_s))[:, None].astype(np.int16)
+
+
+class StillCard:
+    """In place of Playback: the test asks for frames itself."""
+
+    buffer_s, period_s, underruns, gone = 0.03, 0.01, 0, True
+
+    def __init__(self, card: Card, channels: object, fill: object, rate_hz: int) -> None:
+        self.closed = False
+
+    def check(self) -> None: ...
+
+    def close(self) -> None:
+        self.closed = True
+
+
+@pytest.fixture
+def player(monkeypatch: pytest.MonkeyPatch) -> Iterator[SamplePlayer]:
+    monkeypatch.setattr(sample_player, "Playback", StillCard)
+    with SamplePlayer(CARD, (1,), ACTUATOR) as made:
+        yield made
+
+
+def test_a_signal_is_played_exactly_to_its_end(player: SamplePlayer) -> None:
+    player.start("a", tone(100, 0.1))
+    assert player.playing() == "a"
+    assert np.array_equal(player._fill(4800), tone(100, 0.1))
+    assert not player._fill(480).any()
+    assert player.playing() is None
+    (played,) = player.take_played()
+    assert (played.key, played.first, played.frames) == ("a", 0, 4800)
+    assert player.take_played() == []
+
+
+def test_a_switch_goes_on_at_the_same_frame_within_the_slew_limit(player: SamplePlayer) -> None:
+    a, b = tone(100), -tone(300)
+    player.start("a", a)
+    first = player._fill(1000)
+    player.switch("b", b)
+    second = player._fill(1000)
+    both = np.concatenate([first, second]).astype(np.int64)
+    assert np.array_equal(first, a[:1000])
+    assert np.array_equal(second[FADE:], b[1000 + FADE : 2000])
+    share = (1 + np.arange(FADE))[:, None] / FADE
+    assert np.abs(second[:FADE] - ((1 - share) * a[1000 : 1000 + FADE] + share * b[1000 : 1000 + FADE])).max() <= 1
+    assert np.abs(np.diff(both, axis=0)).max() <= ACTUATOR.code_step_limit
+    assert player.playing() == "b"
+    assert [(each.key, each.first, each.frames) for each in player.take_played()] == [("a", 0, 1000)]
+
+
+@pytest.mark.parametrize("step_limit_volts_per_second", [1e3, 1e4])
+def test_any_switching_keeps_the_limits(player: SamplePlayer, step_limit_volts_per_second: float) -> None:
+    actuator = replace(ACTUATOR, slew_volts_per_second=step_limit_volts_per_second)
+    random = np.random.default_rng(0)
+    with SamplePlayer(CARD, (1,), actuator) as made:
+        signals = [tone(hz) for hz in (50, 170, 400)]
+        out = []
+        for number in range(60):
+            signal = signals[random.integers(3)]
+            (made.start if number % 5 == 0 else made.switch)("s", signal)
+            if number % 7 == 6:
+                made.stop()
+            out.append(made._fill(int(random.integers(1, 400))))
+        made.stop()
+        out.append(made._fill(48_000))
+    played = np.concatenate(out).astype(np.int64)
+    assert np.abs(np.diff(played, axis=0, prepend=0)).max() <= actuator.code_step_limit
+    assert np.abs(played).max() <= 8000
+    assert played[-1] == 0
+
+
+def test_a_stop_ramps_down_and_states_the_frames(player: SamplePlayer) -> None:
+    player.start("a", np.full((48_000, 1), 5000, np.int16), offset=7)
+    rising = player._fill(1000)[:, 0]
+    assert rising[0] < 100 and (np.diff(rising) >= 0).all() and rising[-1] == 5000
+    player.stop()
+    falling = player._fill(1000)[:, 0]
+    assert (np.diff(falling) <= 0).all() and not falling[FADE:].any()
+    assert [(each.first, each.frames) for each in player.take_played()] == [(7, 1000)]
+
+
+def test_on_a_card_a_switch_leaves_no_gap(sound_server: SoundServer) -> None:
+    a, b = tone(200)[:20_000].repeat(2, axis=1), -tone(310)[:20_000].repeat(2, axis=1)
+    for _ in range(TRIES):
+        with SamplePlayer(find(PAD), (3, 4), ACTUATOR) as player:
+            player._card.wait_for_begin()
+            with Listener(PAD) as listener:
+                player.start("a", a)
+                wait_until(lambda: player.position() > 5000)
+                player.switch("b", b)
+                wait_until(lambda: player.playing() is None)
+            first, second = player.take_played()
+        at = second.first
+        assert (first.key, first.first, first.frames, second.key) == ("a", 0, at, "b")
+        assert second.frames == 20_000 - at
+        share = np.minimum(1, (1 + np.arange(20_000 - at)) / FADE)[:, None]
+        # Whole codes: numbers are cut off towards zero.
+        expected = np.concatenate([a[:at], np.trunc((1 - share) * a[at:] + share * b[at:]).astype(np.int16)])
+        heard = listener.heard()
+        if position_of(expected, heard[:, 2:]) is not None:
+            break
+    else:
+        raise AssertionError("not heard exactly")
+    assert not heard[:, :2].any()
