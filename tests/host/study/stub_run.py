@@ -55,9 +55,12 @@ def mushra(number: int = 1, sliders: int = 5) -> Trial:
 
 
 class StubRun:
-    """Leads through screens. `file`: keeps the number of screens passed and the answers over a restart."""
+    """Leads through screens.
 
-    def __init__(self, screens: Sequence[Screen], file: Path | None = None, seconds: float = 0.1) -> None:
+    `file`: keeps the number of screens passed and the answers over a restart. `seconds`: for which a texture plays.
+    """
+
+    def __init__(self, screens: Sequence[Screen], file: Path | None = None, seconds: float = 60.0) -> None:
         self.screens = [*screens, END]
         self.file = file
         self.seconds = seconds
@@ -115,11 +118,12 @@ class StubRun:
             self._changes += 1
             begin = time.monotonic()
             self._timeline = []
+            seconds = 0.1 if current.in_order else self.seconds
             for each in labels if current.in_order else [label]:
-                self._timeline.append((each, begin, begin + self.seconds))
+                self._timeline.append((each, begin, begin + seconds))
                 self._plays[each] = self._plays.get(each, 0) + 1
                 self.actuator.append(each)
-                begin += self.seconds + current.pause_s
+                begin += seconds + current.pause_s
 
     def stop_playing(self) -> None:
         with self._lock:

@@ -19,6 +19,11 @@ pytest.importorskip("starlette", reason="needs the extra [study]")
 
 from vibrocast.host.study.server import CALL_THE_EXPERIMENTER, Aids, StudyPages, serve
 
+@pytest.fixture(autouse=True)
+def no_lingering(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vibrocast.host.study.server._LINGER_S", 0.1)
+
+
 SCREENS: tuple[Screen, ...] = (WELCOME, Question("age", "Your age?"), trial(1), Break(60.0, 1, 3), mushra(2))
 
 
@@ -302,7 +307,7 @@ def served(run: Run, leave: Callable[[], None]) -> Iterator[list[str]]:
 
 
 def test_serving_ends_with_the_run_and_the_actuator_rests() -> None:
-    run = StubRun([trial(1)], seconds=60.0)
+    run = StubRun([trial(1)])
     with served(run, run.abort) as (participant, experimenter), httpx.Client(base_url=participant) as client:
         screen = client.get("/api/screen").json()["screen"]["id"]
         assert client.post("/api/play", json={"screen": screen, "label": "A"}).status_code == 200
