@@ -77,7 +77,7 @@ class _Nothing(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class Aids:
-    """What the participant's page adds to a trial.
+    """Sound and pace with which the participant's page goes along with a trial.
 
     Attributes:
         masking_noise_dbfs: RMS level of white noise, re the full scale of the headphones' sound card. None: no noise.

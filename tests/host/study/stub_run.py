@@ -1,13 +1,16 @@
 """A run of given screens, with an actuator that only notes when it moves and rests: stands in for a real session."""
 
 import json
+import shutil
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 from vibrocast.host.controller import ControllerError
+from vibrocast.host.study.server import Aids, serve
 from vibrocast.host.study.trials import (
     Break,
     Choices,
@@ -47,11 +50,18 @@ def trial(number: int = 1, labels: Sequence[str] = "AB", total: int | None = 3, 
     return replace(made, **others)  # type: ignore[arg-type]
 
 
-def mushra(number: int = 1, sliders: int = 5) -> Trial:
+def mushra(number: int = 1, sliders: int = 5, total: int | None = 9) -> Trial:
     """Return a trial with a reference and sliders."""
     labels = "ABCDEFGHIJ"[:sliders]
     words = ("bad", "poor", "fair", "good", "excellent")
-    return trial(number, ["reference", *labels], response=Sliders(tuple(labels), 0, 100, words), switches=True)
+    return trial(
+        number,
+        ["reference", *labels],
+        total,
+        question="How good is each texture, compared with the reference?",
+        response=Sliders(tuple(labels), 0, 100, words),
+        switches=True,
+    )
 
 
 class StubRun:
@@ -67,6 +77,7 @@ class StubRun:
         self.answers: list[tuple[int, ...]] = []
         self.replies: list[str] = []
         self.actuator: list[str] = []  # "A" where it begins to move, "rest" where it was brought to rest
+        self.warnings: tuple[str, ...] = ()
         self.fails: Exception | None = None
         self._lock = threading.RLock()
         self._index = 0
@@ -181,14 +192,14 @@ class StubRun:
                 participant=7,
                 screen=type(screen).__name__.lower(),
                 trial=screen.number if isinstance(screen, Trial) else 0,
-                total=3,
+                total=screen.total if isinstance(screen, Trial) else 3,
                 block=1,
                 paused=self._paused,
                 ended=screen == END,
                 now_playing=playing[0] if playing else None,
                 level_db=23.4 if playing else None,
-                device="sim: stub",
-                warnings=() if self.fails is None else ("the device is gone",),
+                device="serial:/dev/ttyACM0",
+                warnings=self.warnings,
             )
 
     def _trial(self) -> Trial:
@@ -206,3 +217,30 @@ class StubRun:
 
 
 LOST = ControllerError("serial:/dev/ttyACM0 does not answer; check its cable")
+
+
+@contextmanager
+def served(run: StubRun, aids: Aids | None = None) -> Iterator[tuple[str, str]]:
+    """Serve a run in a thread; yield the addresses of participant and experimenter. The run ends with the block."""
+    lines: list[str] = []
+    both = threading.Event()
+
+    def say(line: str) -> None:
+        lines.append(line.split(": ", 1)[1])
+        if len(lines) == 2:
+            both.set()
+
+    thread = threading.Thread(target=serve, args=(run,), kwargs={"port": 0, "aids": aids or Aids(), "say": say})
+    thread.start()
+    try:
+        assert both.wait(20)
+        yield lines[0], lines[1]
+    finally:
+        run.abort()
+        thread.join(20)
+        assert not thread.is_alive()
+
+
+def chromium() -> str | None:
+    """Return the path of Chromium; None where it is not installed."""
+    return next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)

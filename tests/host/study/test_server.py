@@ -3,8 +3,7 @@
 import asyncio
 import json
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import time
 from typing import Any
 
 import httpx
@@ -12,12 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.host.study.stub_run import CONDITIONS, LOST, WELCOME, StubRun, mushra, trial
-from vibrocast.host.study.trials import Break, Question, Run, Screen, StudyError
-
-pytest.importorskip("starlette", reason="needs the extra [study]")
-
+from tests.host.study.stub_run import CONDITIONS, LOST, WELCOME, StubRun, mushra, served, trial
 from vibrocast.host.study.server import CALL_THE_EXPERIMENTER, Aids, StudyPages, serve
+from vibrocast.host.study.trials import Break, Message, Question, Run, Screen, StudyError
+
 
 @pytest.fixture(autouse=True)
 def no_lingering(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -125,18 +122,25 @@ def test_a_second_answer_changes_nothing() -> None:
     assert client.post("/api/play", json={"screen": first, "label": "A"}).status_code == 409
 
 
-def test_answers_at_the_same_time_count_once() -> None:
-    run = StubRun([trial(number) for number in range(1, 9)])
+class SlowRun(StubRun):
+    """A run in which others may come between the look at a screen and the act that follows."""
+
+    def screen(self) -> Screen:
+        screen = super().screen()
+        time.sleep(0.02)
+        return screen
+
+
+def test_presses_at_the_same_time_count_once() -> None:
+    run = SlowRun([Message("instructions", str(number), "Read.") for number in range(9)])
     client = Client(run)
-    body = {"screen": client.screen()["screen"]["id"], "values": [2]}
-    for label in "AB":
-        client.act("play", label=label)
-    threads = [threading.Thread(target=client.post, args=("/api/answer",), kwargs={"json": body}) for _ in range(8)]
+    body = {"screen": client.screen()["screen"]["id"]}
+    threads = [threading.Thread(target=client.post, args=("/api/go_on",), kwargs={"json": body}) for _ in range(6)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    assert run.answers == [(2,)]
+    assert client.screen()["screen"]["title"] == "1"
 
 
 @pytest.mark.parametrize("loss", [LOST, OSError(28, "No space left on device")], ids=["device", "disk"])
@@ -284,31 +288,9 @@ def test_another_process_has_another_version() -> None:
     assert Client(StubRun([trial(1)])).screen()["version"] != Client(StubRun([trial(1)])).screen()["version"]
 
 
-@contextmanager
-def served(run: Run, leave: Callable[[], None]) -> Iterator[list[str]]:
-    """Serve a run in a thread; yield its addresses. `leave` ends it."""
-    lines: list[str] = []
-    both = threading.Event()
-
-    def say(line: str) -> None:
-        lines.append(line.split(": ", 1)[1])
-        if len(lines) == 2:
-            both.set()
-
-    thread = threading.Thread(target=serve, args=(run,), kwargs={"port": 0, "say": say})
-    thread.start()
-    assert both.wait(20)
-    try:
-        yield lines
-    finally:
-        leave()
-        thread.join(20)
-        assert not thread.is_alive()
-
-
 def test_serving_ends_with_the_run_and_the_actuator_rests() -> None:
     run = StubRun([trial(1)])
-    with served(run, run.abort) as (participant, experimenter), httpx.Client(base_url=participant) as client:
+    with served(run) as (participant, experimenter), httpx.Client(base_url=participant) as client:
         screen = client.get("/api/screen").json()["screen"]["id"]
         assert client.post("/api/play", json={"screen": screen, "label": "A"}).status_code == 200
         assert client.get(experimenter).status_code == 200
@@ -318,7 +300,7 @@ def test_serving_ends_with_the_run_and_the_actuator_rests() -> None:
 
 def test_an_address_in_use_is_one_line() -> None:
     run = StubRun([trial(1)])
-    with served(run, run.abort) as (participant, _):
+    with served(run) as (participant, _):
         port = int(participant.rstrip("/").rsplit(":", 1)[1])
         with pytest.raises(StudyError, match=f"cannot serve pages at 127.0.0.1, port {port}"):
             serve(StubRun([trial(1)]), port=port)
