@@ -27,6 +27,7 @@ from vibrocast.host.controller import Controller, ControllerError
 
 if TYPE_CHECKING:
     from vibrocast.output.actuator import Actuator
+    from vibrocast.output.sound_card import Card
     from vibrocast.simulated_device.controller import Controller as SimulatedController
     from vibrocast.simulated_device.cortex_m import CortexM
     from vibrocast.simulated_device.stm32f405 import Stm32F405
@@ -125,7 +126,7 @@ def reach(address: str, runtime: str | None = None, actuator: "Actuator | None" 
             else:
                 usb_port = UsbPort(simulated(runtime, actuator))
                 transport = UsbTransport(VENDOR_ID, PRODUCT_ID, stack.enter_context(usb_port))
-        elif address.startswith("audio:"):
+        elif is_sound_card(address):
             transport = _sound_card(address, runtime, actuator)
         else:
             transport = open_transport(address)
@@ -141,9 +142,14 @@ def simulated(runtime: str | None = None, actuator: "Actuator | None" = None) ->
     return Controller(settings if actuator is None else replace(settings, actuator=actuator))
 
 
+def is_sound_card(address: str) -> bool:
+    """Return whether an address names a sound card."""
+    return address.startswith("audio:")
+
+
 def takes_actuator(address: str) -> bool:
     """Return whether the controller at an address can be given any actuator; all others have theirs compiled in."""
-    return address in ("sim", "sim-usb") or address.startswith("audio:")
+    return address in ("sim", "sim-usb") or is_sound_card(address)
 
 
 def on_sound_card(actuator: "Actuator", rate_hz: int, full_scale_volts: float | None = None) -> "Actuator":
@@ -154,7 +160,7 @@ def on_sound_card(actuator: "Actuator", rate_hz: int, full_scale_volts: float | 
 
 def behind_dac(address: str, actuator: "Actuator", dac: ActuatorDescription) -> "Actuator":
     """Return an actuator with the DAC that the controller at an address describes; of a sound card, with its volts."""
-    if address.startswith("audio:"):
+    if is_sound_card(address):
         actuator = actuator.with_full_scale(_volts(address, actuator))
     return replace(actuator, dac_bits=dac.dac_bits, dac_rate_hz=dac.dac_rate_hz)
 
@@ -185,10 +191,12 @@ def _volts(address: str, actuator: "Actuator") -> float:
     return volts
 
 
-def _sound_card(address: str, runtime: str | None, actuator: "Actuator | None") -> Transport:
-    """Return the controller on a sound card, not yet running. Raises TransportError and MissingExtraError."""
+def sound_card_of(address: str, actuator: "Actuator | None") -> "tuple[Card, tuple[int, ...], Actuator]":
+    """Return the card at an address, its channels from 1, and the actuator as the card drives it.
+
+    Raises TransportError and MissingExtraError.
+    """
     from vibrocast.output import sound_card
-    from vibrocast.simulated_device.sound_card_port import SoundCardPort
 
     if actuator is None:
         raise TransportError(
@@ -202,8 +210,16 @@ def _sound_card(address: str, runtime: str | None, actuator: "Actuator | None") 
     channels = [int(number) for number in match["channels"].split(",")] if match["channels"] else list(all_channels)
     if len(channels) > _CARD_CHANNELS:
         raise TransportError(f"{address}: {len(channels)} channels; name at most {_CARD_CHANNELS}")
+    return card, tuple(channels), on_sound_card(actuator, card.rate_hz, volts)
+
+
+def _sound_card(address: str, runtime: str | None, actuator: "Actuator | None") -> Transport:
+    """Return the controller on a sound card, not yet running. Raises TransportError and MissingExtraError."""
+    from vibrocast.simulated_device.sound_card_port import SoundCardPort
+
+    card, channels, driven = sound_card_of(address, actuator)
     try:
-        return SoundCardPort(card, channels, on_sound_card(actuator, card.rate_hz, volts), runtime)
+        return SoundCardPort(card, channels, driven, runtime)
     except (ValueError, OverflowError) as error:
         raise TransportError(
             f"{address}: no controller can drive this actuator at {card.rate_hz} Hz: {error}"

@@ -81,6 +81,10 @@ class SamplePlayer(Closing):
         self._playback: Playback | None = None
         self._playback = Playback(card, channels, self._fill, actuator.dac_rate_hz)
 
+    def wait_for_begin(self) -> None:
+        """Wait until the card plays, which may swallow what is sent before. Raises TransportError."""
+        self._card.wait_for_begin()
+
     @property
     def latency_s(self) -> float:
         """The time from a call to the output: a period and the card's buffer."""

@@ -209,7 +209,7 @@ class _Stream(Closing):
             )
 
     def close(self) -> None:
-        """Stop the card after it has played all that it has taken; may be called again."""
+        """Release the card; may be called again."""
         device, self._device = self._device, None
         if device is not None:
             context = device._context
@@ -246,6 +246,12 @@ class Playback(_Stream):
                 except Exception as failure:  # no exception may reach the thread of the card: `check` raises it
                     self._failure = failure
             frames = yield codes
+
+    def close(self) -> None:
+        """Release the card after it has played all that it has taken; may be called again."""
+        if self._device is not None and not self.gone:
+            time.sleep(self.buffer_s + self.period_s)  # closing throws away what is still in the buffer
+        super().close()
 
 
 class Capture(_Stream):

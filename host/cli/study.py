@@ -220,9 +220,17 @@ def participant_folder(out: Path, participant: int) -> Path:
 @contextlib.contextmanager
 def open_player(address: str, actuator: Actuator, prepared: tuple[Stimulus, ...]) -> Iterator[StimulusPlayer]:
     """Open a device for a study, and prepare it for all stimuli. Raises ControllerError, TransportError."""
-    from vibrocast.host.study.device_player import ControllerPlayer
+    from vibrocast.host.study.device_player import CardPlayer, ControllerPlayer
 
+    if devices.is_sound_card(address):
+        player = CardPlayer(*devices.sound_card_of(address, actuator))
+        try:
+            player.prepare(prepared)
+            yield player
+        finally:
+            player.close()
+        return
     with devices.connect(address, actuator=actuator) as controller:
-        player = ControllerPlayer(controller)
-        player.prepare(prepared)
-        yield player
+        on_controller = ControllerPlayer(controller)
+        on_controller.prepare(prepared)
+        yield on_controller

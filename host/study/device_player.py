@@ -1,10 +1,12 @@
-"""Plays the stimuli of a study on a controller, or nowhere: the same interface for the session."""
+"""Plays the stimuli of a study on a controller, on a sound card or nowhere: one interface for the session."""
 
 import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+
+import numpy as np
 
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import Stream
@@ -16,6 +18,10 @@ from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.stream_session import check_limits, configure_steps
 from vibrocast.host.study.stimuli import UNCODED_SNR_DB, stream_sha256
 from vibrocast.host.study.trials import Played, Stimulus, StimulusPlayer
+from vibrocast.output.actuator import Actuator, Codes
+from vibrocast.output.rendering import render
+from vibrocast.output.sample_player import SamplePlayer
+from vibrocast.output.sound_card import Card
 
 # A controller that has not come to rest after this time is given up; its watchdog stops it.
 _STOP_WITHIN_S = 5.0
@@ -159,6 +165,94 @@ class ControllerPlayer(StimulusPlayer):
                     seconds=time.monotonic() - begun_s,
                 )
             )
+
+
+class CardPlayer(StimulusPlayer):
+    """Plays on a sound card: each stimulus is rendered once, by the integer code of controllers, at the card's rate.
+
+    `switch` goes on at the same place without a gap. `actuator` is the one behind the card, whose DAC is the card;
+    `channels` are the card's, from 1: a stimulus of one channel plays on all of them. Raises TransportError and
+    MissingExtraError.
+    """
+
+    def __init__(self, card: Card, channels: Sequence[int], actuator: Actuator) -> None:
+        self._actuator, self._channels = actuator, len(channels)
+        self._samples = SamplePlayer(card, channels, actuator)
+        self._rendered: dict[str, tuple[Codes, int]] = {}
+        self._known: dict[str, Stimulus] = {}
+        self._underruns = self._samples.underruns
+
+    def prepare(self, stimuli: Sequence[Stimulus]) -> None:
+        """Render each stimulus, and wait until the card plays. Raises as `start`.
+
+        Raises ControllerError for a stimulus that the card's channels cannot play.
+        """
+        self._samples.wait_for_begin()
+        for stimulus in stimuli:
+            self._codes(stimulus)
+
+    def start(self, stimulus: Stimulus) -> None:
+        """Play from the beginning; the one before fades out meanwhile. Raises TransportError."""
+        self._samples.start(*self._codes(stimulus))
+
+    def switch(self, stimulus: Stimulus) -> None:
+        """Go on at the same place in another stimulus. Raises TransportError."""
+        self._samples.switch(*self._codes(stimulus))
+
+    def stop(self) -> None:
+        """Bring the output to rest."""
+        self._samples.stop()
+
+    def playing(self) -> str | None:
+        """Return the key of the stimulus that plays, None at rest. Raises TransportError if the card is gone."""
+        sha256 = self._samples.playing()
+        return None if sha256 is None else self._known[sha256].key
+
+    def take_played(self) -> list[Played]:
+        """Return what has been played since the last call."""
+        underruns, before = self._samples.underruns, self._underruns
+        self._underruns = underruns
+        taken = []
+        for each in self._samples.take_played():
+            stimulus = self._known[each.key]
+            begun_utc = datetime.fromtimestamp(each.started_s, UTC)
+            taken.append(
+                Played(
+                    stimulus=stimulus.key,
+                    stream_sha256=each.key,
+                    started_utc=begun_utc.isoformat(timespec="microseconds"),
+                    latency_ms=1000 * self._samples.latency_s,
+                    gain_db=stimulus.gain_db,
+                    limited=self._rendered[each.key][1],
+                    underruns=underruns - before,
+                    seconds=each.frames / self._actuator.dac_rate_hz,
+                )
+            )
+        return taken
+
+    def close(self) -> None:
+        """Bring the output to rest, and release the card."""
+        self._samples.close()
+
+    def _codes(self, stimulus: Stimulus) -> tuple[str, Codes]:
+        """Return the hash of a stimulus and its codes int16 (n, channels), rendered once. Raises ControllerError."""
+        stream = stimulus.stream
+        sha256 = stream_sha256(stream)
+        if sha256 not in self._rendered:
+            if stream.header.channels not in (1, self._channels):
+                raise ControllerError(
+                    f"{stimulus.key}: {stream.header.channels} channels on {self._channels} of the sound card; name as "
+                    "many in its address"
+                )
+            delay = stream.decoder().delay_samples
+            codes, counts = render(stream.header, stream.decode_integers(), delay, self._actuator, loops=stimulus.loops)
+            limits = counts.compensation_clipped, counts.voltage_limited, counts.slew_limited, counts.power_limited
+            self._rendered[sha256] = (
+                np.ascontiguousarray(np.broadcast_to(codes, (len(codes), self._channels))),
+                sum(limits),
+            )
+        self._known[sha256] = stimulus
+        return sha256, self._rendered[sha256][0]
 
 
 def _carried(stream: Stream) -> Stream:

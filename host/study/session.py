@@ -121,12 +121,6 @@ class Session(Run):
         with self._changed:
             return self._version
 
-    def wait_for_change(self, version: int, seconds: float) -> int:
-        """Return the version once it is another one, or after some seconds."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._version != version, seconds)
-            return self._version
-
     @property
     def has_ended(self) -> bool:
         """Whether nothing is left to do."""

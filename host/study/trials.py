@@ -229,9 +229,6 @@ class Run(Protocol):
     def plays(self) -> Mapping[str, int]:
         """Return how often each label of the present trial was played."""
 
-    def wait_for_change(self, version: int, seconds: float) -> int:
-        """Return the version once it is another one, or after some seconds."""
-
     def state(self) -> State:
         """Return what the experimenter sees."""
 
