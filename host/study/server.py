@@ -205,6 +205,10 @@ class StudyPages:
 
         return endpoint
 
+    def _rest(self) -> None:
+        if not self._run.state().paused:
+            self._run.pause()
+
     def _resume(self) -> None:
         self._run.resume()
         self._fault = None
@@ -219,7 +223,7 @@ class StudyPages:
             await asyncio.sleep(_POLL_S)
 
     async def _try(self, act: Callable[[], bool | None], shown: str | None = None) -> bool | None:
-        """Return what an action gives. A failure of device or disk shows to the experimenter.
+        """Return what an action gives. A failure of device or disk pauses the run, and shows to the experimenter.
 
         `shown`: in place of the reason, for the participant.
         """
@@ -229,6 +233,7 @@ class StudyPages:
             raise HTTPException(422, plain(str(reason))) from reason
         except (ControllerError, OSError) as reason:  # TransportError is an OSError
             self._fault = plain(str(reason))
+            await run_in_threadpool(self._rest)
             raise HTTPException(503, shown or self._fault) from reason
 
     def _page(self, name: str) -> Callable[[Request], Awaitable[Response]]:

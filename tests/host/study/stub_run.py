@@ -123,8 +123,7 @@ class StubRun:
             if current.max_plays is not None and self._plays.get(label, 0) >= current.max_plays:
                 raise Rejected(f"{label} cannot be played again")
             if self.fails is not None:
-                self._paused = True
-                self._changes += 1
+                self._paused = isinstance(self.fails, ControllerError)
                 raise self.fails
             self._changes += 1
             begin = time.monotonic()
