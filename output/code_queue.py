@@ -26,6 +26,7 @@ class CodeQueue:
         self._last = np.zeros(channels, np.int64)
         self._fall = np.zeros(channels, np.int64)  # codes by which the output falls with each frame, 0: it does not
         self._faded = self._fade_frames
+        self._starved = False
         self.playing = False
         self.underruns = 0
         self.taken = 0
@@ -50,7 +51,8 @@ class CodeQueue:
             if not self._fall.any():
                 at += self._move(codes[at:])
                 if at < frames and (self.playing or self._last.any()):
-                    self.underruns += self.playing
+                    self.underruns += self.playing and not self._starved
+                    self._starved = True
                     self._faded = 0
                     self._fall = np.minimum(-(-np.abs(self._last) // self._fade_frames), self._step)
                     self._descend(codes[at:], self._fall)
@@ -74,6 +76,7 @@ class CodeQueue:
             self._faded += fading
             codes[:at] = within_slew(codes[:at], self._last, self._step)
         if at:
+            self._starved = False
             self._last = codes[at - 1].astype(np.int64)
         return at
 

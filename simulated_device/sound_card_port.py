@@ -5,7 +5,7 @@ import math
 import select
 import socket
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Self
 
 import numpy as np
@@ -19,6 +19,10 @@ from vibrocast.simulated_device.real_time import PERIOD_S, RealTimePort
 
 # Codes wait this long for the card, so that a busy computer may make them late.
 LEAD_S = 0.02
+
+# The clock follows the card's in this time, and jumps where it is farther off.
+_SMOOTHING_S = 0.25
+_FAR_PERIODS = 1.5
 
 _READ_BYTES = 65_536
 _WRITE_TIMEOUT_S = 1.0
@@ -151,12 +155,15 @@ class _CardController:
     is set before the clock is read.
     """
 
-    def __init__(self, settings: Settings, queue: CodeQueue) -> None:
+    def __init__(self, settings: Settings, queue: CodeQueue, monotonic: Callable[[], float] = time.monotonic) -> None:
         self.playback: Playback | None = None
         self._rate_hz = settings.actuator.dac_rate_hz
         self._channels = settings.channels
         self._queue = queue
         self._due = self._made = 0
+        self._monotonic = monotonic
+        self._read_s = monotonic()
+        self._frames = 0.0
         self._playing = False
         self._codes: list[Codes] = []
         self._controller = Controller(settings, on_dac=self._codes.append)
@@ -165,11 +172,24 @@ class _CardController:
         """Return the controller's time. Raises DeviceGone if the card is gone, and what its thread has raised."""
         assert self.playback is not None
         self.playback.check()
-        # The card takes frames a period at a time; between that, this computer's clock tells how far it is.
-        ahead_s = LEAD_S + min(self.playback.waiting_s, self.playback.period_s)
-        self._due = max(self._due, self._queue.taken + math.floor(ahead_s * self._rate_hz))
+        self._follow(self.playback)
+        self._due = max(self._due, math.floor(self._frames + LEAD_S * self._rate_hz))
         # Rounded up, so that the controller, which rounds down, comes to the same frame.
         return -(-self._due * 1_000_000 // self._rate_hz)
+
+    def _follow(self, playback: Playback) -> None:
+        """Move on as this computer's clock does, drawn to the frames that the card has taken, which come in blocks.
+
+        A first-order delay-locked loop; Adriaensen, Using a DLL to filter time, Linux Audio Conference 2005, has one of
+        second order. A card that stalls, or jumps by more than its period, takes the clock with it at once.
+        """
+        now_s = self._monotonic()
+        passed_s, self._read_s = now_s - self._read_s, now_s
+        measured = self._queue.taken + min(playback.waiting_s, playback.period_s) * self._rate_hz
+        self._frames += passed_s * self._rate_hz
+        error = measured - self._frames
+        far = abs(error) > _FAR_PERIODS * playback.period_s * self._rate_hz
+        self._frames += error if far else error * min(1.0, passed_s / _SMOOTHING_S)
 
     def receive(self, data: bytes, now_us: int) -> None:
         """Take bytes from the host."""
