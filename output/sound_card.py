@@ -2,11 +2,13 @@
 
 import contextlib
 import math
+import sys
 import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,6 +31,10 @@ _CAPTURE_PERIODS = 20
 _FIRST_S = 5.0
 _FIRST_BLOCKS = 8
 _LOST_S = 0.5
+# The monitor of a card that is idle may bring samples every two seconds.
+_LOST_RECORDING_S = 3.0
+# What ALSA calls its device without a card.
+_NO_CARD = "Discard all samples"
 # In each window, some block comes on time; clocks of cards differ by less than this in it.
 _WINDOW_S = 0.25
 _SKIP_S = 0.003
@@ -117,7 +123,7 @@ def find(name: str, recording: bool = False) -> Card:
 class _Stream(Closing):
     """What playback and capture share: the open card, its end, and the errors that say why it ended."""
 
-    def __init__(self, card: Card, channels: Sequence[int], rate_hz: int | None, periods: int) -> None:
+    def __init__(self, card: Card, channels: Sequence[int], rate_hz: int | None, periods: int, lost_s: float) -> None:
         self.card = card
         self.channels = _checked_channels(card, channels)
         self.rate_hz = rate_hz or card.rate_hz
@@ -134,6 +140,7 @@ class _Stream(Closing):
         self._started_s = time.monotonic()
         self._device: Any = None
         self._periods = periods
+        self._lost_s = lost_s
 
     def _start(self, kind: str, sample_format: str, work: Generator[Any, Any, None]) -> None:
         miniaudio = _miniaudio()
@@ -188,7 +195,7 @@ class _Stream(Closing):
     def gone(self) -> bool:
         """Whether the card takes or brings samples no more."""
         silent_s = time.monotonic() - (self._last_s or self._started_s)
-        return self._stopped or silent_s > (_LOST_S if self._blocks_done >= _FIRST_BLOCKS else _FIRST_S)
+        return self._stopped or silent_s > (self._lost_s if self._blocks_done >= _FIRST_BLOCKS else _FIRST_S)
 
     def wait_for_begin(self) -> None:
         """Wait until the card asks regularly. Raises TransportError after some seconds, as `check`."""
@@ -230,7 +237,7 @@ class Playback(_Stream):
     def __init__(
         self, card: Card, channels: Sequence[int], fill: Callable[[int], Codes], rate_hz: int | None = None
     ) -> None:
-        super().__init__(card, channels, rate_hz, _PLAYBACK_PERIODS)
+        super().__init__(card, channels, rate_hz, _PLAYBACK_PERIODS, _LOST_S)
         self._fill = fill
         self.underruns = 0
         self._start("PlaybackDevice", "SIGNED16", self._played())
@@ -263,7 +270,7 @@ class Capture(_Stream):
     """
 
     def __init__(self, card: Card, channels: Sequence[int], rate_hz: int | None = None) -> None:
-        super().__init__(card, channels, rate_hz, _CAPTURE_PERIODS)
+        super().__init__(card, channels, rate_hz, _CAPTURE_PERIODS, _LOST_RECORDING_S)
         self.overruns = 0
         self._blocks: deque[bytes] = deque(maxlen=round(_UNREAD_S / PERIOD_S))
         self._arrived = threading.Event()
@@ -315,8 +322,11 @@ def _miniaudio() -> Any:
 
 def _backends(miniaudio: Any) -> list[Any]:
     """Return the interfaces that lead to a card, in the order in which miniaudio prefers them."""
-    without_card = {miniaudio.Backend.NULL, miniaudio.Backend.CUSTOM}
-    return sorted(miniaudio.get_enabled_backends() - without_card, key=lambda backend: int(backend.value))
+    names = {"win32": ["WASAPI"], "darwin": ["COREAUDIO"]}.get(sys.platform, ["PULSEAUDIO"])
+    # Without a card, ALSA complains on stderr.
+    if Path("/dev/snd").exists():
+        names.append("ALSA")
+    return [miniaudio.Backend[name] for name in names]
 
 
 def _context(miniaudio: Any) -> tuple[Any, str]:
@@ -348,6 +358,8 @@ def _listed(miniaudio: Any, context: Any, backend: str, recording: bool) -> list
             rate_hz = _USUAL_RATE_HZ if _USUAL_RATE_HZ in rates_hz or not rates_hz else max(rates_hz)
             identifier = ffi.new("ma_device_id *", info.id)
             name = _text(ffi, info.name)
+            if name.startswith(_NO_CARD):
+                continue
             names[name] += 1
             name = name if names[name] == 1 else f"{name} ({names[name]})"
             found.append(Card(name, channels, rate_hz, bool(info.isDefault), backend, identifier))

@@ -55,7 +55,16 @@ class SoundServer:
         command = ["dbus-run-session", "--", "sh", "-c", _PIPEWIRE]
         if kind == "PulseAudio":
             module = f"module-native-protocol-unix socket={socket} auth-anonymous=1"
-            command = ["pulseaudio", "-n", "--daemonize=no", "--exit-idle-time=-1", "--use-pid-file=no", "-L", module]
+            command = [
+                "pulseaudio",
+                "-n",
+                "--daemonize=no",
+                "--exit-idle-time=-1",
+                "--use-pid-file=no",
+                "--no-cpu-limit",
+                "-L",
+                module,
+            ]
         # A group of processes of its own, which ends as a whole.
         self._process = subprocess.Popen(
             command,
@@ -177,6 +186,12 @@ class Listener:
     def overruns(self) -> int:
         """How often samples were lost."""
         return self._capture.overruns
+
+    def newest(self, seconds: float) -> Samples:
+        """Return the last part of what was heard."""
+        blocks = self._blocks[-200:]
+        samples = np.concatenate(blocks) if blocks else np.zeros((0, 1))
+        return samples[-round(seconds * self._capture.rate_hz) :].astype(np.float64)
 
     def heard(self) -> Samples:
         """Return what was played in codes, float64 (n, channels), which are whole where nothing scales or dithers."""

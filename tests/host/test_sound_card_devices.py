@@ -1,0 +1,231 @@
+"""Sound cards as devices: addresses, what reaches the card, and how it comes to rest."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+from click.testing import CliRunner
+
+import vibrocast
+from tests.output.test_sound_card import TRIES, wait_until
+from tests.sound_server import HEADPHONES, PAD, Listener, SoundServer, position_of
+from vibrocast import extras
+from vibrocast.device_protocol.transports import TransportError
+from vibrocast.host import bench_file, devices
+from vibrocast.host.cli.command_line import main
+from vibrocast.output.actuator import LRA, VOICE_COIL, Actuator, Codes
+from vibrocast.output.rendering import render
+
+VOLTS = 2.5
+ADDRESS = f"audio:{PAD}:3,4@{VOLTS}"
+
+
+def short_stream(seconds: float = 0.12) -> vibrocast.Stream:
+    noise = np.random.default_rng(0).standard_normal((round(2800 * seconds), 2))
+    return vibrocast.encode(10 * noise, 2800, "m/s^2", live=True)
+
+
+def rendered(stream: vibrocast.Stream, actuator: Actuator, rate_hz: int, volts: float) -> Codes:
+    driven = devices.on_sound_card(actuator, rate_hz, volts)
+    codes, _ = render(stream.header, stream.decode_integers(), stream.decoder().delay_samples, driven)
+    return codes
+
+
+@pytest.mark.parametrize(
+    ("address", "error"),
+    [
+        (f"audio:{PAD}", "which actuator is behind the sound card; name one by `actuator`"),
+        ("audio:", "names no sound card"),
+        (f"audio:{PAD}@much", "@much is no voltage; give the volts"),
+        (f"audio:{PAD}@0", "@0 is no voltage"),
+        (f"audio:{PAD}@nan", "@nan is no voltage"),
+        ("audio:Piano", "no sound card for playback matches 'Piano'; there are"),
+        (f"audio:{PAD}:5", "has 4 channels, and channel 5 was asked for"),
+        (f"audio:{PAD}:0", "counted from 1"),
+        (f"audio:{PAD}:1,1", "give different ones"),
+        (f"audio:{PAD}:1,2,3,4,5,6,7,8,9", "at most 8"),
+    ],
+)
+def test_wrong_addresses_are_rejected(pulseaudio: SoundServer, address: str, error: str) -> None:
+    actuator = None if "actuator" in error else VOICE_COIL
+    with pytest.raises(TransportError) as caught, devices.connect(address, actuator=actuator):
+        pass
+    assert error in str(caught.value)
+
+
+def test_without_the_extra_the_error_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(extras, "find_spec", lambda module: None)
+    with (
+        pytest.raises(extras.MissingExtraError, match=r"install the extra \[audio\]"),
+        devices.connect("audio:default", actuator=VOICE_COIL),
+    ):
+        pass
+    assert "[audio]" in devices.available()["audio:CARD"]
+
+
+def test_cards_are_listed(pulseaudio: SoundServer) -> None:
+    assert devices.available()[f"audio:{HEADPHONES}"].startswith("sound card, PulseAudio, 2 channels, 44100 Hz")
+    assert f"audio:{PAD} " in CliRunner().invoke(main, ["devices"]).output
+
+
+def test_an_actuator_that_no_card_can_drive_is_rejected(pulseaudio: SoundServer) -> None:
+    with (
+        pytest.raises(TransportError, match="no controller can drive this actuator at 48000 Hz"),
+        devices.connect(ADDRESS, actuator=replace(LRA, quality=300.0)),
+    ):
+        pass
+
+
+def test_the_card_plays_what_is_rendered(sound_server: SoundServer) -> None:
+    stream = short_stream()
+    expected = rendered(stream, VOICE_COIL, 48_000, VOLTS)
+    for _ in range(TRIES):
+        with vibrocast.connect(ADDRESS, actuator="voice-coil") as connection, Listener(PAD) as listener:
+            report = connection.play(stream)
+        heard = listener.heard()
+        at = position_of(expected, heard[:, 2:])
+        if at is not None:
+            break
+    assert at is not None
+    assert not heard[:, :2].any()
+    heard[at : at + len(expected)] = 0
+    assert not heard.any()
+    assert report.dac_equals_offline and report.decoded_equals_offline
+    card = report.sound_card
+    assert card is not None
+    assert (card.name, card.channels, card.rate_hz, card.full_scale_volts) == (PAD, (3, 4), 48_000, VOLTS)
+    assert report.latency_ms.end_to_end > card.latency_ms > 0
+
+
+def test_without_volts_the_actuators_own_are_full_scale(pulseaudio: SoundServer) -> None:
+    with vibrocast.connect(f"audio:{HEADPHONES}", actuator="lra") as connection:
+        status = connection.status()
+    assert status["sound_card"]["full_scale_volts"] == LRA.volts / 2
+    assert status["sound_card"]["channels"] == (1, 2)
+    assert status["actuator"]["dac_rate_hz"] == 44_100
+
+
+def test_other_controllers_have_no_sound_card() -> None:
+    with vibrocast.connect("sim") as connection:
+        assert connection.play(short_stream(0.1)).sound_card is None
+        assert "sound_card" not in connection.status()
+
+
+def test_a_bench_plays_on_a_card_with_its_actuator(pulseaudio: SoundServer, tmp_path: Path) -> None:
+    path = tmp_path / "bench.toml"
+    path.write_text(
+        f'[[controllers]]\nname = "pad"\naddress = "{ADDRESS}"\n[[actuators]]\nmodel = "voice-coil"\n', "utf-8"
+    )
+    bench = bench_file.read_bench(path)
+    with bench_file.connect(bench, bench.first) as controller:
+        described = controller.description.actuator
+    driven = bench_file.driven_actuator(bench, bench.first, described)
+    assert driven == devices.on_sound_card(VOICE_COIL, 48_000, VOLTS)
+    assert bench_file.actuator_of(bench, bench.first, described) == driven
+
+
+@pytest.mark.parametrize("arguments", [["live", "wood", "--seconds", "0.5"], ["status"]])
+def test_commands_run_on_a_card(pulseaudio: SoundServer, arguments: list[str]) -> None:
+    result = CliRunner().invoke(main, [*arguments, "--device", ADDRESS, "--actuator", "voice-coil"])
+    assert result.exit_code == 0, result.output
+    assert PAD in result.output
+
+
+def test_a_profile_is_played_on_a_card_under_a_hand(pulseaudio: SoundServer, tmp_path: Path) -> None:
+    profile = tmp_path / "profile.csv"
+    assert CliRunner().invoke(main, ["generate", "wood", str(profile)]).exit_code == 0
+    arguments = ["--stroke-mm", "10", "--hand-speed-mm-s", "40", "--device", ADDRESS, "--actuator", "voice-coil"]
+    result = CliRunner().invoke(main, ["play", str(profile), *arguments])
+    assert result.exit_code == 0, result.output
+    assert "sound card" in result.output
+
+
+def test_an_actuator_is_for_those_that_take_one() -> None:
+    result = CliRunner().invoke(main, ["status", "--device", "host", "--actuator", "lra"])
+    assert result.exit_code == 2
+    assert "host has its actuator compiled in; drop --actuator" in result.output
+
+
+def playing(tmp_path: Path) -> subprocess.Popen[str]:
+    """Return the command that plays for long, after it has begun to."""
+    file = tmp_path / "long.vct"
+    short_stream(20.0).save(file)
+    code = "from vibrocast.host.cli.entry import main; main()"
+    command = [sys.executable, "-c", code, "play", str(file), "--device", ADDRESS, "--actuator", "voice-coil"]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_program_leaves_the_card_at_rest(
+    pulseaudio: SoundServer, tmp_path: Path, number: signal.Signals
+) -> None:
+    step_limit = devices.on_sound_card(VOICE_COIL, 48_000, VOLTS).code_step_limit
+    for _ in range(TRIES):
+        with playing(tmp_path) as program, Listener(PAD) as listener:
+            wait_until(lambda: bool(np.abs(listener.newest(0.2)).max(initial=0) > 0))
+            program.send_signal(number)
+            assert program.wait(20) == 130
+            wait_until(lambda: not listener.newest(0.2).any())
+        steps = np.abs(np.diff(listener.heard(), axis=0))
+        if steps.max() <= step_limit:
+            break
+    assert steps.max() <= step_limit, "it came to rest on a ramp"
+
+
+def test_a_killed_program_leaves_silence(pulseaudio: SoundServer, tmp_path: Path) -> None:
+    with playing(tmp_path) as program, Listener(PAD) as listener:
+        wait_until(lambda: bool(np.abs(listener.newest(0.2)).max(initial=0) > 0))
+        program.kill()
+        program.wait(20)
+        wait_until(lambda: not listener.newest(0.2).any())
+
+
+def test_a_lost_card_ends_the_program_with_its_reason(mortal_sound_server: SoundServer, tmp_path: Path) -> None:
+    with playing(tmp_path) as program:
+        with Listener(PAD) as listener:
+            wait_until(lambda: bool(np.abs(listener.newest(0.2)).max(initial=0) > 0))
+        mortal_sound_server.remove(PAD)
+        _, errors = program.communicate(timeout=30)
+    assert program.returncode == 1
+    assert f"error: the sound card '{PAD}' is gone; it was unplugged" in errors
+
+
+def test_render_writes_what_a_card_plays(tmp_path: Path) -> None:
+    stream, out = short_stream(), tmp_path / "drive.wav"
+    stream.save(tmp_path / "short.vct")
+    options = ["--actuator", "voice-coil", "--rate-hz", "44100", "--full-scale-volts", "2.5", "--gain-db", "-6"]
+    result = CliRunner().invoke(main, ["render", str(tmp_path / "short.vct"), str(out), *options])
+    assert result.exit_code == 0, result.output
+    assert "1.0 is 2.5 V at voice-coil" in result.output
+    written, rate_hz = soundfile.read(out, dtype="int16", always_2d=True)
+    assert rate_hz == 44_100
+    assert np.array_equal(written, rendered(stream.with_gain(-6), VOICE_COIL, 44_100, 2.5))
+    assert soundfile.SoundFile(out).comment.endswith("; drive of voice-coil, 1.0 is 2.5 V")
+    assert vibrocast.load(out).unit == "full scale"
+
+
+def test_render_codes_a_recording_as_play_does(tmp_path: Path) -> None:
+    wav, out = tmp_path / "wood.wav", tmp_path / "drive.wav"
+    assert CliRunner().invoke(main, ["generate", "wood", str(wav)]).exit_code == 0
+    result = CliRunner().invoke(main, ["render", str(wav), str(out), "--actuator", "lra"])
+    assert result.exit_code == 0, result.output
+    stream = vibrocast.encode(vibrocast.load(wav), live=True)
+    written, _ = soundfile.read(out, dtype="int16", always_2d=True)
+    assert np.array_equal(written, rendered(stream, LRA, 48_000, LRA.volts / 2))
+
+
+def test_the_report_file_names_the_card(pulseaudio: SoundServer, tmp_path: Path) -> None:
+    short_stream().save(tmp_path / "short.vct")
+    report = tmp_path / "report.json"
+    arguments = ["play", str(tmp_path / "short.vct"), "--device", ADDRESS, "--actuator", "voice-coil"]
+    result = CliRunner().invoke(main, [*arguments, "--report", str(report)])
+    assert result.exit_code == 0, result.output
+    assert json.loads(report.read_text())["sound_card"]["backend"] == "PulseAudio"
+    assert "2.5 V at full scale" in result.output
