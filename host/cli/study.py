@@ -41,12 +41,12 @@ def study() -> None:
 
 @study.command(cls=SectionedCommand)
 @study_argument
-@section(CONTROLLER, actuator_option)
+@section(CONTROLLER, device_option, actuator_option)
 @section(OUTPUT, click.option("--out", type=FOLDER, help="Keep the stimuli in this folder, for `study run`."))
-def check(study_path: Path, actuator_name: str | None, out: Path | None) -> None:
+def check(study_path: Path, address: str, actuator_name: str | None, out: Path | None) -> None:
     """Render all stimuli, match their levels at the skin, and reject sets that cannot be compared."""
     read = read_study(study_path)
-    actuator = chosen_actuator(read, actuator_name)
+    actuator = driven(address, chosen_actuator(read, actuator_name))
     prepared = prepare(read, actuator)
     click.echo(f"{'stimulus':42} {'level dB':>9} {'gain dB':>8} {'limited %':>9} {'SNR dB':>7}")
     for each in prepared:
@@ -97,7 +97,7 @@ def run(
         extras.require("study", "starlette", "uvicorn")
     read = read_study(study_path)
     actuator = chosen_actuator(read, actuator_name)
-    prepared = prepared_once(read, actuator, study_path, out)
+    prepared = prepared_once(read, driven(address, actuator), study_path, out)
     with open_player(address, actuator, prepared) as player:
         session = Session(read, prepared, participant, participant_folder(out, participant), player, address)
         try:
@@ -177,6 +177,11 @@ def chosen_actuator(read: Study, name: str | None) -> Actuator:
         raise BadInput(f"{read.name}: no actuator; give --actuator, or actuator in the study file")
     path = Path(read.folder) / chosen
     return actuator_files.find(path if name is None and path.is_file() else chosen)
+
+
+def driven(address: str, actuator: Actuator) -> Actuator:
+    """Return the actuator as the device at an address drives it: a sound card has another DAC, and its own volts."""
+    return devices.sound_card_of(address, actuator)[2] if devices.is_sound_card(address) else actuator
 
 
 def prepare(read: Study, actuator: Actuator) -> tuple[Stimulus, ...]:

@@ -278,7 +278,7 @@ class Session(Run):
             self._notify()
 
     def abort(self) -> None:
-        """Stop the actuator and end the run for good; all answers stay."""
+        """Stop the actuator and end the run; all answers stay, and the command goes on if it is started again."""
         with self._changed:
             self.stop_playing()
             self._ended = True

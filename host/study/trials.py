@@ -224,7 +224,7 @@ class Run(Protocol):
         """Show the trial again, from its beginning."""
 
     def abort(self) -> None:
-        """Stop the actuator and end the run for good; all answers stay."""
+        """Stop the actuator and end the run; started again, the command goes on after the last answer."""
 
     def plays(self) -> Mapping[str, int]:
         """Return how often each label of the present trial was played."""
@@ -280,7 +280,7 @@ class StimulusPlayer(Protocol):
         """Return what has been played since the last call."""
 
     def close(self) -> None:
-        """Bring the actuator to rest for good."""
+        """Bring the actuator to rest; nothing is played after this."""
 
 
 RESULT_COLUMNS = (
