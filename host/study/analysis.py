@@ -424,7 +424,8 @@ def tables(read: Analysis) -> dict[str, list[dict[str, Any]]]:
         ]
     if read.correlations is not None:
         found["correlations"] = [
-            {"metric": metric, "stimuli": each.count, **_cells("pearson", each.pearson), "spearman": each.spearman}
+            {"metric": metric, "stimuli": each.count, **_cells("pearson", each.pearson)}
+            | _cells("spearman", each.spearman)
             for metric, each in read.correlations.items()
         ]
     if read.detections:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from vibrocast.host.study.trials import StudyError
 
 Values = NDArray[np.float64]
+Model = Literal["differencing", "independent"]
+"""How an observer decides: by the difference of two stimuli, or by classifying each."""
 
 CONFIDENCE = 0.95
 BOOTSTRAPS = 2000
@@ -73,8 +76,8 @@ def paired_test(values: ArrayLike, reference: ArrayLike, seed: int = 0) -> Paire
     differences = x - y
     count, mean = len(x), float(np.mean(x - y)) if len(x) else 0.0
     effect = effect_size(differences, seed)
-    if count < 2 or np.ptp(differences) == 0:
-        return PairedTest(count, mean, None, 1.0 if count >= 2 and mean == 0 else None, effect)
+    if count < 2 or not _spreads(differences):
+        return PairedTest(count, mean, None, 1.0 if count >= 2 and not np.any(differences) else None, effect)
     result = stats.ttest_rel(x, y)
     return PairedTest(count, mean, float(result.statistic), float(result.pvalue), effect)
 
@@ -86,16 +89,20 @@ def effect_size(differences: ArrayLike, seed: int = 0) -> Interval:
     percentile bootstrap over participants.
     """
     array = _finite(differences, "differences")
-    if len(array) < 3 or np.ptp(array) == 0:
+    if len(array) < 3 or not _spreads(array):
         return Interval(None, None, None)
     return bootstrap(array, _hedges, seed)
 
 
+def _spreads(values: Values) -> bool:
+    """Return whether values differ by more than rounding, such as 1.1 - 1 and 2.1 - 2 do not."""
+    return bool(len(values)) and bool(np.ptp(values) > 1e-12 * np.max(np.abs(values), initial=1.0))
+
+
 def _hedges(differences: Values) -> float:
-    deviation = float(np.std(differences, ddof=1))
-    if deviation == 0:
+    if not _spreads(differences):
         return math.nan
-    return float(np.mean(differences)) / deviation * (1 - 3 / (4 * len(differences) - 5))
+    return float(np.mean(differences) / np.std(differences, ddof=1)) * (1 - 3 / (4 * len(differences) - 5))
 
 
 def bootstrap(rows: NDArray[np.float64], statistic: Callable[[NDArray[np.float64]], float], seed: int = 0) -> Interval:
@@ -104,12 +111,14 @@ def bootstrap(rows: NDArray[np.float64], statistic: Callable[[NDArray[np.float64
     B. Efron and R. Tibshirani, An Introduction to the Bootstrap, 1993, chapter 13. Resamples without a value do not
     count.
     """
-    value = statistic(rows)
+    value = statistic(rows) if len(rows) else math.nan
+    if not math.isfinite(value) or len(rows) < 2:
+        return Interval(value if math.isfinite(value) else None, None, None)
     random = np.random.default_rng(seed)
     drawn = [statistic(rows[random.integers(len(rows), size=len(rows))]) for _ in range(BOOTSTRAPS)]
     finite = [each for each in drawn if math.isfinite(each)]
-    if not math.isfinite(value) or len(rows) < 2 or len(finite) < BOOTSTRAPS // 2:
-        return Interval(value if math.isfinite(value) else None, None, None)
+    if len(finite) < BOOTSTRAPS // 2:
+        return Interval(value, None, None)
     low, high = np.quantile(finite, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
     return Interval(value, float(low), float(high))
 
@@ -118,7 +127,10 @@ def holm(p_values: Sequence[float | None]) -> list[float | None]:
     """Return p values corrected for the number of tests; None stays and does not count.
 
     S. Holm, "A simple sequentially rejective multiple test procedure", Scandinavian Journal of Statistics 6, 1979.
+    Raises StudyError for a p outside 0 to 1.
     """
+    if any(p is not None and not 0 <= p <= 1 for p in p_values):
+        raise StudyError("a p value lies outside 0 to 1; correct p values of tests")
     known = sorted((p, place) for place, p in enumerate(p_values) if p is not None)
     corrected: list[float | None] = [None] * len(p_values)
     largest = 0.0
@@ -140,86 +152,100 @@ def rates(hits: float, signals: float, false_alarms: float, noises: float) -> tu
     return (hits + 0.5) / (signals + 1), (false_alarms + 0.5) / (noises + 1)
 
 
+def _rate(value: float) -> float:
+    """Return a rate. Raises StudyError for one that is not between 0 and 1: its d' would be infinite."""
+    if not 0 < value < 1:
+        raise StudyError(f"a rate of {value} gives no d'; correct the counts with `rates` first")
+    return float(value)
+
+
 def sensitivity_yes_no(hit_rate: float, false_alarm_rate: float) -> float:
     """Return d' = z(H) - z(F). Macmillan and Creelman, Detection Theory, 2nd edition, 2005, chapter 1."""
     from scipy.special import ndtri
 
-    return float(ndtri(hit_rate) - ndtri(false_alarm_rate))
+    return float(ndtri(_rate(hit_rate)) - ndtri(_rate(false_alarm_rate)))
 
 
 def sensitivity_two_alternative(correct_rate: float) -> float:
     """Return d' = sqrt(2) z(p) for two-alternative forced choice. Macmillan and Creelman 2005, chapter 7."""
     from scipy.special import ndtri
 
-    return float(math.sqrt(2) * ndtri(correct_rate))
+    return float(math.sqrt(2) * ndtri(_rate(correct_rate)))
 
 
-def sensitivity_same_different(hit_rate: float, false_alarm_rate: float) -> float:
-    """Return d' of same-different trials, where the observer compares the difference with a criterion k.
+def sensitivity_same_different(hit_rate: float, false_alarm_rate: float, model: Model = "differencing") -> float:
+    """Return d' of same-different trials; 0 where H <= F. Macmillan and Creelman 2005, chapter 9.
 
-    The differencing model: F = 2 Phi(-k / sqrt(2)), H = Phi((d' - k) / sqrt(2)) + Phi((-d' - k) / sqrt(2)). Macmillan
-    and Creelman 2005, chapter 9. 0 where H <= F.
+    By the differencing model, the observer compares the difference with a criterion k: F = 2 Phi(-k / sqrt(2)),
+    H = Phi((d' - k) / sqrt(2)) + Phi((-d' - k) / sqrt(2)). By independent observation, the observer classifies each of
+    the two: d' = 2 z((1 + sqrt(2 p - 1)) / 2) with p = Phi((z(H) - z(F)) / 2).
     """
-    from scipy.optimize import brentq
     from scipy.special import ndtr, ndtri
 
-    if hit_rate <= false_alarm_rate:
+    z_difference = sensitivity_yes_no(hit_rate, false_alarm_rate)
+    if z_difference <= 0:
         return 0.0
+    if model == "independent":
+        return min(LARGEST_SENSITIVITY, 2 * float(ndtri((1 + math.sqrt(2 * ndtr(z_difference / 2) - 1)) / 2)))
     criterion = -math.sqrt(2) * float(ndtri(false_alarm_rate / 2))
 
-    def excess(sensitivity: float) -> float:
+    def hits(sensitivity: float) -> float:
         below, above = -sensitivity - criterion, sensitivity - criterion
-        return float(ndtr(above / math.sqrt(2)) + ndtr(below / math.sqrt(2))) - hit_rate
+        return float(ndtr(above / math.sqrt(2)) + ndtr(below / math.sqrt(2)))
 
-    if excess(LARGEST_SENSITIVITY) <= 0:
-        return LARGEST_SENSITIVITY
-    return float(brentq(excess, 0.0, LARGEST_SENSITIVITY))
+    return _sensitivity_at(hits, hit_rate)
 
 
-def correct_rate_abx(sensitivity: float) -> float:
-    """Return the part of correct answers in ABX by the differencing model, for an unbiased observer.
+def sensitivity_abx(correct_rate: float, model: Model = "differencing") -> float:
+    """Return d' of ABX trials of an unbiased observer; 0 at chance and below. Macmillan and Creelman 2005, chapter 9.
 
-    p = Phi(d' / sqrt(2)) Phi(d' / sqrt(6)) + Phi(-d' / sqrt(2)) Phi(-d' / sqrt(6)). Macmillan and Creelman 2005,
-    chapter 9.
+    By the differencing model, p = Phi(d' / sqrt(2)) Phi(d' / sqrt(6)) + Phi(-d' / sqrt(2)) Phi(-d' / sqrt(6)). By
+    independent observation, it has d' / 2 in place of d' / sqrt(6).
     """
     from scipy.special import ndtr
 
-    two, six = sensitivity / math.sqrt(2), sensitivity / math.sqrt(6)
-    return float(ndtr(two) * ndtr(six) + ndtr(-two) * ndtr(-six))
+    divisor = math.sqrt(6) if model == "differencing" else 2.0
+
+    def correct(sensitivity: float) -> float:
+        order, match = sensitivity / math.sqrt(2), sensitivity / divisor
+        return float(ndtr(order) * ndtr(match) + ndtr(-order) * ndtr(-match))
+
+    return 0.0 if _rate(correct_rate) <= 0.5 else _sensitivity_at(correct, correct_rate)
 
 
-def sensitivity_abx(correct_rate: float) -> float:
-    """Return d' of ABX trials by the differencing model; 0 at chance and below."""
+def _sensitivity_at(rate_of: Callable[[float], float], rate: float) -> float:
+    """Return the d' from 0 to LARGEST_SENSITIVITY that gives a rate; rates rise with d'."""
     from scipy.optimize import brentq
 
-    if correct_rate <= 0.5:
-        return 0.0
-    if correct_rate >= correct_rate_abx(LARGEST_SENSITIVITY):
+    if rate_of(LARGEST_SENSITIVITY) <= rate:
         return LARGEST_SENSITIVITY
-    return float(brentq(lambda each: correct_rate_abx(each) - correct_rate, 0.0, LARGEST_SENSITIVITY))
+    return float(brentq(lambda sensitivity: rate_of(sensitivity) - rate, 0.0, LARGEST_SENSITIVITY))
 
 
-def sensitivity(method: str, counts: ArrayLike, seed: int = 0) -> Interval:
+def sensitivity(method: str, counts: ArrayLike, seed: int = 0, model: Model = "differencing") -> Interval:
     """Return d' of a method, and its bootstrap interval over participants.
 
     `counts`: (participants, 4): hits, trials that differ, false alarms, trials that are the same; (participants, 2) of
     forced choice and ABX: correct answers, trials. Counts are pooled over participants, with the log-linear correction.
+    Where sensitivities differ, the pooled one lies below their mean (Macmillan and Creelman 2005, chapter 13).
+    `model`: of same-different and ABX trials; "differencing" where stimuli rove from trial to trial, "independent"
+    where they stay the same. Raises StudyError.
     """
     table = np.asarray(counts, np.float64)
     columns = 4 if method == "same_different" else 2
     if table.ndim != 2 or table.shape[1] != columns or not np.all(np.isfinite(table)) or np.any(table < 0):
         raise StudyError(f"{method}: counts must be {columns} for each participant; give another table")
+    if np.any(table[:, ::2] > table[:, 1::2]):
+        raise StudyError(f"{method}: more answers than trials; give another table")
 
     def pooled(rows: NDArray[np.float64]) -> float:
         total = rows.sum(axis=0)
-        if method == "same_different":
-            if total[1] == 0 or total[3] == 0:
-                return math.nan
-            return sensitivity_same_different(*rates(*total))
-        if total[1] == 0:
+        if np.any(total[1::2] == 0):
             return math.nan
+        if method == "same_different":
+            return sensitivity_same_different(*rates(*total), model)
         rate = (total[0] + 0.5) / (total[1] + 1)
-        return sensitivity_abx(rate) if method == "abx" else sensitivity_two_alternative(rate)
+        return sensitivity_abx(rate, model) if method == "abx" else sensitivity_two_alternative(rate)
 
     return bootstrap(table, pooled, seed)
 
@@ -237,9 +263,11 @@ def power_of_paired_test(effect: float, count: int, alpha: float = 0.05) -> floa
     if count < 2:
         return 0.0
     critical = stats.t.ppf(1 - alpha / 2, count - 1)
-    shift = effect * math.sqrt(count)
-    power = float(stats.nct.sf(critical, count - 1, shift) + stats.nct.cdf(-critical, count - 1, shift))
-    return power if math.isfinite(power) else 1.0  # scipy has no value far out, where nothing is missed
+    shift = abs(effect) * math.sqrt(count)
+    near = float(stats.nct.sf(critical, count - 1, shift))
+    far = float(stats.nct.cdf(-critical, count - 1, shift))
+    # scipy has no value far out: there the near tail holds everything, and the far one nothing.
+    return (near if math.isfinite(near) else 1.0) + (far if math.isfinite(far) else 0.0)
 
 
 def detectable_effect(count: int, power: float = 0.8, alpha: float = 0.05) -> float | None:
@@ -257,21 +285,64 @@ def participants_for(effect: float, power: float = 0.8, alpha: float = 0.05, mos
     return next((count for count in counts if power_of_paired_test(effect, count, alpha) >= power), None)
 
 
+def participants_by_resampling(
+    differences: ArrayLike, power: float = 0.8, alpha: float = 0.05, most: int = 100, seed: int = 0
+) -> list[int | None]:
+    """Return for each condition how many participants the study needs to find it, after Holm's correction.
+
+    `differences`: (participants, conditions), each participant's mean rating less that of the reference, from
+    simulated observers or a pilot study. Studies of 2 to `most` participants are drawn from them, BOOTSTRAPS / 4 of
+    each size. None: a condition that more than `most` are needed for. With few participants to draw from, the numbers
+    are rough. Raises StudyError.
+    """
+    from scipy import stats
+
+    pool = np.asarray(differences, np.float64)
+    if pool.ndim != 2 or len(pool) < 2 or not np.all(np.isfinite(pool)):
+        raise StudyError("differences must be finite, of at least two participants; simulate more of them")
+    studies, conditions = BOOTSTRAPS // 4, pool.shape[1]
+    random = np.random.default_rng(seed)
+    needed: list[int | None] = [None] * conditions
+    for count in range(2, most + 1):
+        if None not in needed:
+            break
+        drawn = pool[random.integers(len(pool), size=(studies, count))]
+        errors = np.std(drawn, axis=1, ddof=1) / math.sqrt(count)
+        means = np.mean(drawn, axis=1)
+        # Without a spread, a test finds any difference or none; the smallest error stands for 0.
+        p = 2 * stats.t.sf(np.abs(means) / np.maximum(errors, 1e-12), count - 1)
+        # Holm's correction, all studies at once: the k-th smallest p counts times (conditions - k).
+        order = np.argsort(p, axis=1)
+        steps = np.take_along_axis(p, order, axis=1) * (conditions - np.arange(conditions))
+        corrected = np.empty_like(p)
+        np.put_along_axis(corrected, order, np.maximum.accumulate(steps, axis=1), axis=1)
+        found = np.mean(corrected < alpha, axis=0)
+        needed = [count if each is None and part >= power else each for each, part in zip(needed, found, strict=True)]
+    return needed
+
+
 # ---- models of several conditions ----
 
 
-def bradley_terry(wins: ArrayLike) -> Values:
+def bradley_terry(wins: ArrayLike, added: float = 0.5) -> Values:
     """Return the strength of each item in log units, with mean 0, from wins (items, items): [i, j] = i over j.
 
     The iteration of D. R. Hunter, "MM algorithms for generalized Bradley-Terry models", Annals of Statistics 32(1),
-    2004. Half a win each way is added to every pair that met, so that an item that always wins has a
-    finite strength.
+    2004. `added` wins count each way for every pair that met. So an item that always wins has a finite strength. An
+    item that met no other has 0. Raises StudyError.
     """
-    table = np.asarray(wins, np.float64)
-    if table.ndim != 2 or table.shape[0] != table.shape[1] or not np.all(np.isfinite(table)) or np.any(table < 0):
+    table = np.array(wins, np.float64)
+    if (
+        table.ndim != 2
+        or table.shape[0] != table.shape[1]
+        or not table.size
+        or not np.all(np.isfinite(table))
+        or np.any(table < 0)
+    ):
         raise StudyError("wins must be a square table of counts; give another table")
+    np.fill_diagonal(table, 0)
     met = table + table.T
-    table = np.where(met > 0, table + 0.5, 0.0)
+    table = np.where(met > 0, table + added, 0.0)
     met = table + table.T
     strengths = np.ones(len(table))
     for _ in range(10_000):
@@ -300,20 +371,26 @@ class MixedModel:
 def mixed_model(
     ratings: ArrayLike, conditions: Sequence[str], participants: Sequence[object], reference: str
 ) -> MixedModel | None:
-    """Fit rating ~ condition + (1 | participant) by REML with statsmodels; None where the data determine no fit."""
+    """Fit rating ~ condition + (1 | participant) by REML with statsmodels; None where the data determine no fit.
+
+    N. M. Laird and J. H. Ware, "Random-effects models for longitudinal data", Biometrics 38(4), 1982. Raises
+    StudyError.
+    """
     import warnings
 
     import statsmodels.api as sm
 
     values = _finite(ratings, "ratings")
+    if not len(values) == len(conditions) == len(participants):
+        raise StudyError(f"{len(values)} ratings, {len(conditions)} conditions; a model needs both of every answer")
     others = [name for name in dict.fromkeys(conditions) if name != reference]
     groups = [str(each) for each in participants]
-    if reference not in conditions or not others or len(set(groups)) < 2 or np.ptp(values) == 0:
+    if reference not in conditions or not others or len(set(groups)) < 2 or not _spreads(values):
         return None
     names = np.array(conditions)
     design = np.column_stack([np.ones(len(values)), *(names == name for name in others)]).astype(np.float64)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a fit at the edge of its range is told by its numbers
+        warnings.simplefilter("ignore")  # the numbers of a fit show that it lies at the edge of its range
         try:
             fit = sm.MixedLM(values, design, groups).fit(reml=True)
         except (np.linalg.LinAlgError, ValueError):
@@ -330,33 +407,43 @@ def mixed_model(
 
 @dataclass(frozen=True)
 class Correlation:
-    """Pearson's r with Fisher's interval, and Spearman's rho; None where a variable does not vary."""
+    """Pearson's r and Spearman's rho with their intervals; None where a variable does not vary."""
 
     count: int
     pearson: Interval
-    spearman: float | None
+    spearman: Interval
 
 
 def correlation(x: ArrayLike, y: ArrayLike) -> Correlation:
     """Return how two variables (n,) go together.
 
-    The interval is Fisher's: tanh(atanh r +- z / sqrt(n - 3)). R. A. Fisher, Metron 1, 1921.
+    The interval of r is Fisher's: tanh(atanh r +- z / sqrt(n - 3)). R. A. Fisher, Metron 1, 1921. That of rho has the
+    standard error sqrt((1 + rho^2 / 2) / (n - 3)): D. G. Bonett and T. A. Wright, "Sample size requirements for
+    estimating Pearson, Kendall and Spearman correlations", Psychometrika 65(1), 2000. Raises StudyError.
     """
     from scipy import stats
-    from scipy.special import ndtri
 
     first, second = _finite(x, "x"), _finite(y, "y")
     count = len(first)
     if count != len(second):
         raise StudyError(f"{count} values against {len(second)}; a correlation needs pairs")
-    if count < 3 or np.ptp(first) == 0 or np.ptp(second) == 0:
-        return Correlation(count, Interval(None, None, None), None)
+    if count < 3 or not _spreads(first) or not _spreads(second):
+        nothing = Interval(None, None, None)
+        return Correlation(count, nothing, nothing)
     r = float(stats.pearsonr(first, second).statistic)
     rho = float(stats.spearmanr(first, second).statistic)
-    if count < 4 or abs(r) >= 1:
-        return Correlation(count, Interval(r, None, None), rho)
-    width = float(ndtri((1 + CONFIDENCE) / 2)) / math.sqrt(count - 3)
-    return Correlation(count, Interval(r, math.tanh(math.atanh(r) - width), math.tanh(math.atanh(r) + width)), rho)
+    return Correlation(count, _fisher(r, count, 1.0), _fisher(rho, count, 1 + rho**2 / 2))
+
+
+def _fisher(coefficient: float, count: int, variance: float) -> Interval:
+    """Return a correlation with the interval of its Fisher transform; `variance`: times count - 3."""
+    from scipy.special import ndtri
+
+    if count < 4 or abs(coefficient) >= 1 - 1e-12:
+        return Interval(coefficient, None, None)
+    width = float(ndtri((1 + CONFIDENCE) / 2)) * math.sqrt(variance / (count - 3))
+    middle = math.atanh(coefficient)
+    return Interval(coefficient, math.tanh(middle - width), math.tanh(middle + width))
 
 
 HIDDEN_REFERENCE_LEAST = 90
@@ -366,7 +453,8 @@ HIDDEN_REFERENCE_MOST_MISSED = 0.15
 def is_reliable(hidden_reference_ratings: ArrayLike) -> bool:
     """Return whether a participant of a MUSHRA study counts: the hidden reference below 90 in at most 15 % of trials.
 
-    ITU-R BS.1534-3, post-screening of listeners.
+    ITU-R BS.1534-3, post-screening of listeners. Its second rule, about the mid anchor, is left out: an anchor of touch
+    may well be hard to tell.
     """
     ratings = _finite(hidden_reference_ratings, "ratings")
     return bool(not len(ratings) or np.mean(ratings < HIDDEN_REFERENCE_LEAST) <= HIDDEN_REFERENCE_MOST_MISSED)
