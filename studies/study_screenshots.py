@@ -18,6 +18,7 @@ SIZE = ViewportSize(width=1024, height=640)
 def _grade(page: Page, address: str, _secret: str) -> None:
     page.goto(address)
     page.click("[data-label='R']")
+    page.get_by_role("button", name="Stop").click()
     page.click("[data-label='A']")
     page.wait_for_selector("[data-label='A'].playing")
 

@@ -111,6 +111,7 @@ def run(
 
                 noise, hand = read.masking_noise, read.hand
                 aids = Aids(
+                    stimulus_seconds=read.stimulus_seconds,
                     masking_noise_dbfs=None if noise is None else noise.level_db,
                     strokes_per_minute=None if hand is None else 60 / hand.stroke_s,
                 )

@@ -7,6 +7,7 @@ import socket
 import threading
 import time
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -80,10 +81,12 @@ class Aids:
     """Sound and pace with which the participant's page goes along with a trial.
 
     Attributes:
+        stimulus_seconds: For about so long each texture plays. None: unknown.
         masking_noise_dbfs: RMS level of white noise, re the full scale of the headphones' sound card. None: no noise.
         strokes_per_minute: Pace of the hand that a dot and ticks give. None: no pace.
     """
 
+    stimulus_seconds: float | None = None
     masking_noise_dbfs: float | None = None
     strokes_per_minute: float | None = None
 
@@ -98,7 +101,7 @@ class StudyPages:
         self._aids = aids
         self._turn = threading.Lock()  # of the participant's requests: two pages cannot answer one trial
         self._fault: str | None = None
-        self._break: tuple[str, float] = ("", 0.0)
+        self._is_pause_wanted = False  # by the experimenter; a run whose device is gone pauses by itself
         self._seen: float | None = None
         self._instance = secrets.token_urlsafe(4)  # another process may reach the same version
 
@@ -114,7 +117,7 @@ class StudyPages:
                 Route(f"{secret}/state", self._only_experimenter(self._experimenter_state)),
                 *(
                     Route(f"{secret}/{name}", self._only_experimenter(self._experimenter_action(act)), methods=["POST"])
-                    for name, act in (("pause", self._run.pause), ("resume", self._resume), ("abort", self._run.abort))
+                    for name, act in (("pause", self._pause), ("resume", self._resume), ("abort", self._run.abort))
                 ),
             ],
             middleware=[Middleware(BaseHTTPMiddleware, dispatch=_guard)],
@@ -126,9 +129,7 @@ class StudyPages:
         version = self._version()  # first: a later change shows as a new version
         state, screen = self._run.state(), self._run.screen()
         shown = {"id": _identity(state.participant, screen)} | _shown(screen)
-        if isinstance(screen, Break):
-            shown["remaining_s"] = self._remaining_s(shown["id"], screen.seconds)
-        if isinstance(screen, Paused) and self._fault is not None:
+        if isinstance(screen, Paused) and not self._is_pause_wanted:
             shown["text"] = CALL_THE_EXPERIMENTER
         return {
             "version": version,
@@ -142,16 +143,15 @@ class StudyPages:
     def experimenter_state(self) -> dict[str, Any]:
         """Return what the experimenter's page shows."""
         version = self._version()
+        state = self._run.state()
+        fault = self._fault
+        if state.paused and not self._is_pause_wanted:
+            fault = fault or state.warnings[-1]
         seen_s = None if self._seen is None else round(time.monotonic() - self._seen, 1)
-        return asdict(self._run.state()) | {"version": version, "fault": self._fault, "page_seen_s": seen_s}
+        return asdict(state) | {"version": version, "fault": fault, "page_seen_s": seen_s}
 
     def _version(self) -> str:
         return f"{self._instance}.{self._run.version()}.{self._fault is not None:d}"
-
-    def _remaining_s(self, identity: str, seconds: float) -> float:
-        if self._break[0] != identity:
-            self._break = identity, time.monotonic() + seconds
-        return max(0.0, round(self._break[1] - time.monotonic(), 1))
 
     def _participant_actions(self) -> list[tuple[str, type[_OnScreen], Callable[[Any], bool | None]]]:
         run = self._run
@@ -206,11 +206,16 @@ class StudyPages:
         return endpoint
 
     def _rest(self) -> None:
-        if not self._run.state().paused:
+        with suppress(OSError):  # a full disk takes no log either
             self._run.pause()
+
+    def _pause(self) -> None:
+        self._is_pause_wanted = True
+        self._run.pause()
 
     def _resume(self) -> None:
         self._run.resume()
+        self._is_pause_wanted = False
         self._fault = None
 
     async def _wait_for_change(self, request: Request) -> None:
@@ -294,12 +299,13 @@ def serve(
                 raise StudyError("the server of the pages has stopped; start the study again, and it goes on")
         stopped.wait(_LINGER_S)
     finally:
-        pages.closing = True
-        run.stop_playing()
-        server.should_exit = True
+        pages.closing = server.should_exit = True
+        with suppress(OSError):  # a full disk takes no log; the actuator rests all the same
+            run.stop_playing()
         stopped.wait(5.0)
         listening.close()
-        run.stop_playing()  # a request that was under way may have begun to play
+        with suppress(OSError):
+            run.stop_playing()  # a request that was under way may have begun to play
 
 
 def _addresses(host: str, port: int) -> list[str]:
@@ -337,7 +343,7 @@ def _shown(screen: Screen) -> dict[str, Any]:
     kind = type(screen).__name__.lower()
     if not isinstance(screen, Trial):
         return asdict(screen) | {"type": kind}
-    names = ("number", "total", "phase", "question", "max_plays", "in_order", "switches", "max_seconds", "feedback")
+    names = ("number", "total", "phase", "question", "max_plays", "in_order", "switches", "pause_s", "max_seconds")
     return {name: getattr(screen, name) for name in names} | {
         "type": kind,
         "labels": [interval.label for interval in screen.intervals],

@@ -19,6 +19,7 @@ from vibrocast.host.study.trials import (
     Paused,
     Question,
     Rejected,
+    Run,
     Screen,
     Sliders,
     State,
@@ -50,7 +51,7 @@ def trial(number: int = 1, labels: Sequence[str] = "AB", total: int | None = 3, 
     return replace(made, **others)  # type: ignore[arg-type]
 
 
-def mushra(number: int = 1, sliders: int = 5, total: int | None = 9) -> Trial:
+def mushra(number: int = 1, sliders: int = 5, total: int | None = 9, **others: object) -> Trial:
     """Return a trial with a reference and sliders."""
     labels = "ABCDEFGHIJ"[:sliders]
     words = ("bad", "poor", "fair", "good", "excellent")
@@ -61,6 +62,7 @@ def mushra(number: int = 1, sliders: int = 5, total: int | None = 9) -> Trial:
         question="How good is each texture, compared with the reference?",
         response=Sliders(tuple(labels), 0, 100, words),
         switches=True,
+        **others,
     )
 
 
@@ -120,16 +122,25 @@ class StubRun:
             labels = [interval.label for interval in current.intervals]
             if label not in labels:
                 raise Rejected("no such interval")
+            felt = len(self._plays) == len(labels)
+            all_first = current.in_order and not (current.switches and felt)
+            is_busy = any(time.monotonic() < end for _, _, end in self._timeline)
+            if is_busy and (all_first or not current.switches):
+                raise Rejected("an interval is playing; wait for its end")
             if current.max_plays is not None and self._plays.get(label, 0) >= current.max_plays:
                 raise Rejected(f"{label} cannot be played again")
             if self.fails is not None:
-                self._paused = isinstance(self.fails, ControllerError)
-                raise self.fails
+                if not isinstance(self.fails, ControllerError):
+                    raise self.fails
+                self._paused = True
+                self._changes += 1
+                self.warnings += (str(self.fails),)
+                return
             self._changes += 1
             begin = time.monotonic()
             self._timeline = []
-            seconds = 0.1 if current.in_order else self.seconds
-            for each in labels if current.in_order else [label]:
+            seconds = 0.1 if all_first else self.seconds
+            for each in labels if all_first else [label]:
                 self._timeline.append((each, begin, begin + seconds))
                 self._plays[each] = self._plays.get(each, 0) + 1
                 self.actuator.append(each)
@@ -219,7 +230,7 @@ LOST = ControllerError("serial:/dev/ttyACM0 does not answer; check its cable")
 
 
 @contextmanager
-def served(run: StubRun, aids: Aids | None = None) -> Iterator[tuple[str, str]]:
+def served(run: Run, aids: Aids | None = None) -> Iterator[tuple[str, str]]:
     """Serve a run in a thread; yield the addresses of participant and experimenter. The run ends with the block."""
     lines: list[str] = []
     both = threading.Event()

@@ -1,5 +1,6 @@
 """The study's pages in a real Chromium: whole runs by mouse, keyboard and touch, without scrolling, and mishaps."""
 
+import csv
 import json
 import re
 import signal
@@ -12,7 +13,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.host.study.small_study import stimuli_of, study_of
 from tests.host.study.stub_run import CONDITIONS, GRADES, LOST, WELCOME, StubRun, chromium, mushra, served, trial
+from vibrocast.host.study.session import RESULTS, Session
+from vibrocast.host.study.study_file import METHODS
 from vibrocast.host.study.trials import Break, Choices, Message, Question, Screen, Trial
 
 if chromium() is None:
@@ -20,6 +24,7 @@ if chromium() is None:
 
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
+from vibrocast.host.study.device_player import SilentPlayer
 from vibrocast.host.study.server import CALL_THE_EXPERIMENTER, Aids
 
 SIZES = ((1024, 768), (768, 1024), (1280, 800))
@@ -40,7 +45,7 @@ ABX = trial(
     3, "ABX", question="Is X the same as A or B?", response=Choices(("A", "B")), max_plays=2, switches=True, total=None
 )
 PAIR = trial(4, "AB", question="Which one is rougher?", response=Choices(("A", "B", "no difference")), max_seconds=60.0)
-MUSHRA = mushra(5, 10)
+MUSHRA = mushra(5, 10, in_order=True, pause_s=0.0)
 
 LONG = Message("instructions", "How <b>it</b> works", "Press a button and move your finger over the plate. " * 25)
 SCREENS: tuple[Screen, ...] = (
@@ -56,6 +61,10 @@ SCREENS: tuple[Screen, ...] = (
     MUSHRA,
     Question("remarks", "Do you have any remarks?"),
 )
+
+
+EXAMPLES = Path(__file__).parents[3] / "examples"
+ANSWERS = "[data-choice], [data-slider]"
 
 
 @pytest.fixture(scope="module")
@@ -94,6 +103,7 @@ def assert_fits(page: Page) -> None:
     assert page.evaluate("document.scrollingElement.scrollWidth <= innerWidth")
     outside = page.evaluate(
         """() => [...document.querySelectorAll("main *:not(.bar):not(kbd), footer *")].filter((each) => {
+            if (!each.checkVisibility()) return false;
             const box = each.getBoundingClientRect();
             const small = each.matches("button, input") && (box.width < 63.5 || box.height < 63.5);
             const cut = each.scrollWidth > each.clientWidth + 1 || each.scrollHeight > each.clientHeight + 1;
@@ -131,11 +141,16 @@ def press_through(page: Page, screen: Screen, press: Callable[[str], None]) -> N
         press("button.main")
     elif isinstance(screen, Trial):
         labels = [interval.label for interval in screen.intervals]
-        for label in labels[:1] if screen.in_order else labels:
-            press(f"[data-label='{label}']")
-            if not screen.in_order:
-                expect(page.locator(f"[data-label='{label}']")).to_have_class(re.compile("playing"))
+        if screen.in_order:
+            press("button.play")
             assert_fits(page)
+            expect(page.locator(ANSWERS).last).to_be_enabled()
+        if not screen.in_order or screen.switches:
+            for label in labels:
+                press(f"[data-label='{label}']")
+                expect(page.locator(f"[data-label='{label}']")).to_have_class(re.compile("playing"))
+                assert_fits(page)
+                press("button:has-text('Stop')")
         if isinstance(screen.response, Choices):
             press("[data-choice='1']")
         else:
@@ -204,21 +219,23 @@ def test_a_participant_answers_by_keyboard(browser: Browser) -> None:
 
 def play_by_keys(page: Page, screen: Trial) -> None:
     labels = [interval.label for interval in screen.intervals]
-    if screen.number == 1:
-        page.keyboard.press("r")
-        page.keyboard.press("A")
-    elif screen.number == 3:
+    if screen.in_order:
+        page.keyboard.press(" ")
+    elif screen.switches:
         for _ in labels:
             page.keyboard.press("ArrowRight")
     else:
-        for label in labels[:1] if screen.in_order else labels:
-            page.keyboard.press(" ")
-            if not screen.in_order:
-                expect(page.locator(f"[data-label='{label}'] small")).to_have_text("playing")
+        for label in labels:
+            expect(page.locator(f"[data-label='{label}']")).to_be_enabled()
+            page.keyboard.press(label if screen.number == 1 else " ")
+            expect(page.locator(f"[data-label='{label}'] small")).to_have_text("playing")
+            page.keyboard.press("Escape")
     expect(page.locator("[data-choice='1']")).to_be_enabled()
 
 
 def rate_by_keys(page: Page, screen: Trial) -> None:
+    page.keyboard.press(" ")
+    expect(page.locator("[data-label='reference']")).to_be_enabled()
     page.keyboard.press("r")
     for index, interval in enumerate(screen.intervals[1:], 1):
         page.keyboard.press("ArrowRight")
@@ -229,13 +246,15 @@ def rate_by_keys(page: Page, screen: Trial) -> None:
 
 
 def test_nothing_can_be_answered_before_all_was_felt(browser: Browser) -> None:
-    run = StubRun([GRADING, MUSHRA])
+    run = StubRun([GRADING, mushra(5)])
     with served(run) as (address, _), opened(browser, address) as page:
         for grade in GRADES:
             expect(page.get_by_role("button", name=grade, exact=False).first).to_be_disabled()
         page.click("[data-label='R']")
         expect(page.locator("[data-label='R'] small")).to_have_text("playing")
         expect(page.locator("[data-choice='0']")).to_be_disabled()
+        expect(page.locator("[data-label='A']")).to_be_disabled()
+        page.click("button:has-text('Stop')")
         page.click("[data-label='A']")
         page.dblclick("[data-choice='0']")
         expect(page.locator("[data-slider='A']")).to_be_disabled()
@@ -251,8 +270,10 @@ def test_feedback_and_the_count_of_plays(browser: Browser) -> None:
     run = StubRun([SAME_DIFFERENT, ABX])
     with served(run) as (address, _), opened(browser, address) as page:
         expect(page.locator("#progress-text")).to_have_text("Practice, trial 2 of 3")
-        page.click("[data-label='1']")
         expect(page.locator("[data-label='1']")).to_be_disabled()
+        page.keyboard.press(" ")
+        expect(page.locator("[data-choice='0']")).to_be_enabled()
+        expect(page.locator("button.play")).to_be_disabled()
         page.click("[data-choice='0']")
         expect(page.get_by_role("heading", name="Not correct")).to_be_visible()
         wait_for_screen(page, ABX)
@@ -291,6 +312,7 @@ def test_two_pages_give_one_answer(browser: Browser) -> None:
     with served(run) as (address, _), opened(browser, address) as first, opened(browser, address) as second:
         for label in "RA":
             first.click(f"[data-label='{label}']")
+            first.click("button:has-text('Stop')")
         expect(second.locator("[data-choice='3']")).to_be_enabled()
         second.context.set_offline(True)
         second.click("[data-choice='3']")
@@ -341,7 +363,7 @@ def test_a_lost_device_calls_the_experimenter(browser: Browser) -> None:
             experimenter.set_viewport_size({"width": width, "height": height})
             assert experimenter.evaluate("document.scrollingElement.scrollHeight <= innerHeight")
             expect(experimenter.locator("#abort")).to_be_in_viewport(ratio=1)
-        expect(experimenter.locator("#warnings li").first).to_contain_text("underrun 59")
+        expect(experimenter.locator("#warnings li").nth(1)).to_contain_text("underrun 59")
         experimenter.get_by_role("button", name="Resume").click()
         wait_for_screen(page, GRADING)
         expect(experimenter.locator("#fault")).to_be_hidden()
@@ -362,6 +384,129 @@ def test_noise_and_pace(browser: Browser) -> None:
         while not 0.16 < page.evaluate("sound.noise.gain.value") < 0.18:
             assert time.monotonic() < deadline
             page.wait_for_timeout(20)
+
+
+def lead_through(page: Page, screen: Callable[[], Screen], stop_after: int | None = None) -> None:
+    """Answer every screen of a real run by its buttons, until its end or until after a trial.
+
+    `screen` returns the present one, as the page sees it.
+    """
+    while True:
+        present = screen()
+        wait_for_screen(page, present)
+        if isinstance(present, Message) and present.kind == "end":
+            return
+        if not isinstance(present, Trial):
+            press_through(page, present, page.click)
+        else:
+            expect(page.locator("#progress-text")).to_have_text(re.compile(f"rial {present.number}( |$)"))
+            assert_fits(page)
+            if present.in_order:
+                page.click("button.play")
+            else:
+                for interval in present.intervals:
+                    page.click(f"[data-label='{interval.label}']")
+                    expect(page.locator(f"[data-label='{interval.label}'] small")).to_have_text(
+                        re.compile("playing|1 ×")
+                    )
+            if isinstance(present.response, Choices):
+                page.click(f"[data-choice='{present.number % len(present.response.options)}']")
+            else:
+                for label in present.response.labels:
+                    page.click(f"[data-slider='{label}']")
+                page.click("button.main")
+            if present.number == stop_after:
+                return
+        deadline = time.monotonic() + 30
+        while screen() == present:
+            assert time.monotonic() < deadline, present
+            page.wait_for_timeout(10)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", METHODS)
+def test_a_real_run_of_each_method(browser: Browser, method: str, tmp_path: Path) -> None:
+    study = study_of(tmp_path, method, "practice_trials = 1\n" if method != "staircase" else "")
+    out = tmp_path / "participant_001"
+    session = Session(study, stimuli_of(method, tmp_path), 1, out, SilentPlayer(), sleep=lambda _: None)
+    seen: list[str] = []
+    try:
+        with served(session, Aids(stimulus_seconds=0.2)) as (address, _), opened(browser, "about:blank") as page:
+            page.on("response", lambda response: seen.append(response.text()) if "/api/" in response.url else None)
+            page.goto(address)
+            lead_through(page, session.screen)
+    finally:
+        session.close()
+    rows = list(csv.DictReader((out / RESULTS).read_text().splitlines()))
+    assert len({row["trial"] for row in rows}) >= 3
+    assert any('"labels"' in text for text in seen)
+    names = {each.name for each in study.conditions} | {each.name for each in study.textures}
+    assert not [name for name in names - {"reference"} for text in seen if f'"{name}' in text or f"/{name}" in text]
+
+
+def address_of(process: "subprocess.Popen[str]") -> str:
+    """Return the participant's address that a program prints, once it serves both pages."""
+    assert process.stdout is not None
+    lines: list[str] = []
+    while not any(line.startswith("experimenter: ") for line in lines):
+        lines.append(process.stdout.readline())
+        assert lines[-1], lines
+    return next(line for line in lines if line.startswith("participant: ")).split(": ")[1].strip()
+
+
+@pytest.mark.slow
+def test_the_example_runs_from_the_command_and_goes_on_after_a_kill(browser: Browser, tmp_path: Path) -> None:
+    """examples/studies/okamoto.toml on a simulated controller; its stimuli are short, so that the test is."""
+    text = (EXAMPLES / "studies" / "okamoto.toml").read_text()
+    for long, short in (
+        ("stimulus_seconds = 5", "stimulus_seconds = 0.2"),
+        ("break_seconds = 60", "break_seconds = 0"),
+    ):
+        assert long in text
+        text = text.replace(long, short)
+    path = tmp_path / "okamoto.toml"
+    path.write_text(text.replace("../leather", f"{EXAMPLES}/leather"))
+    results = tmp_path / "out" / "participant_001"
+
+    def start(port: str) -> tuple["subprocess.Popen[str]", str]:
+        command = [sys.executable, "-c", "from vibrocast.host.cli.entry import main; main()", "study", "run", str(path)]
+        process = subprocess.Popen(
+            [*command, "--participant=1", "--device=sim:", f"--port={port}", f"--out={tmp_path / 'out'}"],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        return process, address_of(process)
+
+    process, address = start("0")
+    with opened(browser, address) as page:
+        for heading in ("headphones", "fewer levels", "How old", "fewer levels"):
+            expect(page.get_by_role("heading", name=re.compile(heading))).to_be_visible()
+            if heading == "How old":
+                page.fill("input", "30")
+            page.click("button.main")
+        for number in range(1, 34):
+            if number == 3:
+                process.kill()
+                process.communicate()
+                process, _ = start(address.rstrip("/").rsplit(":", 1)[1])
+            if number in (4, 28):
+                expect(page.get_by_role("heading", name="Take a break")).to_be_visible()
+                page.click("button.main")
+            phase = "Practice, trial" if number <= 3 else "Trial"
+            expect(page.locator("#progress-text")).to_have_text(f"{phase} {number} of 33")
+            for label in ("Reference", "A"):
+                page.click(f"[data-label='{label}']")
+            page.click("[data-choice='1']")
+        page.fill("input", "no")
+        page.click("button.main")
+        expect(page.get_by_text("Thank you for taking part.")).to_be_visible()
+    assert process.communicate(timeout=30)[0] == ""
+    assert process.returncode == 0
+    with (results / RESULTS).open() as file:
+        assert [row["trial"] for row in csv.DictReader(file)] == [str(number) for number in range(1, 34)]
+    with (results / "answers.csv").open() as file:
+        assert [row["answer"] for row in csv.DictReader(file)] == ["30", "no"]
 
 
 PROGRAM = """
@@ -385,15 +530,13 @@ def test_a_page_goes_on_after_the_server_was_killed(browser: Browser, tmp_path: 
         process = subprocess.Popen(
             [sys.executable, "-c", PROGRAM, str(file), port], stdout=subprocess.PIPE, text=True, stderr=subprocess.PIPE
         )
-        assert process.stdout is not None
-        address = process.stdout.readline().split(": ")[1].strip()
-        process.stdout.readline()
-        return process, address
+        return process, address_of(process)
 
     def answer(page: Page, number: int) -> None:
         expect(page.locator("#progress-text")).to_have_text(f"Trial {number} of 3")
         for label in "AB":
             page.click(f"[data-label='{label}']")
+            page.click("button:has-text('Stop')")
         page.click(f"[data-choice='{number}']")
 
     process, address = start("0")
@@ -420,8 +563,6 @@ def test_ctrl_c_leaves_the_actuator_at_rest(tmp_path: Path) -> None:
     process = subprocess.Popen(
         [sys.executable, "-c", program, str(tmp_path / "answers.json"), "0"], stdout=subprocess.PIPE, text=True
     )
-    assert process.stdout is not None
-    process.stdout.readline()
-    process.stdout.readline()
+    address_of(process)
     process.send_signal(signal.SIGINT)
     assert process.communicate(timeout=20)[0] == "rest\n"
