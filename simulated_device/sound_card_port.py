@@ -100,8 +100,11 @@ class SoundCardPort(RealTimePort):
         return data
 
     def reopen(self) -> None:
-        """Raise DeviceGone: the controller ends with its card."""
-        raise self._reason()
+        """Drop what was not read. Raises DeviceGone if the card is gone, because the controller ends with it."""
+        if not self._thread.is_alive():
+            raise self._reason()
+        while self.read(0.0):
+            pass
 
     def _reason(self) -> TransportError:
         if isinstance(self._gone, TransportError):

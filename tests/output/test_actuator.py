@@ -11,6 +11,7 @@ from vibrocast.output.actuator import (
     LRA,
     PIEZO_STACK,
     Actuator,
+    Samples,
 )
 
 
@@ -92,3 +93,22 @@ def test_limits_in_codes() -> None:
     assert replace(PIEZO_STACK, volts_limit=37.5).code_limit == 16384
     assert PIEZO_STACK.code_step_limit == 32768 * 100 // 75
     assert replace(PIEZO_STACK, dac_bits=12, volts_limit=37.5).code_limit == 1024
+
+
+@pytest.mark.parametrize("actuator", ACTUATORS.values(), ids=lambda actuator: actuator.name)
+@pytest.mark.parametrize("volts", [0.5, 3.7, 200.0])
+def test_another_full_scale_is_the_same_actuator_in_volts(actuator: Actuator, volts: float) -> None:
+    other = actuator.with_full_scale(volts)
+    volts_now = np.linspace(0.0, min(volts, actuator.volts / 2), 50)[:, None] * 0.99
+
+    def moved_um(each: Actuator) -> Samples:
+        codes = np.rint(volts_now / (each.volts / 2) * each.full_scale).astype(np.int16)
+        return each.displacement_um(codes)
+
+    step_um = max(each.excursion_um / each.full_scale for each in (actuator, other))
+    np.testing.assert_allclose(moved_um(other), moved_um(actuator), atol=3 * step_um)
+    assert other.volts_limit == actuator.volts_limit
+    assert other.slew_volts_per_second == actuator.slew_volts_per_second
+    squared_volts = actuator.power_limit * (actuator.volts / 2) ** 2
+    assert other.power_limit == pytest.approx(min(1.0, squared_volts / volts**2))
+    assert actuator.with_full_scale(actuator.volts / 2) == actuator

@@ -139,6 +139,17 @@ def test_integers_agree_with_floating_point(rate_hz: int, unit: str, compensatio
         assert error.mean() <= 0.25
 
 
+@pytest.mark.parametrize("dac_rate_hz", [44_100, 48_000, 96_000])
+@pytest.mark.parametrize("name", ACTUATORS)
+def test_integers_agree_with_floating_point_at_the_rates_of_sound_cards(name: str, dac_rate_hz: int) -> None:
+    decoded, actuator = noise(300, 1, dac_rate_hz), replace(ACTUATORS[name], dac_rate_hz=dac_rate_hz)
+    head = header(2800, "um", (30.0,), len(decoded))
+    codes, _ = render(head, decoded, 0, actuator)
+    error = np.abs(codes.astype(int) - float_rendering.render(head, decoded, 0, actuator, True, 1))
+    assert error.max(initial=0) <= 2
+    assert error.mean() <= 0.25
+
+
 # Bits of a float32: any, and 0, the smallest, about 1e-7, 1, about 65 536, the largest.
 FLOATS = st.one_of(st.integers(0, 0x7F7FFFFF), st.sampled_from([0, 1, 0x33D6BF95, 0x3F800000, 0x477FE000, 0x7F7FFFFF]))
 
