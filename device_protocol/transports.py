@@ -35,7 +35,7 @@ class TransportError(OSError):
 
 
 class DeviceGone(TransportError):
-    """The device is gone with all that it was playing: opening it again would begin anew."""
+    """The device is gone with all that it was playing: opening it again would begin from the start."""
 
 
 class Transport(Protocol):

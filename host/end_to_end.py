@@ -297,11 +297,15 @@ def check_unit(stream_unit: str, unit: str | None) -> None:
 def actuator_model(description: ActuatorDescription) -> Actuator:
     """Return the model of the actuator that a controller describes.
 
-    Known by its name, with the controller's DAC, or else built from its band: a low-pass, or a resonance where it does
+    Known by its name, with the controller's DAC and volts at full scale, or else built from its band: a low-pass, or a resonance where it does
     not reach down to rest. Raises ControllerError where no actuator can be such.
     """
-    if description.name in ACTUATORS:
+    if description.name in ACTUATORS and 0 < description.volts < math.inf:
         known = ACTUATORS[description.name]
+        # The shortest number of those that are sent as this one, which has seven digits.
+        volts = float(str(np.float32(description.volts)))
+        if volts != float(str(np.float32(known.volts))):
+            known = known.with_full_scale(volts / 2)
         return replace(known, dac_bits=description.dac_bits, dac_rate_hz=description.dac_rate_hz)
     lower_hz, upper_hz = description.lower_hz, description.upper_hz
     if not (

@@ -11,7 +11,7 @@ from vibrocast.output.rendering import FADE_SECONDS
 
 
 class CodeQueue:
-    """A queue of codes between the thread that makes them and that of the card, for an actuator whose DAC is the card.
+    """A queue of codes between the thread that makes them and that of the card, which is the actuator's DAC.
 
     While `playing`, more codes are expected: where they run out, `underruns` counts one. Then, as at the end, the
     output falls to rest within FADE_SECONDS, or as the slew limit allows. When codes come again, they fade in.

@@ -33,7 +33,7 @@ _FIRST_BLOCKS = 8
 _LOST_S = 0.5
 # The monitor of a card that is idle may bring samples every two seconds.
 _LOST_RECORDING_S = 3.0
-# What ALSA calls its device without a card.
+# ALSA's name of its device without a card.
 _NO_CARD = "Discard all samples"
 # In each window, some block comes on time; clocks of cards differ by less than this in it.
 _WINDOW_S = 0.25
@@ -67,7 +67,7 @@ class Card:
 class CardUse:
     """How a card plays: the card, the actuator's volts at digital full scale, and how late and how well it plays.
 
-    `latency_ms`: from the controller to the card's output, without what the card itself adds. `underruns`: how often
+    `latency_ms`: from the controller to the card's output, without the card's own delay. `underruns`: how often
     the card had nothing to play since it was opened.
     """
 
@@ -121,7 +121,7 @@ def find(name: str, recording: bool = False) -> Card:
 
 
 class _Stream(Closing):
-    """What playback and capture share: the open card, its end, and the errors that say why it ended."""
+    """The common part of playback and capture: the open card, its end, and the errors that say why it ended."""
 
     def __init__(self, card: Card, channels: Sequence[int], rate_hz: int | None, periods: int, lost_s: float) -> None:
         self.card = card

@@ -64,7 +64,7 @@ class SoundCardPort(RealTimePort):
 
     @property
     def sound_card(self) -> CardUse:
-        """What plays, how late, and how often it had nothing to play."""
+        """The card that plays, its delay, and how often it had nothing to play."""
         card = self._playback.card
         return CardUse(
             name=card.name,

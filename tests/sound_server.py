@@ -173,7 +173,7 @@ class Listener:
         return self
 
     def __exit__(self, *_: object) -> None:
-        time.sleep(0.3)  # what is under way arrives
+        time.sleep(0.3)  # samples under way arrive
         self._ending.set()
         self._thread.join()
         self._capture.close()
@@ -188,7 +188,7 @@ class Listener:
         return self._capture.overruns
 
     def newest(self, seconds: float) -> Samples:
-        """Return the last part of what was heard."""
+        """Return the last part of the samples heard."""
         blocks = self._blocks[-200:]
         samples = np.concatenate(blocks) if blocks else np.zeros((0, 1))
         return samples[-round(seconds * self._capture.rate_hz) :].astype(np.float64)

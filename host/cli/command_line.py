@@ -36,9 +36,7 @@ SECTIONS: Mapping[str, Mapping[str, Subcommand]] = {
     "Play": {
         "play": Subcommand("play", "play", "Play a recording or a .vct file on one or several controllers."),
         "live": Subcommand("live", "live", "Stream a generated texture or standard input to a controller."),
-        "render": Subcommand(
-            "render", "render", "Write the drive signal of a recording or a .vct file into a WAV file."
-        ),
+        "render": Subcommand("render", "render", "Write the drive signal of a recording as a WAV file."),
         "plan": Subcommand("plan", "plan", "Choose the cheapest codec settings that meet your requirements."),
     },
     "Controllers": {

@@ -143,7 +143,7 @@ actuator_option = click.option(
     "--actuator",
     "actuator_name",
     metavar="NAME|FILE",
-    help=f"Choose the actuator of sim or a sound card: {', '.join(ACTUATORS)} or a TOML file.",
+    help=f"Choose the actuator: {', '.join(ACTUATORS)} or a TOML file. Only for simulated controllers and sound cards.",
 )
 
 

@@ -10,12 +10,13 @@ import pytest
 from vibrocast import textures
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.device_protocol.messages import CaptureData, Tap
-from vibrocast.host import end_to_end
+from vibrocast.host import devices, end_to_end
 from vibrocast.host.controller import Controller, ControllerError
-from vibrocast.host.end_to_end import Outcome
+from vibrocast.host.end_to_end import Outcome, actuator_model
 from vibrocast.host.event_loop import Steps
 from vibrocast.host.stream_session import Capture
-from vibrocast.output.actuator import LRA, PIEZO_STACK, Actuator
+from vibrocast.output.actuator import LRA, PIEZO_STACK, VOICE_COIL, Actuator
+from vibrocast.output.actuator_constants import constants
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
 from vibrocast.simulated_device.faulty_link import MemoryLink
@@ -99,3 +100,11 @@ def test_controller_with_an_impossible_actuator_is_rejected(
     monkeypatch.setattr(Controller, "open_session_steps", open_wrongly)
     with pytest.raises(ControllerError, match=reason):
         play()
+
+
+@pytest.mark.parametrize("volts", [1.0, 3.3, 2.5, 7.77])
+def test_a_known_actuator_at_other_volts_is_known_too(volts: float) -> None:
+    driven = devices.on_sound_card(VOICE_COIL, 48_000, volts)
+    with devices.connect("sim", actuator=driven) as controller:
+        described = controller.description.actuator
+    assert constants(actuator_model(described)) == constants(driven)

@@ -16,7 +16,7 @@ TRIES = 10
 
 
 class Tape:
-    """What `Playback` asks for codes: silence until `start`, then the codes."""
+    """The source of the codes of a `Playback`: silence until `start`, then the codes."""
 
     def __init__(self, codes: Codes) -> None:
         self._codes, self._at = codes, -1

@@ -57,7 +57,7 @@ class ImaginedCard:
     def _pass_time(self, now_us: int) -> bool:
         self._now_us = now_us
         while self._next <= now_us * self._rate_hz / 1e6:
-            frames = int(self._random.integers(1, self._most))
+            frames = int(self._random.integers(1, round(self._most)))
             self.out.append(self.queue.take(frames))
             self._next += frames
             self._asked_us = now_us
