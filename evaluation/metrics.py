@@ -77,7 +77,7 @@ def _check(reference: Signal, decoded: Signal, rate_hz: float) -> None:
     if reference.ndim != 2 or reference.shape != decoded.shape:
         raise ValueError(
             f"a reference of shape {reference.shape}, decoded {decoded.shape}; both must be (n, channels) and equal: "
-            "remove the codec's delay and what follows the end"
+            "resample the reference to the stream's rate, and remove the codec's delay and what follows the end"
         )
     if not (math.isfinite(rate_hz) and rate_hz > 0):
         raise ValueError(f"a rate of {rate_hz} Hz; give the samples' rate, a positive number")

@@ -14,7 +14,7 @@ from msgspec import Meta, structs
 from vibrocast import textures
 from vibrocast.device_protocol.messages import ActuatorDescription
 from vibrocast.files import InputFileError
-from vibrocast.host import devices
+from vibrocast.host import devices, sensitivity
 from vibrocast.host.controller import Controller
 from vibrocast.host.end_to_end import actuator_model
 from vibrocast.output.actuator import Actuator
@@ -23,6 +23,7 @@ from vibrocast.textures import Recording
 from vibrocast.toml_tables import Table, Text, check_names, convert, located, one_of, read_each, read_toml, within
 
 SENSOR_KINDS = ("accelerometer", "laser")
+_INPUT = "an input: audio:CARD:CHANNEL or serial:PORT"
 SENSOR_PLACEHOLDERS = ("file", "seconds")
 SUFFIXES = (".wav", ".csv", ".txt", ".tsv", ".npy", ".npz")
 RateHz = Annotated[float, within(20, 1e7, "sample rate in Hz")]
@@ -64,31 +65,63 @@ class BenchActuator:
 
 
 class Sensor(Table, frozen=True, kw_only=True):
-    """A sensor on an actuator, read by a program that records into a file.
+    """A sensor on an actuator, read by a program that records into a file, or at an input of this computer.
 
     `controller`: name; in a file, None = the only one. `command`: program and arguments, with {file} and {seconds} to
     be filled in. `suffix`: of the file's name. `rate_hz`, `unit`, `axis`, `reduce`: as `textures.load` takes them.
     `sensitivity`: what one `unit` makes in the file's numbers, where full scale of a WAV file or of integers is 1.
+
+    `input`: in place of `command`, one of `host.recorder.FORMS`. `sensitivity` is a text then, as
+    `host.sensitivity.parse` takes it; `volts_full_scale`, `axis`, `rate_hz` and `baud`: as of
+    `host.recorder.open_source`.
     """
 
     name: Text
     kind: Annotated[str, one_of(SENSOR_KINDS)]
     controller: str | None = None
     channel: Annotated[int, within(1, 16, "channel of the controller")] = 1
-    command: Annotated[tuple[str, ...], Meta(min_length=1, description="a list of a program and its arguments")]
+    command: (
+        Annotated[tuple[str, ...], Meta(min_length=1, description="a list of a program and its arguments")] | None
+    ) = None
+    input: Annotated[str, Meta(pattern=r"\A(serial:|audio:).+\Z", description=_INPUT)] | None = None
     suffix: Annotated[str, one_of(SUFFIXES)] = ".wav"
     rate_hz: RateHz | None = None
     unit: Unit | None = None
-    sensitivity: Annotated[float, Meta(gt=0, description="sensitivity per unit")] | None = None
+    sensitivity: Annotated[float, Meta(gt=0, description="sensitivity per unit")] | Text | None = None
+    volts_full_scale: Annotated[float, within(1e-4, 1e4, "volts at digital full scale")] | None = None
+    baud: Annotated[int, within(1200, 20_000_000, "bits per second of the serial port")] | None = None
     axis: Axis | None = None
     reduce: Reduction | None = None
 
+    @property
+    def program(self) -> str:
+        """The program that records; empty for an input of this computer."""
+        return self.command[0] if self.command else ""
+
     def __post_init__(self) -> None:
+        if (self.command is None) == (self.input is None):
+            raise ValueError("give either command, a program that records, or input, a sound card or serial port")
+        if self.command is None:
+            self._check_input()
+            return
+        if self.volts_full_scale is not None or self.baud is not None or isinstance(self.sensitivity, str):
+            raise ValueError("volts_full_scale, baud and a sensitivity in text go with input; leave them out")
         named = {found for part in self.command for found in re.findall(r"\{(\w*)\}", part)}
         if "file" not in named or named - set(SENSOR_PLACEHOLDERS) or not all(map(str.isprintable, self.command)):
             raise ValueError("command must be a list of a program and its arguments, {file} among them, or {seconds}")
         if self.sensitivity is not None and self.unit is None:
             raise ValueError("sensitivity needs its unit: add unit, such as 'm/s^2'")
+
+    def _check_input(self) -> None:
+        """Raise ValueError for keys that do not go with `input`."""
+        if self.unit is not None or self.reduce is not None or self.suffix != ".wav":
+            raise ValueError("unit, reduce and suffix go with command; leave them out, sensitivity states the unit")
+        if self.sensitivity is not None and not isinstance(self.sensitivity, str):
+            raise ValueError(f"sensitivity of an input is a text, such as {sensitivity.EXAMPLES}")
+        if self.sensitivity is not None:
+            sensitivity.parse(self.sensitivity)
+        if self.rate_hz is not None and self.rate_hz != int(self.rate_hz):
+            raise ValueError("rate_hz of an input is a whole number; round it")
 
 
 class TextureTable(Table, frozen=True, kw_only=True):

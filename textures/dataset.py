@@ -325,6 +325,8 @@ def _rows(manifest: Path) -> tuple[dict[str, dict[str, str]], list[str]]:
 def _stated_options(row: Mapping[str, str], place: str) -> dict[str, Any]:
     """Return the options of a row for `textures.load`. Raises DatasetError."""
     options: dict[str, Any] = {name: row[name] for name in ("axis", "reduce", "key") if row.get(name)}
+    if options.get("axis", "").upper() in textures.AXES:
+        options["axis"] = options["axis"].upper()
     for name, known in (("axis", textures.AXES), ("reduce", textures.REDUCTIONS)):
         if name in options and options[name] not in known:
             raise DatasetError(f"{place}, {name}: {options[name]!r} is none of {', '.join(known)}; correct it")

@@ -1,20 +1,27 @@
 """Reads and writes WAV files, with unit and full scale in the file's comment."""
 
+import os
 import re
+import struct
 from pathlib import Path
 
 import numpy as np
 import soundfile
 
+from vibrocast.textures import sidecar
+from vibrocast.textures.axes import AXES
 from vibrocast.textures.memory import shortage
-from vibrocast.textures.recording import UNITS, Contents, Recording, TextureError
+from vibrocast.textures.recording import UNITS, Contents, Recording, Signal, TextureError
 
 # libsndfile's note, in bytes, if a header states more than the file holds: in the data, or in all of an RF64 file.
 _CUT_OFF = re.compile(r"(?:data|Riff size) : (\d+) \(should be (\d+)\)")
 # Programs that write into a pipe state about 2 or 4 GiB, because they cannot correct the header at the end.
 UNKNOWN_LENGTHS_BYTES = (2**31, 2**32)
 UNKNOWN_LENGTH_MARGIN_BYTES = 2**16
-_COMMENT = re.compile(r"unit=(.+?); full_scale=([^;]+)(; .*)?")
+_COMMENT = re.compile(r"unit=(.+?); full_scale=([^;]+)(?:; axes=([xyz]+))?(; .*)?")
+MAX_BYTES = 2**32 - 2**16
+"""Most bytes of samples in a WAV file, whose header states its size in 32 bits."""
+_FLOAT_FORMAT = 3  # WAVE_FORMAT_IEEE_FLOAT: Microsoft, Multimedia Registration Kit, 1994
 
 
 def read(path: Path) -> Contents:
@@ -27,14 +34,25 @@ def read(path: Path) -> Contents:
             if lack := shortage(8 * file.frames * file.channels):
                 raise TextureError(f"{path}: {lack}")
             samples = file.read(dtype="float64", always_2d=True)
-            rate_hz, comment = float(file.samplerate), file.comment
+            rate_hz, comment, is_float = float(file.samplerate), file.comment, file.subtype in ("FLOAT", "DOUBLE")
     except UnicodeEncodeError as error:
         raise TextureError(f"{path}: its name holds bytes that are no characters; rename it") from error
     except soundfile.SoundFileError as error:
         raise TextureError(f"{path}: not a WAV file that can be read; convert it to plain WAV ({error})") from error
-    unit, full_scale = _stated_by_comment(comment)
+    commented = _stated_by_comment(comment)
+    beside = sidecar.read(path)
+    if beside is not None:
+        _check_sidecar(path, beside, rate_hz, samples.shape[1], commented)
+        if commented is None and not is_float:
+            raise TextureError(
+                f"{path}: another program has stored it as integers, which no longer say how many {beside.unit} 1.0 "
+                f"is; save it as 32-bit float, or delete {sidecar.path_of(path).name} and state its unit"
+            )
+        commented = commented or (beside.unit, 1.0, beside.axes)
+    unit, full_scale, axes = commented or ("full scale", 1.0, "")
     samples *= full_scale
-    return Contents(samples, rate_hz, unit)
+    # Only three axes can be reduced; one or two are channels.
+    return Contents(samples, rate_hz, unit, axes=AXES if len(axes) == len(AXES) == samples.shape[1] else ())
 
 
 def write(path: Path, recording: Recording, sixteen_bit: bool, note: str = "") -> float:
@@ -61,9 +79,85 @@ def write(path: Path, recording: Recording, sixteen_bit: bool, note: str = "") -
         subtype="PCM_16" if sixteen_bit else "FLOAT",
         format="WAV",
     ) as file:
-        file.comment = f"unit={recording.unit}; full_scale={full_scale}" + (f"; {note}" if note else "")
+        axes = "".join(recording.axes).lower()
+        file.comment = _comment(recording.unit, full_scale, axes) + (f"; {note}" if note else "")
         file.write(samples)
     return full_scale
+
+
+class Writer:
+    """Writes a WAV file of 32-bit floats piece by piece, in the unit itself; what lies on the disk can always be read.
+
+    `axes`: letters of AXES, one for each channel, or none. Raises OSError.
+    """
+
+    def __init__(self, path: Path, rate_hz: int, channels: int, unit: str, axes: str) -> None:
+        self.frames = 0
+        self._frame_bytes = 4 * channels
+        self.max_frames = MAX_BYTES // self._frame_bytes
+        self._file = path.open("wb", buffering=0)
+        comment = _comment(unit, 1.0, axes.lower()).encode("ascii") + b"\0"
+        comment += b"\0" * (len(comment) % 2)
+        layout = struct.pack(
+            "<HHIIHHH", _FLOAT_FORMAT, channels, rate_hz, rate_hz * self._frame_bytes, self._frame_bytes, 32, 0
+        )
+        chunks = _chunk(b"fmt ", layout) + _chunk(b"LIST", b"INFO" + _chunk(b"ICMT", comment))
+        self._fact_at = 12 + len(chunks) + 8
+        chunks += _chunk(b"fact", bytes(4))
+        self._data_at = 12 + len(chunks) + 8
+        self._put(b"RIFF" + bytes(4) + b"WAVE" + chunks + b"data" + bytes(4))
+        self._state_length()
+
+    def write(self, samples: Signal) -> None:
+        """Append samples (n, channels), of which the file holds `max_frames` at most. Raises OSError."""
+        self._put(samples.astype("<f4").tobytes())
+        self.frames += len(samples)
+        self._state_length()
+
+    def shorten(self, frames: int) -> None:
+        """Keep only the first `frames`, and nothing of a piece that was written in part."""
+        self.frames = min(self.frames, frames)
+        self._file.truncate(self._data_at + self._frame_bytes * self.frames)
+        self._state_length()
+
+    def close(self) -> None:
+        """Put the samples on the disk, and close the file."""
+        os.fsync(self._file.fileno())
+        self._file.close()
+
+    def _put(self, data: bytes) -> None:
+        while data:
+            data = data[self._file.write(data) :]
+
+    def _state_length(self) -> None:
+        size = self._frame_bytes * self.frames
+        for place, value in ((4, self._data_at + size - 8), (self._fact_at, self.frames), (self._data_at - 4, size)):
+            self._file.seek(place)
+            self._put(struct.pack("<I", value))
+        self._file.seek(self._data_at + size)
+
+
+def _chunk(name: bytes, content: bytes) -> bytes:
+    return name + struct.pack("<I", len(content)) + content
+
+
+def _comment(unit: str, full_scale: float, axes: str) -> str:
+    return f"unit={unit}; full_scale={full_scale}" + (f"; axes={axes}" if axes else "")
+
+
+def _check_sidecar(
+    path: Path, beside: sidecar.Stated, rate_hz: float, channels: int, commented: tuple[str, float, str] | None
+) -> None:
+    """Raise TextureError if a WAV file and its sidecar contradict each other."""
+    pairs: list[tuple[str, object, object]] = [("Hz", rate_hz, beside.rate_hz), ("channels", channels, beside.channels)]
+    if commented is not None:
+        pairs += [("as unit", commented[0], beside.unit), ("as axes", commented[2] or "none", beside.axes or "none")]
+    for name, here, there in pairs:
+        if here != there:
+            raise TextureError(
+                f"{path}: has {here} {name}, and {sidecar.path_of(path).name} says {there}; correct or delete the "
+                "wrong one"
+            )
 
 
 def _reject_cut_off(notes: str, path: Path) -> None:
@@ -78,13 +172,13 @@ def _reject_cut_off(notes: str, path: Path) -> None:
             )
 
 
-def _stated_by_comment(comment: str) -> tuple[str, float]:
-    """Return unit and full scale from a comment that `write` wrote, otherwise those of a plain WAV file."""
+def _stated_by_comment(comment: str) -> tuple[str, float, str] | None:
+    """Return unit, full scale and axes from a comment that `write` wrote; None for any other."""
     if match := _COMMENT.fullmatch(comment):
         try:
             full_scale = float(match[2])
         except ValueError:
             full_scale = 0.0
         if match[1] in UNITS and 0 < full_scale < np.inf:
-            return match[1], full_scale
-    return "full scale", 1.0
+            return match[1], full_scale, match[3] or ""
+    return None

@@ -17,13 +17,18 @@ class Update(Protocol):
 
 
 @contextmanager
-def bar(work: str) -> Iterator[Update]:
-    """Yield what the work, named `work`, tells how far it is, as often as it likes."""
+def bar(work: str, details_only: bool = False) -> Iterator[Update]:
+    """Yield what the work, named `work`, tells how far it is, as often as it likes.
+
+    `details_only`: the details are a picture of their own, and fill the line.
+    """
     if sys.stderr.isatty():
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn
 
-        columns = BarColumn(), TextColumn("{task.description}")
+        columns = (
+            [TextColumn("{task.description}")] if details_only else [BarColumn(), TextColumn("{task.description}")]
+        )
         with Progress(*columns, console=Console(stderr=True), transient=True) as shown:
             task = shown.add_task(work, total=1.0)
 

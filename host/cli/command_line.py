@@ -27,6 +27,7 @@ class Subcommand(NamedTuple):
 # Help and version load none of these modules; a subcommand loads its own.
 SECTIONS: Mapping[str, Mapping[str, Subcommand]] = {
     "Compress": {
+        "record": Subcommand("record", "record", "Record an accelerometer or a displacement sensor into a WAV file."),
         "generate": Subcommand("generate", "generate", "Generate a texture (.wav) or its height profile (.csv)."),
         "encode": Subcommand("encode", "encode", "Code a recording into a .vct file."),
         "decode": Subcommand("decode", "decode", "Decode a .vct file into a WAV, CSV, NPY or MAT file."),

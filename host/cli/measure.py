@@ -1,13 +1,21 @@
 """The subcommand `measure`: measures a controller on its bench, reports, and compares with an earlier run."""
 
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from vibrocast import extras
 from vibrocast.host.cli.option_types import FOLDER, INPUT
-from vibrocast.host.cli.options import plan_option
+from vibrocast.host.cli.options import actuator_option, grouped, plan_option
+from vibrocast.host.cli.sensor_options import sensitivity_option, volts_option
 from vibrocast.host.harness import ACTUATOR, JSON, NAMES, PAGE
+from vibrocast.host.sensitivity import Sensitivity
+from vibrocast.output import actuator_files
+
+if TYPE_CHECKING:
+    from vibrocast.host.bench_file import Bench
 
 
 def chosen_names(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[str, ...]:
@@ -17,6 +25,52 @@ def chosen_names(ctx: click.Context, param: click.Parameter, value: str | None) 
         if name not in NAMES:
             raise click.BadParameter(f"{name!r} is no measurement; give some of {', '.join(NAMES)}", ctx, param)
     return names
+
+
+@dataclass(frozen=True)
+class CalibrationOptions:
+    """An actuator on the first channel and a sensor on it, without a bench file; None = not given."""
+
+    actuator_name: str | None
+    sensor: str | None
+    sensitivity: Sensitivity | None
+    volts_full_scale: float | None
+
+
+calibration_options = grouped(
+    "calibration",
+    CalibrationOptions,
+    actuator_option,
+    click.option("--sensor", metavar="INPUT", help="Choose its sensor: serial:PORT or audio:CARD:CHANNEL."),
+    sensitivity_option,
+    volts_option,
+)
+
+
+def calibrated(bench: "Bench", given: CalibrationOptions) -> "Bench":
+    """Return the bench with the actuator and the sensor that the options name. Raises click.UsageError."""
+    from vibrocast.host.bench_file import BenchActuator, Sensor
+
+    if given.sensor is None and (given.sensitivity is not None or given.volts_full_scale is not None):
+        raise click.UsageError("--sensitivity and --volts-full-scale describe a sensor; add --sensor")
+    if given.actuator_name is not None:
+        model = actuator_files.find(given.actuator_name)
+        bench = replace(bench, actuators=(BenchActuator(model, bench.first.name, None),))
+    if given.sensor is None:
+        return bench
+    sensitivity = given.sensitivity
+    try:
+        sensor = Sensor(
+            name=given.sensor,
+            kind="laser" if sensitivity is not None and sensitivity.unit == "um" else "accelerometer",
+            controller=bench.first.name,
+            input=given.sensor,
+            sensitivity=None if sensitivity is None else sensitivity.text,
+            volts_full_scale=given.volts_full_scale,
+        )
+    except ValueError as error:
+        raise click.UsageError(f"--sensor: {error}") from error
+    return replace(bench, sensors=(sensor,))
 
 
 @click.command()
@@ -31,6 +85,7 @@ def chosen_names(ctx: click.Context, param: click.Parameter, value: str | None) 
     help="Read controllers, actuators, sensors and textures from a TOML file.",
 )
 @plan_option
+@calibration_options
 @click.option(
     "--out",
     type=FOLDER,
@@ -56,6 +111,7 @@ def measure(
     device: str | None,
     bench_path: Path | None,
     plan_path: Path | None,
+    calibration: CalibrationOptions,
     out: Path,
     earlier: Path | None,
     names: tuple[str, ...],
@@ -74,8 +130,11 @@ def measure(
 
     if plan_path is not None and bench_path is not None:
         raise click.UsageError("--plan and --bench both name controllers and actuators; drop one of them")
+    if (plan_path or bench_path) and calibration != CalibrationOptions(None, None, None, None):
+        raise click.UsageError("--plan and --bench name actuators and sensors; drop them, or --actuator and --sensor")
     bench = None if bench_path is None else read_bench(bench_path)
     bench = choose_controller(bench if plan_path is None else read_plan(plan_path).bench(), device)
+    bench = calibrated(bench, calibration)
     before = None if earlier is None else read_results(earlier)
     results = measure_bench(bench, out, names, before)
     changes = [] if before is None else compare(before, results.document())

@@ -1,19 +1,26 @@
-"""Records an actuator by a sensor of the bench: runs its program, and reads the file that it wrote."""
+"""Records an actuator by a sensor of the bench: at an input of this computer, or by a program that writes a file."""
 
 import contextlib
 import os
 import signal
 import subprocess
 import tempfile
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from functools import partial
 from pathlib import Path
 from typing import BinaryIO, TypeAlias
 
-from vibrocast import textures
+import numpy as np
+
+from vibrocast import extras, textures
+from vibrocast.device_protocol.transports import BAUD, TransportError
 from vibrocast.host.bench_file import Sensor
+from vibrocast.host.recorder import Levels, Source, open_source, pieces
+from vibrocast.host.sensitivity import parse
 from vibrocast.textures import Recording
+from vibrocast.textures.recording import Signal
 
 Recorder: TypeAlias = Callable[[float], AbstractContextManager[Callable[[], Recording]]]
 """Records for so many seconds; what it yields waits for the end and gives the recording, m/s^2 or um."""
@@ -29,18 +36,21 @@ class SensorError(RuntimeError):
 
 
 def recorder(sensor: Sensor) -> Recorder:
-    """Return what records by a sensor's program. Raises SensorError, when it starts and when it gives its recording.
+    """Return what records by a sensor. Raises SensorError, when it starts and when it gives its recording.
 
-    It is started so long before what is played that the beginning is in the recording, as the harness waits for it.
-    Its processes have ended when the block is left, in any way.
+    It begins so long before what is played that the beginning is in the recording, as the harness waits for it. The
+    processes of a program have ended when the block is left, in any way.
     """
+    if sensor.command is None:
+        return partial(_at_input, sensor)
+    arguments = sensor.command
 
     @contextlib.contextmanager
     def record(seconds: float) -> Iterator[Callable[[], Recording]]:
         with tempfile.TemporaryDirectory(prefix="vibrocast-", ignore_cleanup_errors=True) as folder:
             file, complaints = Path(folder) / f"recording{sensor.suffix}", Path(folder) / "complaints"
             values = {"{file}": str(file), "{seconds}": f"{seconds + _STARTS_WITHIN_S:g}"}
-            command = [_filled(part, values) for part in sensor.command]
+            command = [_filled(part, values) for part in arguments]
             with complaints.open("wb") as stderr:  # children of the program would hold a pipe open
                 process = _start(sensor, command, stderr)
             try:
@@ -52,6 +62,86 @@ def recorder(sensor: Sensor) -> Recorder:
                 process.wait()
 
     return record
+
+
+@contextlib.contextmanager
+def _at_input(sensor: Sensor, seconds: float) -> Iterator[Callable[[], Recording]]:
+    """Record so many seconds at a sensor's input, from now on. Raises SensorError."""
+    assert sensor.input is not None, "required"
+    with contextlib.ExitStack() as stack:
+        try:
+            source = stack.enter_context(
+                open_source(
+                    sensor.input,
+                    None if sensor.sensitivity is None else parse(str(sensor.sensitivity)),
+                    sensor.volts_full_scale,
+                    axes=(sensor.axis or "").lower(),
+                    rate_hz=None if sensor.rate_hz is None else int(sensor.rate_hz),
+                    baud=sensor.baud or BAUD,
+                )
+            )
+        except (TransportError, textures.TextureError, extras.MissingExtraError) as error:
+            raise SensorError(f"sensor {sensor.name}: {error}") from error
+        if source.channels != 1:
+            raise SensorError(
+                f"sensor {sensor.name}: {source.channels} channels; give axis, or the number of a channel"
+            )
+        _check_unit(sensor, source.unit)
+        collector = _Collector(sensor, source, seconds)
+        stack.callback(collector.stop)
+        yield collector.finish
+
+
+class _Collector:
+    """Reads a source in a thread of its own until it has so many seconds."""
+
+    def __init__(self, sensor: Sensor, source: Source, seconds: float) -> None:
+        self._sensor, self._source = sensor, source
+        self._wanted = round(seconds * source.rate_hz)
+        self._pieces: list[Signal] = []
+        self._levels = Levels(source)
+        self._failure: Exception | None = None
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._collect, name=sensor.name)
+        self._within_s = seconds + _ENDS_WITHIN_S
+        self._thread.start()
+
+    def _collect(self) -> None:
+        count = 0
+        try:
+            for piece in pieces(self._source):
+                self._levels.watch(piece)
+                self._pieces.append(piece)
+                count += len(piece)
+                if count >= self._wanted or self._ending.is_set():
+                    break
+        except Exception as failure:  # `finish` raises it
+            self._failure = failure
+
+    def stop(self) -> None:
+        """End the thread; may be called again."""
+        self._ending.set()
+        self._thread.join()
+
+    def finish(self) -> Recording:
+        """Return the recording, when it is complete. Raises SensorError, also for a clipped one and one with gaps."""
+        self._thread.join(self._within_s)
+        complete = not self._thread.is_alive()
+        self.stop()
+        self._levels.finish()
+        name = self._sensor.name
+        if self._failure is not None:
+            raise SensorError(f"sensor {name}: {self._failure}") from self._failure
+        if not complete:
+            raise SensorError(f"sensor {name}: fewer samples than its rate says; check its rate_hz and its cable")
+        if self._levels.clipping.runs:
+            raise SensorError(f"sensor {name}: its recording is clipped; lower the gain of its amplifier")
+        if self._source.losses.gaps:
+            raise SensorError(
+                f"sensor {name}: samples were lost {self._source.losses.gaps} times; close other programs"
+            )
+        samples = np.concatenate(self._pieces)[: self._wanted]
+        return Recording(samples, float(self._source.rate_hz), self._source.unit, name)
 
 
 def _start(sensor: Sensor, command: list[str], stderr: BinaryIO) -> "subprocess.Popen[bytes]":
@@ -74,14 +164,14 @@ def _finish(
         process.wait(within_s)
     except subprocess.TimeoutExpired as error:
         raise SensorError(
-            f"sensor {sensor.name}: {sensor.command[0]} does not end by itself; correct its command in the bench file"
+            f"sensor {sensor.name}: {sensor.program} does not end by itself; correct its command in the bench file"
         ) from error
     if process.returncode or not file.exists():
         with complaints.open("rb") as said:
             said.seek(max(0, complaints.stat().st_size - _MAX_COMPLAINT_BYTES))
             lines = said.read().decode(errors="replace").strip().splitlines() or [f"exit code {process.returncode}"]
         raise SensorError(
-            f"sensor {sensor.name}: {sensor.command[0]} has recorded nothing ({lines[-1]}); check the sensor"
+            f"sensor {sensor.name}: {sensor.program} has recorded nothing ({lines[-1]}); check the sensor"
         )
     return read_recording(sensor, file)
 
@@ -89,7 +179,7 @@ def _finish(
 def read_recording(sensor: Sensor, file: Path) -> Recording:
     """Read what a sensor has recorded: one channel, m/s^2 of an accelerometer, um of a laser. Raises SensorError."""
     try:
-        full_scale = None if sensor.sensitivity is None else 1 / sensor.sensitivity
+        full_scale = None if sensor.sensitivity is None else 1 / float(sensor.sensitivity)
         recording = textures.load(
             file,
             rate_hz=sensor.rate_hz,
@@ -100,17 +190,22 @@ def read_recording(sensor: Sensor, file: Path) -> Recording:
         )
     except textures.TextureError as error:
         raise SensorError(f"sensor {sensor.name}: {error}") from error
-    required = {"accelerometer": "m/s^2", "laser": "um"}[sensor.kind]
-    if recording.unit != required:
-        raise SensorError(
-            f"sensor {sensor.name}: a {sensor.kind} whose recording is in {recording.unit}; give its unit and "
-            "sensitivity in the bench file"
-        )
+    _check_unit(sensor, recording.unit)
     if recording.channels != 1:
         raise SensorError(
             f"sensor {sensor.name}: a recording of {recording.channels} channels; record one, or give axis or reduce"
         )
     return recording
+
+
+def _check_unit(sensor: Sensor, unit: str) -> None:
+    """Raise SensorError for a recording that is not in the unit of this kind of sensor."""
+    required = {"accelerometer": "m/s^2", "laser": "um"}[sensor.kind]
+    if unit != required:
+        raise SensorError(
+            f"sensor {sensor.name}: a {sensor.kind} whose recording is in {unit}; give its unit and sensitivity in the "
+            "bench file"
+        )
 
 
 def _filled(part: str, values: dict[str, str]) -> str:
