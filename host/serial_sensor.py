@@ -28,6 +28,7 @@ DESCRIPTION, SAMPLES = 1, 2
 
 _SILENT_S = 5.0  # opening the port restarts some boards, which then need seconds
 _UNKNOWN_BYTES = 1 << 16  # of which nothing was understood
+_STATED_WITHIN_S = 2.0  # a sensor of text should repeat its comment every second
 _LINES = 8  # in a row make it text
 _FRAMES = 2  # make it binary
 _MEASURED_S = 0.5
@@ -151,7 +152,7 @@ class Lines:
             line, whole = bytes(self._pending), self._whole
             self._pending.clear()
             self._whole = True
-            if whole and (sample := self._sample(line)):
+            if (whole or line.startswith(b"#")) and (sample := self._sample(line)):
                 samples.append(sample)
         self._keep(rest)
         return samples
@@ -502,13 +503,17 @@ class SerialSensor(Closing):
         lines, frames = Lines(), Frames()
         received = 0
         began_s = time.monotonic()
+        known_s: float | None = None
         while True:
             data = self._bytes(0.1)
             received += len(data)
             lines.feed(data)
             frames.feed(data)
             if lines.is_text:
-                return lines
+                known_s = known_s or time.monotonic()
+                if lines.description != Description() or time.monotonic() - known_s >= _STATED_WITHIN_S:
+                    return lines
+                continue
             if frames.found >= _FRAMES and frames.description.axes:
                 return frames
             if received > _UNKNOWN_BYTES or (received and time.monotonic() - began_s > 2 * _SILENT_S):
