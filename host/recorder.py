@@ -270,7 +270,7 @@ def _decibels(level: float) -> str:
 
 @dataclass(frozen=True)
 class Recorded:
-    """What was recorded. `peaks`: of each channel, in the unit, with the drift."""
+    """The result of a recording. `peaks`: of each channel, in the unit, with the drift."""
 
     frames: int
     seconds: float
@@ -296,7 +296,7 @@ def record(
 
     Writes as it goes. `highpass_hz`: corner of the high-pass, `textures.LiveHighPass`; None keeps offset and drift.
     `progress` gets the part that is done, or None, and the levels as text. Raises RecordingStopped after a lost sensor
-    or a full disk, with what came before in the file, OSError and TextureError.
+    or a full disk, with the file saved so far, OSError and TextureError.
     """
     highpass = None if highpass_hz is None else LiveHighPass(source.rate_hz, highpass_hz)
     began = datetime.datetime.now(datetime.UTC)
@@ -354,7 +354,7 @@ def _record(
     highpass: LiveHighPass | None,
     progress: Callable[[float, str], None] | None,
 ) -> Exception | None:
-    """Record up to so many frames, or until Ctrl-C; return what stopped it, if anything did."""
+    """Record up to `wanted` frames, or until Ctrl-C; return the error that stopped it, if any."""
     frames = 0
     try:
         for piece in pieces(source):

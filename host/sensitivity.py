@@ -18,7 +18,7 @@ class SensitivityError(ValueError):
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """What a sensor gives for one unit of what it measures.
+    """The volts or counts that a sensor gives for one unit of acceleration or length.
 
     Attributes:
         per_unit: Volts or counts for one `unit`.

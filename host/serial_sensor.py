@@ -52,7 +52,7 @@ class SensorStreamError(TransportError):
 
 @dataclass(frozen=True)
 class Description:
-    """What a sensor states of its samples; None = not stated.
+    """The facts that a sensor states of its samples; None = not stated.
 
     Attributes:
         rate_hz: Samples per second, a whole number.

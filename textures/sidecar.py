@@ -1,4 +1,4 @@
-"""The sidecar of a recorded WAV file: a JSON file beside it that states unit, rate, axes, sensor and losses."""
+"""The sidecar of a recorded WAV file: a JSON file next to it that states unit, rate, axes, sensor and losses."""
 
 import json
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ _MAX_BYTES = 1 << 20
 
 @dataclass(frozen=True)
 class Stated:
-    """What a sidecar states of the samples. `axes`: small letters of AXES, one for each channel, or none."""
+    """The facts on the samples that a sidecar states. `axes`: small letters of AXES, one for each channel, or none."""
 
     unit: str
     rate_hz: float

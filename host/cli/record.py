@@ -57,7 +57,7 @@ def record(
 ) -> None:
     """Record an accelerometer or a displacement sensor into a WAV file.
 
-    The file holds 32-bit floats in m/s^2 or um. A JSON file of the same name beside it states sensor, losses and
+    The file holds 32-bit floats in m/s^2 or um. A JSON file of the same name next to it states sensor, losses and
     clipping. Ctrl-C ends a recording and keeps it.
     """
     beside = sidecar.path_of(out)

@@ -66,7 +66,7 @@ def recorder(sensor: Sensor) -> Recorder:
 
 @contextlib.contextmanager
 def _at_input(sensor: Sensor, seconds: float) -> Iterator[Callable[[], Recording]]:
-    """Record so many seconds at a sensor's input, from now on. Raises SensorError."""
+    """Record these seconds at a sensor's input, from now on. Raises SensorError."""
     assert sensor.input is not None, "required"
     with contextlib.ExitStack() as stack:
         try:
@@ -93,7 +93,7 @@ def _at_input(sensor: Sensor, seconds: float) -> Iterator[Callable[[], Recording
 
 
 class _Collector:
-    """Reads a source in a thread of its own until it has so many seconds."""
+    """Reads a source in a thread of its own until the recording is complete."""
 
     def __init__(self, sensor: Sensor, source: Source, seconds: float) -> None:
         self._sensor, self._source = sensor, source

@@ -3,13 +3,20 @@
 import json
 import sys
 from pathlib import Path
+from typing import Self
 
+import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from scipy.signal import bilinear, lfilter
 
+from tests.sound_server import HEADPHONES, PAD, SoundServer
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host.cli.command_line import main
 from vibrocast.host.harness import measurements
+from vibrocast.output import actuator_files
+from vibrocast.output.actuator import Codes
+from vibrocast.output.sound_card import Capture, Playback, find
 
 SENSOR = """
 [[sensors]]
@@ -17,6 +24,8 @@ name = "laser"
 kind = "laser"
 command = ["{python}", "-c", "{program}", "{{file}}"]
 """
+
+TRIES = 3
 
 
 def run(*arguments: str) -> Result:
@@ -117,3 +126,81 @@ def test_bad_input_is_reported_in_one_line(arguments: list[str], message: str, t
     assert result.exit_code == 2
     assert message in result.output
     assert len(result.output.strip().splitlines()) == 1
+
+
+CORNER_HZ, QUALITY, STROKE_UM = 74.0, 4.1, 520.0
+HIGHEST_ACCELERATION = 100.0
+"""In m/s^2, of the loop's sensor: digital full scale."""
+
+
+class VoiceCoilLoop:
+    """Hears what a sound card plays, moves a voice coil by it, and plays its acceleration on another card."""
+
+    def __init__(self) -> None:
+        self._capture = Capture(find(f"Monitor of {PAD}", recording=True), [1], 44_100)
+        # Acceleration over drive, STROKE_UM / 2 (1 / Q) s^2 / (1 + s / (Q w) + (s / w)^2), by the bilinear transform.
+        angular = 2 * np.pi * CORNER_HZ
+        gain = 1e-6 * STROKE_UM / 2 / QUALITY / HIGHEST_ACCELERATION
+        analogue = [gain, 0.0, 0.0], [1 / angular**2, 1 / (QUALITY * angular), 1.0]
+        self._filter = bilinear(*analogue, fs=44_100)
+        self._state = np.zeros(2)
+        self._waiting = np.zeros(4410)  # 0.1 s, so that the second card always has something to play
+        self._playback = Playback(find(HEADPHONES), [1], self._fill)
+
+    def _fill(self, frames: int) -> Codes:
+        heard = self._capture.read(0.0)[:, 0]
+        if len(heard):
+            moved, self._state = lfilter(*self._filter, heard, zi=self._state)
+            self._waiting = np.concatenate((self._waiting, moved))
+        now, self._waiting = self._waiting[:frames], self._waiting[frames:]
+        codes = np.zeros((frames, 1), np.int16)
+        codes[: len(now), 0] = np.rint(32768 * now)
+        return codes
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._playback.close()
+        self._capture.close()
+
+
+@pytest.mark.slow
+def test_an_accelerometer_on_a_sound_card_fits_the_actuator_behind_another(
+    tmp_path: Path, pulseaudio: SoundServer
+) -> None:
+    mine = tmp_path / "mine.toml"
+    mine.write_text('model = "voice-coil"\nname = "mine"\n')
+    for _ in range(TRIES):  # a busy machine may let the loop skip
+        with VoiceCoilLoop():
+            result = run(
+                *("--device", f"audio:{PAD}:1", "--actuator", str(mine), "--only", "response"),
+                *("--sensor", f"audio:Monitor of {HEADPHONES}:1", "--sensitivity", "20mV/(m/s^2)"),
+                *("--volts-full-scale", "2", "--out", str(tmp_path / "out")),
+            )
+        assert "clipped" not in result.output
+        if result.exit_code == 0:
+            fit = json.loads((tmp_path / "out" / "measured.json").read_text())["measured"]["response"]["fit"]
+            if fit["unexplained"] < 0.01:
+                break
+    else:
+        raise AssertionError(result.output)
+    assert fit["corner_hz"] == pytest.approx(CORNER_HZ, rel=0.02)
+    assert fit["quality"] == pytest.approx(QUALITY, rel=0.05)
+    assert fit["stroke_um"] == pytest.approx(STROKE_UM, rel=0.05)
+    fitted = actuator_files.find(tmp_path / "out" / "actuator.toml")
+    assert fitted.corner_hz == fit["corner_hz"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error"),
+    [
+        (("--sensitivity", "1mV/g"), "describe a sensor; add --sensor"),
+        (("--bench", "bench.toml", "--actuator", "lra"), "drop them, or --actuator and --sensor"),
+        (("--sensor", "audio:card:1", "--only", "response"), "give the sensor's `sensitivity` in volts"),
+    ],
+)
+def test_a_sensor_needs_its_options(arguments: tuple[str, ...], error: str, tmp_path: Path) -> None:
+    result = run(*arguments, "--out", str(tmp_path / "out"))
+    assert result.exit_code
+    assert error in result.output

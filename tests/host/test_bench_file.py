@@ -19,6 +19,15 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "bench.toml"
 CONTROLLER = '[[controllers]]\nname = "left"\naddress = "sim"\n'
 SENSOR = '[[sensors]]\nname = "laser"\nkind = "laser"\ncommand = ["record", "{file}"]\n'
 
+INPUT = """
+[[sensors]]
+name = "accelerometer"
+kind = "accelerometer"
+input = "audio:USB Audio:2"
+sensitivity = "10.2mV/g"
+volts_full_scale = 2.1
+"""
+
 
 def test_the_example_is_a_bench() -> None:
     bench = read_bench(EXAMPLE)
@@ -88,6 +97,17 @@ def test_an_impossible_texture_is_reported_with_its_place(tmp_path: Path) -> Non
         (CONTROLLER + SENSOR + "sensitivity = 0.1\n", "sensitivity needs its unit: add unit, such as 'm/s^2'"),
         (CONTROLLER + SENSOR.replace("record", "\\u0000"), "command must be a list of a program and its arguments"),
         (CONTROLLER + SENSOR + SENSOR.replace('name = "laser"', 'name = "b"'), "[[sensors]] 2: there is another one"),
+        (
+            CONTROLLER + SENSOR + 'input = "serial:P"\n',
+            "[[sensors]] 1: give either command, a program that records, or",
+        ),
+        (CONTROLLER + INPUT.replace("audio:", ""), "input must be an input: audio:CARD:CHANNEL or serial:PORT"),
+        (CONTROLLER + INPUT.replace("10.2mV/g", "10.2"), "'10.2' is no sensitivity; write one such as 10.2mV/g"),
+        (CONTROLLER + INPUT.replace('"10.2mV/g"', "10.2"), "sensitivity of an input is a text"),
+        (CONTROLLER + INPUT + 'unit = "g"\n', "unit, reduce and suffix go with command"),
+        (CONTROLLER + INPUT + "rate_hz = 100.5\n", "rate_hz of an input is a whole number"),
+        (CONTROLLER + INPUT + "baud = 9\n", "baud = 9 is out of range"),
+        (CONTROLLER + SENSOR + "volts_full_scale = 2.0\n", "volts_full_scale, baud and a sensitivity in text go with"),
         (CONTROLLER + 2 * '[[actuators]]\nmodel = "lra"\n', "[[actuators]] 2: there is another one on that channel"),
         ("a = " + 9999 * "[", "not a TOML file"),
         (CONTROLLER + '[[textures]]\nfile = "none.wav"\n', "does not exist"),
