@@ -9,6 +9,7 @@ from playwright.sync_api import Browser, Error, Page, ViewportSize, sync_playwri
 from studies.page import errors_in_one_line
 from tests.host.study.stub_run import StubRun, chromium, mushra, served, trial
 from vibrocast.files import atomic_write
+from vibrocast.host.study.server import Aids
 from vibrocast.host.study.trials import Screen
 
 FIGURES = Path(__file__).resolve().parents[1] / "docs" / "figures"
@@ -21,6 +22,7 @@ def _grade(page: Page, address: str, _secret: str) -> None:
     page.get_by_role("button", name="Stop").click()
     page.click("[data-label='A']")
     page.wait_for_selector("[data-label='A'].playing")
+    page.wait_for_timeout(2000)  # a part of the texture has played
 
 
 def _rate(page: Page, address: str, _secret: str) -> None:
@@ -48,10 +50,13 @@ SCREENSHOTS: dict[str, tuple[Screen, Callable[[Page, str, str], None]]] = {
 def take(browser: Browser, name: str) -> bytes:
     """Return a screenshot as PNG."""
     screen, act = SCREENSHOTS[name]
-    with served(StubRun([screen])) as (address, secret), browser.new_context(viewport=SIZE) as context:
+    with (
+        served(StubRun([screen]), Aids(stimulus_seconds=5)) as (address, secret),
+        browser.new_context(viewport=SIZE) as context,
+    ):
         page = context.new_page()
         act(page, address, secret)
-        return page.screenshot(animations="disabled")
+        return page.screenshot()
 
 
 @click.command()
