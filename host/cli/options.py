@@ -19,7 +19,7 @@ from vibrocast.host.cli.option_types import INPUT, Number, Whole, positive
 from vibrocast.host.cli.sections import CODING, section
 from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
 from vibrocast.output import actuator_files
-from vibrocast.output.actuator import ACTUATORS, Actuator
+from vibrocast.output.actuator import Actuator
 
 
 def command_run() -> str:
@@ -143,7 +143,7 @@ actuator_option = click.option(
     "--actuator",
     "actuator_name",
     metavar="NAME|FILE",
-    help=f"Choose the actuator: {', '.join(ACTUATORS)} or a TOML file. Only for simulated controllers and sound cards.",
+    help="Choose the actuator of sim or of a sound card, as `play` does.",
 )
 
 
