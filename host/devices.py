@@ -106,8 +106,9 @@ def open_all(
 def reach(address: str, runtime: str | None = None, actuator: "Actuator | None" = None) -> Iterator[Transport]:
     """Open the way to the controller at `address`: one of SIMULATED, or hardware as FORMS says.
 
-    A controller that is simulated or on a sound card lives as long as the way is open. `runtime`: by which it decodes,
-    None = the default. `actuator`: its own if it `takes_actuator`, None = the default of sim and sim-usb. Raises TransportError, and MissingExtraError without the extra of sound cards.
+    A controller that is simulated or on a sound card lives as long as the way is open. `runtime`: by which it
+    decodes, None = the default. `actuator`: its own if it `takes_actuator`, None = the default of sim and sim-usb.
+    Raises TransportError, and MissingExtraError without the extra of sound cards.
     """
     with contextlib.ExitStack() as stack:
         transport: Transport

@@ -297,8 +297,8 @@ def check_unit(stream_unit: str, unit: str | None) -> None:
 def actuator_model(description: ActuatorDescription) -> Actuator:
     """Return the model of the actuator that a controller describes.
 
-    Known by its name, with the controller's DAC and volts at full scale, or else built from its band: a low-pass, or a resonance where it does
-    not reach down to rest. Raises ControllerError where no actuator can be such.
+    Known by its name, with the controller's DAC and volts at full scale, or else built from its band: a low-pass,
+    or a resonance where it does not reach down to rest. Raises ControllerError where no actuator can be such.
     """
     if description.name in ACTUATORS and 0 < description.volts < math.inf:
         known = ACTUATORS[description.name]

@@ -88,8 +88,8 @@ class DriveOptions:
 def render(file: Path, out: Path, drive: DriveOptions, quality: QualityOptions, recording: RecordingOptions) -> None:
     """Write the drive signal of a recording as a WAV file.
 
-    FILE is a recording or a .vct file. The file holds the 16-bit codes that a sound card would play: resampled, compensated and limited for the actuator.
-    Play it at full volume, without any other processing.
+    FILE is a recording or a .vct file. The file holds the 16-bit codes that a sound card would play: resampled,
+    compensated and limited for the actuator. Play it at full volume, without any other processing.
     """
     reject_overwriting([out], [file, *files_of(quality.model)])
     actuator = devices.on_sound_card(

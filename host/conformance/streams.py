@@ -15,6 +15,7 @@ from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import ActuatorDescription, HelloResponse, Tap
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.host.conformance.probe import NotConforming, Probe, same_samples
+from vibrocast.host.end_to_end import actuator_model
 from vibrocast.output.actuator import ACTUATORS, Actuator
 
 RATE_HZ = 2800
@@ -169,8 +170,7 @@ def known_actuator(description: ActuatorDescription) -> Actuator:
     """Return the model of an actuator whose DAC codes can be computed here; skip the test for any other."""
     if description.name not in ACTUATORS:
         pytest.skip(f"the actuator {description.name!r} is none whose DAC codes can be computed here")
-    # The same actuator may hang on another DAC.
-    return replace(ACTUATORS[description.name], dac_bits=description.dac_bits, dac_rate_hz=description.dac_rate_hz)
+    return actuator_model(description)
 
 
 def held_samples(hello: HelloResponse, stream: Stream) -> int:
