@@ -2,19 +2,22 @@
 
 import csv
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vibrocast.host.study import statistics, stimuli
-from vibrocast.host.study.methods import GRADES, MAIN, staircase_of
-from vibrocast.host.study.session import RESULTS, RUN
+from vibrocast.host.study.methods import GRADES, MAIN, design, staircase_of
+from vibrocast.host.study.session import LOG, RESULTS, RUN
 from vibrocast.host.study.simulation import SIMULATED
 from vibrocast.host.study.statistics import Correlation, Interval, MixedModel, PairedTest
-from vibrocast.host.study.study_file import HIDDEN_REFERENCE, Study, read_study
+from vibrocast.host.study.study_file import CONDITION, HIDDEN_REFERENCE, Study, read_study
 from vibrocast.host.study.trials import RESULT_COLUMNS, Stimulus, StudyError
 
 STUDY_FILE, STIMULI = "study.toml", "stimuli"
@@ -23,23 +26,35 @@ DETECTED = ("same_different", "abx", "two_alternative")
 METRICS = {"snr_db": "SNR, dB", "st_sim": "ST-SIM", "spqi": "SPQI", "third_octave_db": "third-octave distance, dB"}
 POWER = 0.8
 ALPHA = 0.05
+PLANNED_PARTICIPANTS = (5, 10, 15, 20, 30, 40)
+"""Of the table of power."""
+FAILED = "device failed"
+"""The event of the log when a device is gone."""
 
 Row = Mapping[str, str]
 
 
 @dataclass(frozen=True)
 class Participant:
-    """One participant's rows of the main trials. `is_whole`: whether all trials are answered; `note`: of a flaw."""
+    """One participant's answers.
+
+    `rows`: of the main trials. `events`: of the log. `is_whole`: whether all trials are answered.
+    """
 
     number: int
     rows: tuple[Row, ...]
+    events: tuple[Mapping[str, Any], ...]
     is_simulated: bool
-    note: str | None
+    is_whole: bool
 
 
 @dataclass(frozen=True)
 class Rating:
-    """The ratings of one stimulus. `counts`: of each grade, or of each fifth of the scale. `by_participant`: means."""
+    """The ratings of one stimulus.
+
+    `counts`: of each grade, or of each fifth of the scale. `by_participant`: means. `difference`: from the hidden
+    reference, within participants; None for the hidden reference itself, or without one.
+    """
 
     texture: str
     condition: str
@@ -47,12 +62,13 @@ class Rating:
     mean: Interval
     counts: tuple[int, ...]
     by_participant: Mapping[int, float]
-    test: PairedTest | None
+    difference: Interval | None = None
+    test: PairedTest | None = None
 
 
 @dataclass(frozen=True)
 class Detection:
-    """How well people told one stimulus from its reference. `correct`: part of the answers that were right."""
+    """How well people distinguished a stimulus from its reference. `correct`: part of the answers that were right."""
 
     texture: str
     condition: str
@@ -67,7 +83,7 @@ class Preference:
 
     texture: str
     condition: str
-    strength: float
+    strength: Interval
     wins: int
     trials: int
 
@@ -102,8 +118,8 @@ class Analysis:
 
     @property
     def is_simulated(self) -> bool:
-        """Whether a simulated observer gave some of the answers."""
-        return any(each.is_simulated for each in self.participants)
+        """Whether simulated observers gave all answers."""
+        return all(each.is_simulated for each in self.participants)
 
     @property
     def counted(self) -> tuple[Participant, ...]:
@@ -118,16 +134,21 @@ def read_results(folder: Path) -> Analysis:
     if study is None or not paths:
         raise StudyError(f"{folder}: no results of a study; give the folder of --out of `vibrocast study run`")
     warnings: list[str] = []
-    participants = []
+    participants: list[Participant] = []
     for path in paths:
         participant, flaws = _read_participant(path, study)
+        if any(participant.number == each.number for each in participants):
+            raise StudyError(f"{path.parent}: participant {participant.number} is there twice; move one folder away")
         warnings += flaws
         participants.append(participant)
+    simulated = sum(each.is_simulated for each in participants)
+    if 0 < simulated < len(participants):
+        warnings.insert(0, f"{simulated} of {len(participants)} participants are simulated observers, not people")
     return Analysis(study, stimuli.load(folder / STIMULI), tuple(participants), {}, tuple(warnings))
 
 
 def _read_participant(path: Path, study: Study) -> tuple[Participant, list[str]]:
-    """Return one participant's answers, and the flaws of the file in words."""
+    """Return one participant's answers, and the flaws of the files in words."""
     try:
         run = json.loads((path.parent / RUN).read_text(encoding="utf-8"))
         number, sha256, device = int(run["participant"]), run["study_sha256"], run["device"]
@@ -136,19 +157,75 @@ def _read_participant(path: Path, study: Study) -> tuple[Participant, list[str]]
     if sha256 != study.sha256:
         raise StudyError(f"{path.parent}: answers to another study file; move that folder away")
     with path.open(newline="", encoding="utf-8", errors="replace") as file:
-        lines = list(csv.reader(file))
+        lines = list(csv.reader(line.replace("\0", "") for line in file))
     if not lines or lines[0] != list(RESULT_COLUMNS):
         raise StudyError(f"{path}: other columns than those of a run; move that folder away")
-    rows, flaws = [], 0
+    rows: dict[tuple[str, str], Row] = {}
     for line in lines[1:]:
         row = dict(zip(RESULT_COLUMNS, line, strict=False))
-        if len(line) == len(RESULT_COLUMNS) and _is_number(row["value"]):
-            rows.append(row)
-        else:
-            flaws += 1
-    notes = [f"participant {number}: {flaws} damaged line(s) left out"] if flaws else []
-    main = tuple(row for row in rows if row["phase"] == MAIN)
-    return Participant(number, main, device == SIMULATED, notes[0] if notes else None), notes
+        if len(line) == len(RESULT_COLUMNS) and _fits(row, study, number):
+            rows.setdefault((row["trial"], row["label"]), row)
+    damaged = len(lines) - 1 - len(rows)
+    main = tuple(row for row in rows.values() if row["phase"] == MAIN)
+    events = _read_log(path.parent / LOG)
+    missing = _missing(list(rows.values()), study, number)
+    flaws = []
+    if damaged:
+        flaws.append(f"participant {number}: {damaged} damaged or repeated line(s) of {RESULTS} left out")
+    if missing:
+        flaws.append(f"participant {number}: not finished, {missing}; the answers so far count")
+    if failures := sum(each.get("event") == FAILED for each in events):
+        flaws.append(f"participant {number}: the device failed {failures} time(s)")
+    return Participant(number, main, events, device == SIMULATED, not missing), flaws
+
+
+def _fits(row: Row, study: Study, number: int) -> bool:
+    """Return whether a row of results can be an answer of this participant in this study."""
+    identity = {"study": study.name, "participant": str(number), "method": study.method}
+    highest = {"degradation": len(GRADES) - 1, "mushra": 100}.get(study.method, 1)
+    return (
+        all(row[key] == value for key, value in identity.items())
+        and row["texture"] in {each.name for each in study.textures}
+        and row["condition"] in {each.name for each in study.conditions}
+        and _is_number(row["value"])
+        and 0 <= float(row["value"]) <= highest
+        and (study.method not in (*DETECTED, "staircase") or row["correct"] in ("0", "1"))
+        and (study.method != "staircase" or _is_number(row["level_db"]))
+    )
+
+
+def _read_log(path: Path) -> tuple[Mapping[str, Any], ...]:
+    """Return the events of a log; a line that is cut or damaged does not count."""
+    events = []
+    for line in path.read_text(encoding="utf-8", errors="replace").splitlines() if path.is_file() else ():
+        try:
+            event = json.loads(line)
+        except ValueError:
+            continue
+        if isinstance(event, dict):
+            events.append(event)
+    return tuple(events)
+
+
+def _missing(rows: Sequence[Row], study: Study, number: int) -> str | None:
+    """Return which trials of a run have no answer, in words; None for a run that is whole."""
+    first = design(study, number).next_trial([])
+    if first is not None and first.total is not None:
+        answered = len({row["trial"] for row in rows})
+        return None if answered >= first.total else f"{answered} of {first.total} trials"
+    pairs = [(texture.name, name) for texture in study.textures for name in study.of_role(CONDITION)]
+    finished = sum(_is_finished([row for row in rows if (row["texture"], row["condition"]) == pair], study)
+                   for pair in pairs)  # fmt: skip
+    return None if finished == len(pairs) else f"{finished} of {len(pairs)} staircases"
+
+
+def _is_finished(rows: Sequence[Row], study: Study) -> bool:
+    """Return whether a staircase has all its answers."""
+    assert study.staircase is not None, "the study file is checked"
+    staircase = staircase_of(study)
+    for row in rows:
+        staircase.update(row["correct"] == "1")
+    return staircase.done or len(rows) >= study.staircase.max_trials
 
 
 def _is_number(text: str) -> bool:
@@ -218,7 +295,7 @@ def _rating(read: Analysis, texture: str, condition: str, role: str) -> Rating |
     else:
         counts = tuple(int(count) for count in np.histogram(values, bins=5, range=(0, 100))[0])
     mean = statistics.mean_interval(list(by_participant.values()))
-    return Rating(texture, condition, role, mean, counts, by_participant, None)
+    return Rating(texture, condition, role, mean, counts, by_participant)
 
 
 def _tested(group: Sequence[Rating], hidden: str | None) -> list[Rating]:
@@ -226,15 +303,17 @@ def _tested(group: Sequence[Rating], hidden: str | None) -> list[Rating]:
     against = next((each for each in group if each.condition == hidden), None)
     if against is None:
         return list(group)
-    tests = {}
+    tests, differences = {}, {}
     for each in group:
         if each is not against:
             both = [number for number in each.by_participant if number in against.by_participant]
-            pairs = [(each.by_participant[number], against.by_participant[number]) for number in both]
-            tests[each.condition] = statistics.paired_test([x for x, _ in pairs], [y for _, y in pairs])
+            values = [each.by_participant[number] for number in both]
+            own = [against.by_participant[number] for number in both]
+            tests[each.condition] = statistics.paired_test(values, own)
+            differences[each.condition] = statistics.mean_interval(np.subtract(values, own))
     corrected = statistics.holm([test.p for test in tests.values()])
     tests = {name: replace(test, holm_p=p) for (name, test), p in zip(tests.items(), corrected, strict=True)}
-    return [replace(each, test=tests.get(each.condition)) for each in group]
+    return [replace(each, difference=differences.get(each.condition), test=tests.get(each.condition)) for each in group]
 
 
 def _correlations(read: Analysis, ratings: Sequence[Rating]) -> dict[str, Correlation]:
@@ -262,12 +341,7 @@ def _detections(read: Analysis) -> list[Detection]:
     method = read.study.method
     reference = read.study.reference.name if read.study.reference else ""
     for texture in read.study.textures:
-        names = dict.fromkeys(
-            row["condition"] for each in read.counted for row in each.rows if row["texture"] == texture.name
-        )
-        for name in names:
-            if name == reference:
-                continue
+        for name in (each.name for each in read.study.conditions if each.name != reference):
             counts, right, total = [], 0, 0
             for each in read.counted:
                 own = [row for row in each.rows if (row["texture"], row["condition"]) == (texture.name, name)]
@@ -289,21 +363,36 @@ def _preferences(read: Analysis) -> list[Preference]:
     names = [each.name for each in read.study.conditions]
     found = []
     for texture in read.study.textures:
-        wins = np.zeros((len(names), len(names)))
-        for each in read.counted:
+        wins = np.zeros((len(read.counted), len(names), len(names)))
+        for place, each in enumerate(read.counted):
             for row in each.rows:
-                if row["texture"] == texture.name and row["condition"] in names and row["comparison"] in names:
+                if row["texture"] == texture.name and row["comparison"] in names:
                     first, second = names.index(row["condition"]), names.index(row["comparison"])
                     chosen, other = (first, second) if row["value"] == "0" else (second, first)
-                    wins[chosen, other] += 1
-        if wins.sum():
-            strengths = statistics.bradley_terry(wins)
-            met = wins + wins.T
+                    wins[place, chosen, other] += 1
+        total = wins.sum(axis=0)
+        if total.sum():
+            met = total + total.T
             found += [
-                Preference(texture.name, name, float(strengths[at]), int(wins[at].sum()), int(met[at].sum()))
-                for at, name in enumerate(names)
+                Preference(texture.name, name, strength, int(total[at].sum()), int(met[at].sum()))
+                for at, (name, strength) in enumerate(zip(names, _strengths(wins), strict=True))
             ]
     return found
+
+
+def _strengths(wins: NDArray[np.float64]) -> list[Interval]:
+    """Return Bradley-Terry strengths from wins (participants, items, items).
+
+    The intervals are percentiles of a bootstrap over participants; a single participant gives none.
+    """
+    strengths = statistics.bradley_terry(wins.sum(axis=0))
+    if len(wins) < 2:
+        return [Interval(float(value), None, None) for value in strengths]
+    people = np.random.default_rng(0).integers(len(wins), size=(statistics.BOOTSTRAPS, len(wins)))
+    drawn = statistics.bradley_terry(np.array([wins[each].sum(axis=0) for each in people]))
+    tail = (1 - statistics.CONFIDENCE) / 2
+    low, high = np.quantile(drawn, [tail, 1 - tail], axis=0)
+    return [Interval(*map(float, each)) for each in zip(strengths, low, high, strict=True)]
 
 
 def _thresholds(read: Analysis) -> list[Threshold]:
@@ -329,44 +418,60 @@ def _thresholds(read: Analysis) -> list[Threshold]:
 
 
 def findings(read: Analysis) -> list[str]:
-    """Return the message of the study: a sentence for each condition."""
+    """Return the message of the study: a sentence or two for each condition. No text calls two stimuli the same."""
     lines = []
-    for each in read.ratings:
-        test = each.test
-        if test is None or each.mean.value is None:
-            continue
-        name = f"{each.texture}, {each.condition}"
-        p = test.holm_p
-        if p is None:
-            lines.append(f"{name}: too few answers for a test.")
-        elif p < ALPHA:
-            lines.append(
-                f"{name}: noticed. The mean differs by {test.difference:+.2f} from the hidden reference"
-                f" (p {_below(p)}{_effect(test)})."
-            )
-        else:
-            lines.append(f"{name}: no difference shown (p {_below(p)}). {_could_find(read, test)}")
-    for found in read.detections:
-        value, low = found.sensitivity.value, found.sensitivity.low
-        name = f"{found.texture}, {found.condition}"
-        if value is None:
-            lines.append(f"{name}: too few answers for a d'.")
-            continue
-        verdict = "told from the reference" if low is not None and low > 0.1 else "not shown to be told"
-        interval = "" if low is None else f", 95 % interval {low:.2f} to {found.sensitivity.high:.2f}"
-        lines.append(f"{name}: {verdict}. d' is {value:.2f}{interval}.")
-    for texture in dict.fromkeys(each.texture for each in read.preferences):
-        ranked = sorted((each for each in read.preferences if each.texture == texture), key=lambda each: -each.strength)
+    if read.ratings and not any(each.test for each in read.ratings):
+        lines.append("No hidden reference was rated, so there is no test; means alone do not show who noticed it.")
+    lines += [_rating_in_words(read, each, each.test) for each in read.ratings if each.test is not None]
+    lines += [_detection_in_words(each) for each in read.detections]
+    for texture, group in groupby(read.preferences, key=lambda each: each.texture):
+        ranked = sorted(group, key=lambda each: -(each.strength.value or 0.0))
         lines.append(f"{texture}, most preferred first: {', '.join(each.condition for each in ranked)}.")
-    for threshold in read.thresholds:
-        value = threshold.estimate.value
-        name = f"participant {threshold.participant}, {threshold.texture}, {threshold.condition}"
-        lines.append(f"{name}: " + ("too few reversals." if value is None else f"threshold {value:.1f} dB."))
+    for (texture, condition), (mean, count) in mean_thresholds(read).items():
+        text = "too few reversals" if mean.value is None else f"mean threshold {_in_words(mean, '.1f')} dB"
+        lines.append(f"{texture}, {condition}: {text}, {count} staircase(s).")
     return lines
 
 
-def _below(p: float) -> str:
-    return "< 0.001" if p < 0.001 else f"= {p:.3f}"
+def mean_thresholds(read: Analysis) -> dict[tuple[str, str], tuple[Interval, int]]:
+    """Return the mean threshold of each texture and condition over its staircases, and how many have one."""
+    pairs = dict.fromkeys((each.texture, each.condition) for each in read.thresholds)
+    found = {}
+    for pair in pairs:
+        values = [each.estimate.value for each in read.thresholds if (each.texture, each.condition) == pair]
+        known = [value for value in values if value is not None]
+        found[pair] = statistics.mean_interval(known), len(known)
+    return found
+
+
+def _rating_in_words(read: Analysis, rating: Rating, test: PairedTest) -> str:
+    name, p, difference = f"{rating.texture}, {rating.condition}", test.holm_p, rating.difference
+    if p is None or difference is None or difference.value is None:
+        return f"{name}: too few answers for a test."
+    found = f"The mean differs by {_in_words(difference, '+.2f')} from the hidden reference"
+    figures = f"(p {'< 0.001' if p < 0.001 else f'= {p:.3f}'}{_effect(test)})"
+    if p < ALPHA:
+        worse = difference.value > 0 if read.study.method == "degradation" else difference.value < 0
+        verdict = "noticed" if worse else "rated better than the hidden reference"
+        return f"{name}: {verdict}. {found} {figures}."
+    return f"{name}: not shown to be noticed. {found} {figures}. {_could_find(read, test)}"
+
+
+def _detection_in_words(found: Detection) -> str:
+    name, d = f"{found.texture}, {found.condition}", found.sensitivity
+    if d.value is None:
+        return f"{name}: too few answers for a d'."
+    value = f"d' is {_in_words(d, '.2f')}"
+    if d.low is not None and d.low > 0:
+        return f"{name}: noticed. {value}."
+    room = "" if d.high is None else f" A d' of {d.high:.2f} would agree with these answers too."
+    return f"{name}: not shown to be noticed. {value}.{room}"
+
+
+def _in_words(interval: Interval, form: str) -> str:
+    if interval.low is None or interval.high is None:
+        return f"{interval.value:{form}}"
+    return f"{interval.value:{form}} ({interval.low:{form}} to {interval.high:{form}})"
 
 
 def _effect(test: PairedTest) -> str:
@@ -375,15 +480,24 @@ def _effect(test: PairedTest) -> str:
 
 def _could_find(read: Analysis, test: PairedTest) -> str:
     """Return which effect the study could have found."""
-    tests = max(1, sum(each.test is not None for each in read.ratings) // max(1, len(read.study.textures)))
-    least = statistics.detectable_effect(test.count, POWER, ALPHA / tests)
+    least = statistics.detectable_effect(test.count, POWER, ALPHA / _tests_of_texture(read))
     if least is None:
         return "Fewer than three people show nothing."
-    return f"{test.count} people show an effect of d = {least:.2f} or more in {100 * POWER:.0f} % of such studies."
+    return f"{test.count} people find an effect of d = {least:.2f} in {100 * POWER:.0f} % of such studies."
+
+
+def _tests_of_texture(read: Analysis) -> int:
+    """Return by how many tests Holm's correction divides the level of the smallest p."""
+    tested = [each.texture for each in read.ratings if each.test is not None]
+    return max([tested.count(texture) for texture in tested], default=1)
 
 
 def tables(read: Analysis) -> dict[str, list[dict[str, Any]]]:
-    """Return the report's tables by the name of their CSV file."""
+    """Return the report's tables by the name of their CSV file, without empty ones."""
+    return {name: rows for name, rows in _tables(read).items() if rows}
+
+
+def _tables(read: Analysis) -> dict[str, list[dict[str, Any]]]:
     found: dict[str, list[dict[str, Any]]] = {
         "stimuli": [
             {
@@ -394,7 +508,18 @@ def tables(read: Analysis) -> dict[str, list[dict[str, Any]]]:
                 "stream_sha256": stimuli.stream_sha256(each.stream),
             }
             for each in read.stimuli
-        ]
+        ],
+        "played": _as_played(read),
+        "participants": [
+            {
+                "participant": each.number,
+                "simulated": each.is_simulated,
+                "whole": each.is_whole,
+                "counted": each.number not in read.excluded,
+                "rows": len(each.rows),
+            }
+            for each in read.participants
+        ],
     }
     if read.ratings:
         found["means"] = [
@@ -408,7 +533,7 @@ def tables(read: Analysis) -> dict[str, list[dict[str, Any]]]:
                 "texture": each.texture,
                 "condition": each.condition,
                 "participants": each.test.count,
-                "difference": each.test.difference,
+                **_cells("difference", each.difference or Interval(each.test.difference, None, None)),
                 "t": each.test.t,
                 "p": each.test.p,
                 "holm_p": each.test.holm_p,
@@ -416,6 +541,15 @@ def tables(read: Analysis) -> dict[str, list[dict[str, Any]]]:
             }
             for each in read.ratings
             if each.test is not None
+        ]
+        count = _tests_of_texture(read)
+        found["power"] = [
+            {
+                "participants": people,
+                "effect_of_one_test": statistics.detectable_effect(people, POWER, ALPHA),
+                f"effect_of_{count}_tests": statistics.detectable_effect(people, POWER, ALPHA / count),
+            }
+            for people in PLANNED_PARTICIPANTS
         ]
     if read.model is not None:
         found["mixed_model"] = [
@@ -440,8 +574,21 @@ def tables(read: Analysis) -> dict[str, list[dict[str, Any]]]:
             for each in read.detections
         ]
     if read.preferences:
-        found["preferences"] = [dict(vars(each)) for each in read.preferences]
+        found["preferences"] = [
+            {
+                "texture": each.texture,
+                "condition": each.condition,
+                **_cells("strength", each.strength),
+                "wins": each.wins,
+                "trials": each.trials,
+            }
+            for each in read.preferences
+        ]
     if read.thresholds:
+        found["mean_thresholds"] = [
+            {"texture": texture, "condition": condition, "staircases": count, **_cells("threshold_db", mean)}
+            for (texture, condition), (mean, count) in mean_thresholds(read).items()
+        ]
         found["thresholds"] = [
             {
                 "participant": each.participant,
@@ -453,6 +600,39 @@ def tables(read: Analysis) -> dict[str, list[dict[str, Any]]]:
             for each in read.thresholds
         ]
     return found
+
+
+def _as_played(read: Analysis) -> list[dict[str, Any]]:
+    """Return how the logs say that each stimulus was played.
+
+    `other_stream`: presentations whose stream was not the prepared one; a staircase changes its level.
+    """
+    rows = []
+    events = [event for each in read.participants for event in each.events if event.get("event") == "played"]
+    for stimulus in read.stimuli:
+        own = [event for event in events if event.get("stimulus") == stimulus.key]
+        if own:
+            gains_db = _numbers(own, "gain_db")
+            latencies_ms = _numbers(own, "latency_ms")
+            sha256 = stimuli.stream_sha256(stimulus.stream)
+            rows.append(
+                {
+                    "stimulus": stimulus.key,
+                    "presentations": len(own),
+                    "gain_db_least": min(gains_db, default=None),
+                    "gain_db_most": max(gains_db, default=None),
+                    "limited_samples_most": max(_numbers(own, "limited"), default=None),
+                    "underruns": sum(_numbers(own, "underruns")),
+                    "latency_ms_median": float(np.median(latencies_ms)) if latencies_ms else None,
+                    "other_stream": sum(event.get("stream_sha256") != sha256 for event in own),
+                }
+            )
+    return rows
+
+
+def _numbers(events: Sequence[Mapping[str, Any]], key: str) -> list[float]:
+    values = [event.get(key) for event in events]
+    return [value for value in values if isinstance(value, int | float) and math.isfinite(value)]
 
 
 def _cells(name: str, interval: Interval) -> dict[str, float | None]:

@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import math
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from vibrocast.host.study.statistics import Interval
 PAGE, JSON = "report.html", "report.json"
 _PANEL_IN = (3.2, 2.7)
 _MAX_COLUMNS = 3
+_NAME_CHARACTERS = 18
 _MARKERS = "osD^v<>pP*"
 # From light to dark, so that grades stay apart in grey print.
 _SHADES = ("#d9e6ee", "#9ec1d6", "#4f8fb5", "#00558c", "#20123a")
@@ -79,8 +81,10 @@ def _as_csv(rows: Sequence[dict[str, Any]]) -> str:
 def _cell(value: object) -> str:
     if value is None:
         return "-"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
     if isinstance(value, float):
-        return "-" if not math.isfinite(value) else f"{value:.3g}"
+        return "-" if not math.isfinite(value) else f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
     text = str(value)
     return text if len(text) <= 40 else f"{text[:16]}..."
 
@@ -110,9 +114,9 @@ def _charts(read: Analysis) -> list[tuple[str, Figure]]:
     if read.detections:
         charts.append(("Sensitivity d' with 95 % intervals", _sensitivities(read)))
     if read.preferences:
-        charts.append(("Strength of each condition", _strengths(read)))
+        charts.append(("Preference with 95 % intervals", _strengths(read)))
     if read.thresholds:
-        charts.append(("Staircases", _tracks(read)))
+        charts.append(("Staircases, a line for each participant", _tracks(read)))
     if read.is_simulated:
         for _, figure in charts:
             figure.suptitle(_OF_SIMULATION, fontsize=pictures.SMALL_POINTS, color=pictures.GREY)
@@ -144,8 +148,13 @@ def _dots(axes: Axes, names: Sequence[str], values: Sequence[Interval]) -> None:
         if value.low is not None and value.high is not None:
             axes.plot([value.low, value.high], [place, place], color=pictures.GREY, linewidth=1.4)
         axes.plot(value.value, place, "o", color=pictures.BLUE, markersize=5)
-    axes.set_yticks(list(places), names)
-    axes.invert_yaxis()
+    _name_rows(axes, names)
+
+
+def _name_rows(axes: Axes, names: Sequence[str]) -> None:
+    """Put a name at each row, the first on top."""
+    axes.set_yticks(range(len(names)), [textwrap.fill(name, _NAME_CHARACTERS) for name in names])
+    axes.set_ylim(len(names) - 0.5, -0.5)
 
 
 def _textures(read: Analysis) -> list[str]:
@@ -174,8 +183,7 @@ def _distributions(read: Analysis) -> Figure:
             widths = [100 * each.counts[number] / max(1, sum(each.counts)) for each in group]
             axes.barh(range(len(group)), widths, left=left, color=shade, edgecolor="white", linewidth=0.5, label=word)
             left = [start + width for start, width in zip(left, widths, strict=True)]
-        axes.set_yticks(range(len(group)), [each.condition for each in group])
-        axes.invert_yaxis()
+        _name_rows(axes, [each.condition for each in group])
         axes.set_xlim(0, 100)
         axes.set_xlabel("part of the answers, %", fontsize=pictures.SMALL_POINTS)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(words),
@@ -218,7 +226,7 @@ def _sensitivities(read: Analysis) -> Figure:
         group = [each for each in read.detections if each.texture == texture]
         _dots(axes, [each.condition for each in group], [each.sensitivity for each in group])
         axes.set_xlabel("d'", fontsize=pictures.SMALL_POINTS)
-        axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
+        axes.axvline(0, color=pictures.INK, linewidth=0.8)
     return figure
 
 
@@ -226,9 +234,8 @@ def _strengths(read: Analysis) -> Figure:
     figure, panels = _panels(_textures(read))
     for axes, texture in zip(panels, _textures(read), strict=True):
         group = [each for each in read.preferences if each.texture == texture]
-        values = [Interval(each.strength, None, None) for each in group]
-        _dots(axes, [each.condition for each in group], values)
-        axes.set_xlabel("Bradley-Terry strength", fontsize=pictures.SMALL_POINTS)
+        _dots(axes, [each.condition for each in group], [each.strength for each in group])
+        axes.set_xlabel("Bradley-Terry strength, log units", fontsize=pictures.SMALL_POINTS)
     return figure
 
 

@@ -325,31 +325,31 @@ def participants_by_resampling(
 
 
 def bradley_terry(wins: ArrayLike, added: float = 0.5) -> Values:
-    """Return the strength of each item in log units, with mean 0, from wins (items, items): [i, j] = i over j.
+    """Return the strength of each item in log units, with mean 0, from wins (..., items, items): [i, j] = i over j.
 
     The iteration of D. R. Hunter, "MM algorithms for generalized Bradley-Terry models", Annals of Statistics 32(1),
-    2004. `added` wins count each way for every pair that met. So an item that always wins has a finite strength. An
+    2004, on all tables at once. `added` wins count each way for every pair that met. So an item that always wins has a finite strength. An
     item that met no other has 0. Raises StudyError.
     """
     table = np.array(wins, np.float64)
     if (
-        table.ndim != 2
-        or table.shape[0] != table.shape[1]
+        table.ndim < 2
+        or table.shape[-2] != table.shape[-1]
         or not table.size
         or not np.all(np.isfinite(table))
         or np.any(table < 0)
     ):
         raise StudyError("wins must be a square table of counts; give another table")
-    np.fill_diagonal(table, 0)
-    met = table + table.T
+    table *= 1 - np.eye(table.shape[-1])
+    met = table + np.swapaxes(table, -1, -2)
     table = np.where(met > 0, table + added, 0.0)
-    met = table + table.T
-    strengths = np.ones(len(table))
+    met = table + np.swapaxes(table, -1, -2)
+    strengths = np.ones(table.shape[:-1])
     for _ in range(10_000):
-        divisor = np.sum(met / (strengths[:, None] + strengths[None, :]), axis=1)
-        updated = table.sum(axis=1) / np.where(divisor > 0, divisor, 1.0)
+        divisor = np.sum(met / (strengths[..., :, None] + strengths[..., None, :]), axis=-1)
+        updated = table.sum(axis=-1) / np.where(divisor > 0, divisor, 1.0)
         updated = np.where(updated > 0, updated, 1.0)
-        updated /= np.exp(np.mean(np.log(updated)))
+        updated /= np.exp(np.mean(np.log(updated), axis=-1, keepdims=True))
         if np.max(np.abs(np.log(updated / strengths))) < 1e-10:
             break
         strengths = updated
