@@ -206,7 +206,6 @@ def prepared_once(read: Study, actuator: Actuator, study_path: Path, out: Path) 
 
 def keep(out: Path, study_path: Path, prepared: tuple[Stimulus, ...], actuator: Actuator) -> None:
     """Write the stimuli and a copy of the study file into a results folder."""
-    out.mkdir(parents=True, exist_ok=True)
     stimuli_module.save(out / STIMULI, prepared, actuator)
     with atomic_write(out / STUDY_FILE) as partial:
         partial.write_bytes(study_path.read_bytes())

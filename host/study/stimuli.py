@@ -225,6 +225,7 @@ def _advice(study: Study, actuator: Actuator, group: Sequence[Stimulus]) -> str:
 
 def save(folder: Path, stimuli: Sequence[Stimulus], actuator: Actuator) -> None:
     """Write the stimuli, so that runs play the very streams that were checked on an actuator. Raises OSError."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
     with atomic_folder(folder) as partial:
         rows = []
         for number, each in enumerate(stimuli, 1):
