@@ -1,4 +1,4 @@
-"""Plays a texture in each trial of a script, such as one of PsychoPy: `python examples/psychopy_stimulus.py [DEVICE]`."""
+"""Plays textures in the trials of a script, such as PsychoPy's: `python examples/psychopy_stimulus.py [DEVICE]`."""
 
 import sys
 from pathlib import Path

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from studies.page import OUT, errors_in_one_line, render, results_folder, write_rows
 from studies.page import write as write_page
 from studies.texture_paper import HAND_SPEED_MM_S, PAPER_LEVELS, PUBLISHED, SIXTEEN_BITS, STRETCH_MM, generated_profiles
-from vibrocast import pictures, textures
+from vibrocast import pages, pictures, textures
 from vibrocast.files import atomic_write
 from vibrocast.host.study import analysis, statistics, stimuli
 from vibrocast.host.study.analysis import ALPHA, Analysis
@@ -254,7 +254,7 @@ def claims(rows: Sequence[Result], falling: Sequence[Fall]) -> list[Claim]:
         order(
             "a cut at the threshold, b0 = 0 dB, is noticed on wood and sandpaper",
             zero["wood"] and zero["sandpaper"],
-            f"noticed on {' and '.join(name for name in names if zero[name]) or 'none'}",
+            f"noticed on {pages.listed([name for name in names if zero[name]]) or 'none'}",
         ),
         order(
             "more linear levels may be graded as worse",
@@ -324,8 +324,8 @@ def _draw_grades(axes: Axes, family: str, means: Mapping[float, statistics.Inter
 def markdown(graded: Analysis, rows: Sequence[Result], observers: int) -> str:
     """Return the page."""
     names = [each.name for each in graded.study.textures]
-    falling = [fall for name in names for fall in falls(graded, name)]
-    found = claims(rows, [fall for fall in falling if fall.texture in PUBLISHED])
+    falling = [fall for name in PUBLISHED for fall in falls(graded, name)]
+    found = claims(rows, falling)
     return render(
         "okamoto_study",
         observers=observers,
@@ -339,6 +339,9 @@ def markdown(graded: Analysis, rows: Sequence[Result], observers: int) -> str:
         orders=[each for each in found if each.is_order],
         measured=[name for name in names if name not in PUBLISHED],
         names=names,
+        materials=list(PUBLISHED),
+        steps=len(PUBLISHED) * (len(LEVELS) - 1),
+        certain=[each for each in falling if each.p is not None and each.p < ALPHA],
         families=FAMILIES,
         cut=CUT,
         values=VALUES,
