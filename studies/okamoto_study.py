@@ -227,7 +227,7 @@ class Claim:
 
 
 def claims(rows: Sequence[Result], falling: Sequence[Fall]) -> list[Claim]:
-    """Return the paper's findings of its listeners, orders first, beside those of simulated observers."""
+    """Return the paper's findings of its listeners, orders first, with those of simulated observers."""
     names = ("wood", "sandpaper", "leather")
     # Where even the finest is noticed, the limit lies beyond it.
     levels = {name: limit(rows, name, LINEAR, LEVELS) or math.inf for name in names}

@@ -317,19 +317,23 @@ def _tested(group: Sequence[Rating], hidden: str | None) -> list[Rating]:
 
 
 def _correlations(read: Analysis, ratings: Sequence[Rating]) -> dict[str, Correlation]:
-    """Return how mean ratings go with each metric, over the coded stimuli."""
-    facts = {(each.texture, each.condition): each for each in read.stimuli}
+    """Return how mean ratings go with each metric."""
     found = {}
     for metric in METRICS:
-        pairs = []
-        for each in ratings:
-            stimulus = facts.get((each.texture, each.condition))
-            value = None if stimulus is None else stimulus.facts.get(metric)
-            is_coded = stimulus is not None and stimulus.facts.get("bits_per_second") is not None
-            if is_coded and value is not None and each.mean.value is not None:
-                pairs.append((value, each.mean.value))
-        found[metric] = statistics.correlation([x for x, _ in pairs], [y for _, y in pairs])
+        pairs = metric_pairs(read, ratings, metric)
+        found[metric] = statistics.correlation([x for _, x, _ in pairs], [y for _, _, y in pairs])
     return found
+
+
+def metric_pairs(read: Analysis, ratings: Sequence[Rating], metric: str) -> list[tuple[str, float, float]]:
+    """Return texture, metric and mean rating of each stimulus that has both, the hidden reference left out."""
+    facts = {(each.texture, each.condition): each.facts for each in read.stimuli}
+    pairs = []
+    for each in ratings:
+        value = facts.get((each.texture, each.condition), {}).get(metric)
+        if each.role != HIDDEN_REFERENCE and value is not None and each.mean.value is not None:
+            pairs.append((each.texture, value, each.mean.value))
+    return pairs
 
 
 # ---- other methods ----
@@ -482,8 +486,8 @@ def _could_find(read: Analysis, test: PairedTest) -> str:
     """Return which effect the study could have found."""
     least = statistics.detectable_effect(test.count, POWER, ALPHA / _tests_of_texture(read))
     if least is None:
-        return "Fewer than three people show nothing."
-    return f"{test.count} people find an effect of d = {least:.2f} in {100 * POWER:.0f} % of such studies."
+        return "Fewer than three participants show nothing."
+    return f"{test.count} participants find an effect of d = {least:.2f} in {100 * POWER:.0f} % of such studies."
 
 
 def _tests_of_texture(read: Analysis) -> int:

@@ -194,19 +194,12 @@ def _distributions(read: Analysis) -> Figure:
 def _scatter(read: Analysis) -> Figure:
     assert read.correlations is not None
     figure, panels = _panels(list(METRICS.values()))
-    facts = {(each.texture, each.condition): each.facts for each in read.stimuli}
     for axes, metric in zip(panels, METRICS, strict=True):
+        pairs = analysis.metric_pairs(read, read.ratings, metric)
         for number, texture in enumerate(_textures(read)):
-            pairs = [
-                (facts[each.texture, each.condition].get(metric), each.mean.value)
-                for each in read.ratings
-                if each.texture == texture
-                and facts.get((each.texture, each.condition), {}).get("bits_per_second") is not None
-            ]
-            known = [(x, y) for x, y in pairs if x is not None and y is not None]
             axes.plot(
-                [x for x, _ in known],
-                [y for _, y in known],
+                [x for name, x, _ in pairs if name == texture],
+                [y for name, _, y in pairs if name == texture],
                 _MARKERS[number % len(_MARKERS)],
                 color=_COLOURS[number % len(_COLOURS)],
                 markersize=4.5,

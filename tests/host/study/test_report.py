@@ -130,7 +130,20 @@ def test_tests_are_paired_and_corrected(tmp_path: Path) -> None:
                     ("coarse", "fine"))  # fmt: skip
     assert ": noticed. The mean differs by +2.50 (" in coarse
     assert ": not shown to be noticed. The mean differs by +0.50 (" in fine
-    assert "4 people find an effect of d = " in fine
+    assert "4 participants find an effect of d = " in fine
+
+
+def test_correlations_count_every_rated_stimulus_but_the_hidden_reference() -> None:
+    read = analysis.analyse(simulated("mushra"))
+    assert read.correlations is not None
+    means = {(each.texture, each.condition): each.mean.value for each in read.ratings}
+    rated = [each for each in read.stimuli if each.role in ("condition", "anchor")]
+    correlation = read.correlations["snr_db"]
+    assert correlation.count == len(rated) == 8
+    expected = stats.pearsonr(
+        [each.facts["snr_db"] for each in rated], [means[each.texture, each.condition] for each in rated]
+    )
+    assert correlation.pearson.value == pytest.approx(expected.statistic)
 
 
 def test_a_rating_above_the_hidden_reference_is_not_called_noticed(tmp_path: Path) -> None:
@@ -194,21 +207,21 @@ def test_an_unfinished_run_is_marked(method: str, tmp_path: Path) -> None:
     assert [each.is_whole for each in read.participants] == [True, True, False, True]
 
 
-def test_a_run_without_answers_does_not_end_the_report(tmp_path: Path) -> None:
-    for method in METHODS:
-        folder = copied(tmp_path / method, method)
-        for path in folder.glob(f"participant_*/{RESULTS}"):
-            path.write_text(",".join(RESULT_COLUMNS) + "\n")
-        assert write_report(folder, tmp_path / method / "report").exists()
+@pytest.mark.parametrize("method", METHODS)
+def test_runs_without_answers_have_a_report(method: str, tmp_path: Path) -> None:
+    folder = copied(tmp_path, method)
+    for path in folder.glob(f"participant_*/{RESULTS}"):
+        path.write_text(",".join(RESULT_COLUMNS) + "\n")
+    assert write_report(folder, tmp_path / "report").exists()
 
 
-def test_one_participant_gives_a_report_without_tests(tmp_path: Path) -> None:
-    for method in METHODS:
-        folder = copied(tmp_path / method, method)
-        for number in range(2, PARTICIPANTS + 1):
-            shutil.rmtree(folder / f"participant_{number:03}")
-        write_report(folder, tmp_path / method / "report")
-    assert "too few answers for a test" in (tmp_path / "degradation" / "report" / "report.json").read_text()
+@pytest.mark.parametrize("method", METHODS)
+def test_one_participant_has_a_report_without_tests(method: str, tmp_path: Path) -> None:
+    folder = copied(tmp_path, method)
+    for number in range(2, PARTICIPANTS + 1):
+        shutil.rmtree(folder / f"participant_{number:03}")
+    text = write_report(folder, tmp_path / "report").read_text()
+    assert ("too few answers for a test" in text) == (method in ("degradation", "mushra"))
 
 
 def test_two_studies_in_one_folder_are_rejected(tmp_path: Path) -> None:
@@ -294,3 +307,9 @@ def test_preferences_rank_the_winner_first_with_intervals(tmp_path: Path) -> Non
     for each in read.preferences:
         assert each.strength.low is not None and each.strength.high is not None and each.strength.value is not None
         assert each.strength.low - 1e-9 <= each.strength.value <= each.strength.high + 1e-9
+
+
+def test_the_report_in_the_pages_is_of_the_present_example() -> None:
+    root = Path(__file__).parents[3]
+    sha256 = analysis.read_study(root / "examples/studies/okamoto.toml").sha256
+    assert sha256[:16] in (root / "docs/benchmarks/results/okamoto_report.html").read_text(encoding="utf-8")
