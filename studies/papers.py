@@ -165,7 +165,7 @@ def dct_claims(rows: Sequence[Result]) -> Iterator[Claim]:
         here = None if cut is None else cut.zeros_percent
         claim = f"{surface}: zeros by the cut, b0 = {published.b0_db:g} dB"
         yield _percent(DCT, claim, published.zeros_percent, here, "", OTHER_THRESHOLD)
-    listeners = "It needs listeners and an actuator: no study was made."
+    listeners = "No people took part. Another page shows what simulated observers answer."
     levels_text = ", ".join(f"{surface} {published.levels}" for surface, published in PUBLISHED.items())
     cuts_text = ", ".join(f"{surface} {published.b0_db:g} dB" for surface, published in PUBLISHED.items())
     yield Claim(DCT, "the least L that listeners did not notice", levels_text, "", None, NOT_YET, listeners)
