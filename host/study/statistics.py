@@ -328,8 +328,8 @@ def bradley_terry(wins: ArrayLike, added: float = 0.5) -> Values:
     """Return the strength of each item in log units, with mean 0, from wins (..., items, items): [i, j] = i over j.
 
     The iteration of D. R. Hunter, "MM algorithms for generalized Bradley-Terry models", Annals of Statistics 32(1),
-    2004, on all tables at once. `added` wins count each way for every pair that met. So an item that always wins has a finite strength. An
-    item that met no other has 0. Raises StudyError.
+    2004, on all tables at once. `added` wins count each way for every pair that met. So an item that always wins has a
+    finite strength. An item that met no other has 0. Raises StudyError.
     """
     table = np.array(wins, np.float64)
     if (
