@@ -146,7 +146,7 @@ class StudyPages:
         state = self._run.state()
         fault = self._fault
         if state.paused and not self._is_pause_wanted:
-            fault = fault or state.warnings[-1]
+            fault = fault or next(reversed(state.warnings), "the run has paused by itself; press Resume")
         seen_s = None if self._seen is None else round(time.monotonic() - self._seen, 1)
         return asdict(state) | {"version": version, "fault": fault, "page_seen_s": seen_s}
 
