@@ -30,7 +30,7 @@ _CAPTURE_PERIODS = 20
 # A sound server may take this long to begin, and then asks once a period.
 _FIRST_S = 5.0
 _FIRST_BLOCKS = 8
-_LOST_S = 0.5
+_LOST_S = 1.0
 # The monitor of a card that is idle may bring samples every two seconds.
 _LOST_RECORDING_S = 3.0
 # ALSA's name of its device without a card.

@@ -348,7 +348,7 @@ def reached(monkeypatch: pytest.MonkeyPatch) -> list[Device]:
     links: list[MemoryLink] = []
 
     @contextmanager
-    def reach(address: str) -> Iterator[Transport]:
+    def reach(address: str, actuator: object = None) -> Iterator[Transport]:
         links.append(MemoryLink(controllers[0]))
         yield links[0]
 
