@@ -25,7 +25,8 @@ kind = "laser"
 command = ["{python}", "-c", "{program}", "{{file}}"]
 """
 
-TRIES = 3
+TRIES = 5
+MAX_UNEXPLAINED = 0.003
 
 
 def run(*arguments: str) -> Result:
@@ -144,7 +145,8 @@ class VoiceCoilLoop:
         analogue = [gain, 0.0, 0.0], [1 / angular**2, 1 / (QUALITY * angular), 1.0]
         self._filter = bilinear(*analogue, fs=44_100)
         self._state = np.zeros(2)
-        self._waiting = np.zeros(4410)  # 0.1 s, so that the second card always has something to play
+        self._waiting = np.zeros(22_050)  # so that the second card always has something to play
+        self.skips = 0
         self._playback = Playback(find(HEADPHONES), [1], self._fill)
 
     def _fill(self, frames: int) -> Codes:
@@ -153,6 +155,7 @@ class VoiceCoilLoop:
             moved, self._state = lfilter(*self._filter, heard, zi=self._state)
             self._waiting = np.concatenate((self._waiting, moved))
         now, self._waiting = self._waiting[:frames], self._waiting[frames:]
+        self.skips += len(now) < frames
         codes = np.zeros((frames, 1), np.int16)
         codes[: len(now), 0] = np.rint(32768 * now)
         return codes
@@ -161,6 +164,7 @@ class VoiceCoilLoop:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.skips += self._capture.overruns
         self._playback.close()
         self._capture.close()
 
@@ -172,7 +176,7 @@ def test_an_accelerometer_on_a_sound_card_fits_the_actuator_behind_another(
     mine = tmp_path / "mine.toml"
     mine.write_text('model = "voice-coil"\nname = "mine"\n')
     for _ in range(TRIES):  # a busy machine may let the loop skip
-        with VoiceCoilLoop():
+        with VoiceCoilLoop() as loop:
             result = run(
                 *("--device", f"audio:{PAD}:1", "--actuator", str(mine), "--only", "response"),
                 *("--sensor", f"audio:Monitor of {HEADPHONES}:1", "--sensitivity", "20mV/(m/s^2)"),
@@ -181,7 +185,8 @@ def test_an_accelerometer_on_a_sound_card_fits_the_actuator_behind_another(
         assert "clipped" not in result.output
         if result.exit_code == 0:
             fit = json.loads((tmp_path / "out" / "measured.json").read_text())["measured"]["response"]["fit"]
-            if fit["unexplained"] < 0.01:
+            # A gap that the server has made shows as well.
+            if not loop.skips and fit["unexplained"] < MAX_UNEXPLAINED:
                 break
     else:
         raise AssertionError(result.output)

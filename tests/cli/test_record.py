@@ -54,7 +54,7 @@ def endless(first: int) -> bytes:
 
 @contextmanager
 def sensor(sent: object, pull_after: int | None = None) -> Iterator[str]:
-    """Run a sensor behind a pseudo-terminal, faster than a real one; yield its port. `pull_after`: so many samples."""
+    """Run a sensor behind a pseudo-terminal, faster than a real one; yield its port. `pull_after`: a number of samples."""
     ours, theirs = os.openpty()
     os.set_blocking(ours, False)
     ending = threading.Event()
