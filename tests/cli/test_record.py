@@ -20,6 +20,7 @@ from tests.sound_server import PAD, SoundServer
 from vibrocast import textures
 from vibrocast.host.cli.command_line import main
 from vibrocast.host.serial_sensor import MAX_LINE_BYTES
+from vibrocast.output.actuator import Codes
 from vibrocast.output.sound_card import Playback, find
 
 needs_terminals = pytest.mark.skipif(sys.platform == "win32", reason="no pseudo-terminals")
@@ -178,11 +179,12 @@ def test_a_sound_card_is_recorded_in_the_unit(tmp_path: Path, pulseaudio: SoundS
     path = tmp_path / "out.wav"
     at = 0
 
-    def fill(frames: int) -> np.ndarray:  # type: ignore[type-arg]
+    def fill(frames: int) -> Codes:
         nonlocal at
         numbers = np.arange(at, at + frames)
         at += frames
-        return np.rint(16384 * np.sin(2 * np.pi * 200 * numbers / 48_000)).astype(np.int16)[:, None]
+        tone: Codes = np.rint(16384 * np.sin(2 * np.pi * 200 * numbers / 48_000)).astype(np.int16)[:, None]
+        return tone
 
     with Playback(find(PAD), [3], fill) as playback:
         playback.wait_for_begin()

@@ -2,11 +2,13 @@
 
 import struct
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from vibrocast.device_protocol.frames import write_frame
 from vibrocast.device_protocol.transports import Closing, TransportError
@@ -27,6 +29,7 @@ from vibrocast.host.serial_sensor import (
 from vibrocast.textures import TextureError
 from vibrocast.textures.recording import Signal
 
+Counts = NDArray[Any]
 RATE_HZ = 1000
 G = 9.80665
 HEADER = b"# rate_hz=1000 unit=g axes=xyz\n"
@@ -53,9 +56,9 @@ class Port(Closing):
         self.closed = True
 
 
-def opened(data: bytes, size: int = 1000, **options: object) -> SerialSensor:
+def opened(data: bytes, size: int = 1000, **options: Any) -> SerialSensor:
     port = Port(data, size)
-    return SerialSensor("PORT", open_port=lambda name, baud: port, **options)  # type: ignore[arg-type]
+    return SerialSensor("PORT", open_port=lambda name, baud: port, **options)
 
 
 def heard(sensor: SerialSensor) -> Signal:
@@ -87,11 +90,11 @@ def description(facts: bytes) -> bytes:
     return write_frame(bytes([DESCRIPTION]) + facts)
 
 
-def frame(number: int, samples: np.ndarray) -> bytes:  # type: ignore[type-arg]
+def frame(number: int, samples: Counts) -> bytes:
     return write_frame(bytes([SAMPLES]) + struct.pack("<I", number % 2**32) + samples.astype("<i2").tobytes())
 
 
-def frames(counts: Signal, first: int = 0, size: int = 16, without: tuple[int, ...] = ()) -> bytes:
+def frames(counts: Counts, first: int = 0, size: int = 16, without: tuple[int, ...] = ()) -> bytes:
     starts = range(0, len(counts), size)
     return b"".join(frame(first + at, counts[at : at + size]) for at in starts if at not in without)
 
@@ -216,7 +219,7 @@ def test_a_rate_that_is_not_stated_comes_from_the_times() -> None:
     ],
 )
 def test_a_wrong_sensor_is_rejected(
-    data: bytes, options: dict[str, object], error: str, monkeypatch: pytest.MonkeyPatch
+    data: bytes, options: dict[str, Any], error: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(serial_sensor, "_STATED_WITHIN_S", 0.0)
     with pytest.raises((SensorStreamError, TextureError), match=error):
@@ -225,7 +228,7 @@ def test_a_wrong_sensor_is_rejected(
 
 def test_a_sensor_that_is_silent_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     now_s = iter(np.arange(0.0, 1000.0, 0.1).tolist())
-    monkeypatch.setattr(serial_sensor.time, "monotonic", lambda: next(now_s))
+    monkeypatch.setattr("time.monotonic", lambda: next(now_s))
     with pytest.raises(SensorStreamError, match="sends nothing"):
         SerialSensor("PORT", open_port=lambda name, baud: Port(b"", silence=1000))
 
@@ -298,7 +301,9 @@ def test_numbered_samples_are_as_many_as_the_numbers_say(pieces: list[tuple[int,
 @given(st.lists(st.integers(1, 60_000), min_size=8, max_size=60), st.integers(1, 9))
 def test_timed_samples_do_not_depend_on_the_pieces(steps_us: list[int], size: int) -> None:
     times_us = np.cumsum(steps_us).tolist()
-    samples = [(time_us, (float(index % 7),)) for index, time_us in enumerate(times_us)]
+    samples: list[tuple[int, tuple[float, ...]]] = [
+        (time_us, (float(index % 7),)) for index, time_us in enumerate(times_us)
+    ]
 
     def placed(parts: list[int]) -> Signal:
         timed = TimedSamples(Lines(), RATE_HZ, 1000.0)
