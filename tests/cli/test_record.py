@@ -55,7 +55,7 @@ def endless(first: int) -> bytes:
 
 @contextmanager
 def sensor(sent: object, pull_after: int | None = None) -> Iterator[str]:
-    """Run a sensor behind a pseudo-terminal, faster than a real one; yield its port. `pull_after`: a number of samples."""
+    """Run a fast sensor behind a pseudo-terminal; yield its port. `pull_after`: a number of samples."""
     ours, theirs = os.openpty()
     os.set_blocking(ours, False)
     ending = threading.Event()
