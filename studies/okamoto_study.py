@@ -233,7 +233,7 @@ def claims(rows: Sequence[Result], falling: Sequence[Fall]) -> list[Claim]:
     levels = {name: limit(rows, name, LINEAR, LEVELS) or math.inf for name in names}
     paper_levels = {name: limit(rows, name, LINEAR, PAPER_LEVELS) for name in names}
     cuts_db = {name: limit(rows, name, CUT, CUTS_DB) for name in names}
-    heights_db = [-math.inf if cuts_db[name] is None else cuts_db[name] for name in names]
+    heights_db = [-math.inf if value is None else value for value in cuts_db.values()]
     zero = {row.texture: row.is_noticed for row in rows if (row.family, row.parameter) == (CUT, 0)}
     certain = [each for each in falling if each.p is not None and each.p < ALPHA]
 

@@ -16,7 +16,7 @@ from vibrocast.host.study import analysis, stimuli
 from vibrocast.host.study.report import write_report
 from vibrocast.host.study.session import LOG, RESULTS, RUN
 from vibrocast.host.study.simulation import SIMULATED, SkinOf, simulate_participant
-from vibrocast.host.study.study_file import METHODS
+from vibrocast.host.study.study_file import METHODS, read_study
 from vibrocast.host.study.trials import RESULT_COLUMNS, StudyError
 from vibrocast.output.actuator import PIEZO_STACK
 
@@ -164,7 +164,7 @@ def test_people_are_not_called_simulated_and_a_mixture_is_named(tmp_path: Path) 
     assert "3 of 4 participants are simulated observers, not people" in text
 
 
-DAMAGES = {
+DAMAGES: dict[str, Callable[[str], str]] = {
     "cut": lambda line: line[: len(line) // 2],
     "a grade out of range": lambda line: line.replace(",same,0,", ",same,9,").replace(",different,3,", ",different,9,"),
     "not a number": lambda line: line.replace(",0,", ",nan,").replace(",3,", ",nan,"),
@@ -287,7 +287,7 @@ def test_a_name_cannot_break_the_page(tmp_path: Path) -> None:
     study = folder / analysis.STUDY_FILE
     study.write_text(study.read_text().replace("A small study", "<script>alert(1)</script>"))
     for path in folder.glob(f"participant_*/{RUN}"):
-        sha256 = analysis.read_study(study, with_files=False).sha256
+        sha256 = read_study(study, with_files=False).sha256
         path.write_text(json.dumps(json.loads(path.read_text()) | {"study_sha256": sha256}))
     assert "<script>" not in write_report(folder, tmp_path / "report").read_text()
 
@@ -311,5 +311,5 @@ def test_preferences_rank_the_winner_first_with_intervals(tmp_path: Path) -> Non
 
 def test_the_report_in_the_pages_is_of_the_present_example() -> None:
     root = Path(__file__).parents[3]
-    sha256 = analysis.read_study(root / "examples/studies/okamoto.toml").sha256
+    sha256 = read_study(root / "examples/studies/okamoto.toml").sha256
     assert sha256[:16] in (root / "docs/benchmarks/results/okamoto_report.html").read_text(encoding="utf-8")
