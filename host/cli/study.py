@@ -44,7 +44,10 @@ def study() -> None:
 @section(CONTROLLER, device_option, actuator_option)
 @section(OUTPUT, click.option("--out", type=FOLDER, help="Keep the stimuli in this folder, for `study run`."))
 def check(study_path: Path, address: str, actuator_name: str | None, out: Path | None) -> None:
-    """Render all stimuli, match their levels at the skin, and reject sets that cannot be compared."""
+    """Prepare all stimuli of a study, and reject sets that cannot be compared.
+
+    Levels are matched at the skin. Limits of the actuator must act on all conditions of a texture alike.
+    """
     read = read_study(study_path)
     actuator = driven(address, chosen_actuator(read, actuator_name))
     prepared = prepare(read, actuator)
@@ -85,7 +88,7 @@ def run(
     actuator_name: str | None,
     out: Path,
 ) -> None:
-    """Lead a participant through a study, in a browser or in the terminal.
+    """Lead a participant through a study, in a browser or terminal.
 
     The command prepares the stimuli at the first run and keeps them in the folder. If it is interrupted, run it again:
     it goes on after the last answer.
@@ -129,7 +132,7 @@ def run(
         type=Whole("NUMBER", 1, 1000),
         default=10,
         show_default=True,
-        help="Simulate so many participants.",
+        help="Set the number of simulated participants.",
     ),
     click.option(
         "--noise",
@@ -142,7 +145,7 @@ def run(
 @section(CONTROLLER, actuator_option)
 @section(OUTPUT, out_option)
 def simulate(study_path: Path, participants: int, noise: float, actuator_name: str | None, out: Path) -> None:
-    """Let simulated observers take part, to test a study and to plan its size.
+    """Let simulated observers take part, to test and plan a study.
 
     A simulated observer is no person: use it to find mistakes in a study, not to answer its question.
     """

@@ -44,8 +44,8 @@ class ControllerPlayer(StimulusPlayer):
     """Plays on a controller session, which nobody else uses meanwhile.
 
     One thread at a time talks to the controller. `switch` stops and starts, because a controller plays one stream at a
-    time: about 0.4 s lie between. A stream that a controller cannot take, such as one that is coded as a whole file,
-    is decoded here and sent as the default codec's at UNCODED_SNR_DB, whose error lies far below the stream's own.
+    time: about 0.4 s lie between. Some streams no controller decodes, such as one that is coded as a whole file. Such a
+    stream is decoded here and sent in the default codec at UNCODED_SNR_DB. That error lies far below the stream's own.
     `reconnect_s`: how long a broken connection is opened again.
     """
 
@@ -105,7 +105,7 @@ class ControllerPlayer(StimulusPlayer):
         self._end()
 
     def _end(self) -> None:
-        """End what plays, and wait until the controller has been told."""
+        """End the stimulus that plays, and wait for its thread."""
         now, self._playing = self._playing, None
         if now is not None:
             now.stopping.set()

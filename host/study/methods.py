@@ -17,7 +17,7 @@ GRADES = ("same", "possibly same", "possibly different", "different")
 """The four grades of Okamoto and Yamada, IEEE Trans. Haptics 6(1), 2013: 0 to 3."""
 QUALITIES = ("bad", "poor", "fair", "good", "excellent")
 """The ranges of the scale of ITU-R BS.1534-3."""
-# What the generator of random numbers draws, so that one choice does not move another.
+# Each draw has its own random numbers, so that one choice does not move another.
 _CONDITIONS, _TEXTURES, _PRACTICE, _LABELS, _SIDES = range(5)
 
 

@@ -423,10 +423,13 @@ class Session(Run):
     def _log(self, event: str, **details: object) -> None:
         trial = len(self._history) + 1
         line = json.dumps({"utc": _now_utc(), "event": event, "trial": trial, **details}, allow_nan=False)
-        with (self._folder / LOG).open("a", encoding="utf-8") as file:
-            file.write(line + "\n")
-            file.flush()
-            os.fsync(file.fileno())
+        try:
+            with (self._folder / LOG).open("a", encoding="utf-8") as file:
+                file.write(line + "\n")
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:  # a full disk must not keep anyone from stopping the actuator
+            self._warnings.append(f"the log cannot be written: {error.strerror}; free some space")
 
     def _check_folder(self) -> None:
         """Write what run this is; raise StudyError where the folder holds another one."""
