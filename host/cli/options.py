@@ -143,7 +143,7 @@ actuator_option = click.option(
     "--actuator",
     "actuator_name",
     metavar="NAME|FILE",
-    help="Choose the actuator of sim or of a sound card, as `play` does.",
+    help="Choose the actuator of sim or of a sound card.",
 )
 
 

@@ -44,7 +44,7 @@ def study() -> None:
 @section(CONTROLLER, device_option, actuator_option)
 @section(OUTPUT, click.option("--out", type=FOLDER, help="Keep the stimuli in this folder, for `study run`."))
 def check(study_path: Path, address: str, actuator_name: str | None, out: Path | None) -> None:
-    """Prepare all stimuli of a study, and reject sets that cannot be compared.
+    """Prepare all stimuli, and reject sets that cannot be compared.
 
     Levels are matched at the skin. Limits of the actuator must act on all conditions of a texture alike.
     """
