@@ -8,12 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from vibrocast.device_protocol.coded_stream import StreamHeader
 from vibrocast.device_protocol.transports import Closing
 from vibrocast.output.actuator import Actuator, Codes
-from vibrocast.output.code_queue import fade_frames, within_slew
+from vibrocast.output.code_queue import fade_frames
+from vibrocast.output.rendering import Dac
 from vibrocast.output.sound_card import Card, Playback
 
 _AT_REST_S = 1.0
+# Of a drive in parts of 2^25, as `Dac` takes it, a code of 16 bits is this many bits higher.
+_DRIVE_BITS = 10
 
 
 @dataclass(frozen=True)
@@ -66,14 +70,17 @@ class SamplePlayer(Closing):
     """Plays codes that `output.rendering.render` has made for `actuator`, whose DAC is the card.
 
     Codes are int16 (n, channels) at `actuator.dac_rate_hz`, one column for each of `channels`, which count from 1. One
-    signal fades into the next within 5 ms. Both keep the voltage limit, so their weighted sum does; the slew limit is
-    applied to the sum again. `start`, `switch` and `stop` return at once. Raises TransportError and MissingExtraError.
+    signal fades into the next within 5 ms. The sum passes the limits of `Dac` again, because a person who switches may
+    string loud parts together. They change nothing in a signal that keeps them. `start`, `switch` and `stop` return at
+    once. Raises TransportError and MissingExtraError.
     """
 
     def __init__(self, card: Card, channels: Sequence[int], actuator: Actuator) -> None:
         self._lock = threading.Lock()
-        self._slew = actuator.code_step_limit
         self._step = 1.0 / fade_frames(actuator)
+        header = StreamHeader(1, actuator.dac_rate_hz, None, "full scale", (1.0,) * len(channels), b"")
+        self._limits = Dac(header, actuator, 1.0, compensation=False)
+        self._limits.play(np.zeros((fade_frames(actuator), len(channels)), np.int32))  # fades in, once
         self._last = np.zeros(len(channels), np.int64)
         self._voices: list[_Voice] = []
         self._played: list[PlayedCodes] = []
@@ -89,6 +96,12 @@ class SamplePlayer(Closing):
     def latency_s(self) -> float:
         """The time from a call to the output: a period and the card's buffer."""
         return self._card.period_s + self._card.buffer_s
+
+    @property
+    def limited(self) -> int:
+        """How many samples the limits have changed since the card was opened."""
+        counts = self._limits.counts
+        return counts.voltage_limited + counts.slew_limited + counts.power_limited
 
     @property
     def underruns(self) -> int:
@@ -159,8 +172,6 @@ class SamplePlayer(Closing):
 
     def _fill(self, frames: int) -> Codes:
         with self._lock:
-            if not self._voices and not self._last.any():
-                return np.zeros((frames, len(self._last)), np.int16)
             total = np.zeros((frames, len(self._last)))
             for voice in self._voices:
                 if voice.started_s is None:
@@ -171,6 +182,6 @@ class SamplePlayer(Closing):
                 if voice.ended and voice.target:
                     self._note(voice)
             self._voices = [voice for voice in self._voices if not voice.ended]
-            codes = within_slew(np.trunc(total).astype(np.int16), self._last, self._slew)
+            codes = self._limits.play(np.trunc(total).astype(np.int32) << _DRIVE_BITS)
             self._last = codes[-1].astype(np.int64)
             return codes

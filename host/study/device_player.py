@@ -180,7 +180,7 @@ class CardPlayer(StimulusPlayer):
         self._samples = SamplePlayer(card, channels, actuator)
         self._rendered: dict[str, tuple[Codes, int]] = {}
         self._known: dict[str, Stimulus] = {}
-        self._underruns = self._samples.underruns
+        self._counted = self._samples.underruns, self._samples.limited
 
     def prepare(self, stimuli: Sequence[Stimulus]) -> None:
         """Render each stimulus, and wait until the card plays. Raises as `start`.
@@ -210,8 +210,9 @@ class CardPlayer(StimulusPlayer):
 
     def take_played(self) -> list[Played]:
         """Return what has been played since the last call."""
-        underruns, before = self._samples.underruns, self._underruns
-        self._underruns = underruns
+        counts = self._samples.underruns, self._samples.limited
+        underruns, limited = (now - before for now, before in zip(counts, self._counted, strict=True))
+        self._counted = counts
         taken = []
         for each in self._samples.take_played():
             stimulus = self._known[each.key]
@@ -223,8 +224,8 @@ class CardPlayer(StimulusPlayer):
                     started_utc=begun_utc.isoformat(timespec="microseconds"),
                     latency_ms=1000 * self._samples.latency_s,
                     gain_db=stimulus.gain_db,
-                    limited=self._rendered[each.key][1],
-                    underruns=underruns - before,
+                    limited=self._rendered[each.key][1] + limited,
+                    underruns=underruns,
                     seconds=each.frames / self._actuator.dac_rate_hz,
                 )
             )

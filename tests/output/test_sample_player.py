@@ -125,3 +125,15 @@ def test_on_a_card_a_switch_leaves_no_gap(sound_server: SoundServer) -> None:
     else:
         raise AssertionError("not heard exactly")
     assert not heard[:, :2].any()
+
+
+def test_loud_parts_that_are_strung_together_keep_the_power_limit(player: SamplePlayer) -> None:
+    """A person may press the same loud beginning again and again."""
+    loud = np.round(32_000 * np.sin(2 * np.pi * 100 * np.arange(9600) / 48_000))[:, None].astype(np.int16)
+    blocks = []
+    for number in range(20):
+        player.start(f"press {number}", loud)
+        blocks.append(player._fill(9600))
+    power = np.mean((np.concatenate(blocks[10:]) / 32_768.0) ** 2)
+    assert power <= ACTUATOR.power_limit * 1.02
+    assert player.limited > 0
