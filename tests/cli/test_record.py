@@ -189,11 +189,13 @@ def test_a_sound_card_is_recorded_in_the_unit(tmp_path: Path, pulseaudio: SoundS
     with Playback(find(PAD), [3], fill) as playback:
         playback.wait_for_begin()
         sensitivity = ["--sensitivity", "100mV/(m/s^2)", "--volts-full-scale", "2"]
-        result = run("--input", f"Monitor of {PAD}:3", *sensitivity, "--axes", "z", "--seconds", "1.5", str(path))
+        result = run(
+            "--input", f"Monitor of {PAD}:3", *sensitivity, "--axes", "z", "--keep-dc", "--seconds", "1.5", str(path)
+        )
     assert result.exit_code == 0, result.output
     recording = textures.load_for_actuators(path)
     assert (recording.unit, recording.rate_hz, recording.channels) == ("m/s^2", 48_000, 1)
-    # Half of 2 V, at 0.1 V for a m/s^2.
-    assert np.median(np.abs(recording.samples)) == pytest.approx(10.0 * np.sin(np.pi / 4), rel=0.01)
+    # Half of 2 V, at 0.1 V for a m/s^2. A busy machine plays gaps, which leave the peaks as they are.
+    assert np.percentile(np.abs(recording.samples), 99) == pytest.approx(10.0, rel=0.03)
     stated = json.loads((tmp_path / "out.json").read_text())
     assert (stated["axes"], stated["volts_full_scale"]) == ("z", 2.0)
