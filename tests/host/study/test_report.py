@@ -138,10 +138,10 @@ def test_correlations_count_every_rated_stimulus_but_the_hidden_reference() -> N
     assert read.correlations is not None
     means = {(each.texture, each.condition): each.mean.value for each in read.ratings}
     rated = [each for each in read.stimuli if each.role in ("condition", "anchor")]
-    correlation = read.correlations["snr_db"]
+    correlation = read.correlations["third_octave_db"]
     assert correlation.count == len(rated) == 8
     expected = stats.pearsonr(
-        [each.facts["snr_db"] for each in rated], [means[each.texture, each.condition] for each in rated]
+        [each.facts["third_octave_db"] for each in rated], [means[each.texture, each.condition] for each in rated]
     )
     assert correlation.pearson.value == pytest.approx(expected.statistic)
 
