@@ -26,6 +26,8 @@ DETECTED = ("same_different", "abx", "two_alternative")
 METRICS = {"snr_db": "SNR, dB", "st_sim": "ST-SIM", "spqi": "SPQI", "third_octave_db": "third-octave distance, dB"}
 POWER = 0.8
 ALPHA = 0.05
+MIN_PILOT = 5
+"""With fewer participants to draw from, a sample size means nothing."""
 PLANNED_PARTICIPANTS = (5, 10, 15, 20, 30, 40)
 """Of the table of power."""
 FAILED = "device failed"
@@ -68,13 +70,17 @@ class Rating:
 
 @dataclass(frozen=True)
 class Detection:
-    """How well people distinguished a stimulus from its reference. `correct`: part of the answers that were right."""
+    """How well people distinguished a stimulus from its reference. `correct`: part of the answers that were right.
+
+    `sensitivity`: d', by differencing in same-different trials and ABX; `independent`: d' by independent observation.
+    """
 
     texture: str
     condition: str
     trials: int
     correct: float
     sensitivity: Interval
+    independent: Interval
 
 
 @dataclass(frozen=True)
@@ -358,7 +364,8 @@ def _detections(read: Analysis) -> list[Detection]:
                 )
             if total:
                 d = statistics.sensitivity(method, counts)
-                found.append(Detection(texture.name, name, total, right / total, d))
+                independent = statistics.sensitivity(method, counts, model="independent")
+                found.append(Detection(texture.name, name, total, right / total, d, independent))
     return found
 
 
@@ -490,6 +497,29 @@ def _could_find(read: Analysis, test: PairedTest) -> str:
     return f"{test.count} participants find an effect of d = {least:.2f} in {100 * POWER:.0f} % of such studies."
 
 
+def _participants_needed(read: Analysis) -> dict[tuple[str, str], int | None]:
+    """Return how many participants find each condition in 80 % of studies, after Holm's correction.
+
+    Studies are drawn from the participants who rated all conditions of a texture.
+    """
+    hidden = next(iter(read.study.of_role(HIDDEN_REFERENCE)), None)
+    found = {}
+    for texture in dict.fromkeys(each.texture for each in read.ratings):
+        group = [each for each in read.ratings if each.texture == texture]
+        against = next((each for each in group if each.condition == hidden), None)
+        tested = [each for each in group if each.test is not None]
+        if against is None or not tested:
+            continue
+        whole = [number for number in against.by_participant if all(number in each.by_participant for each in tested)]
+        if len(whole) >= MIN_PILOT:
+            rows = [
+                [each.by_participant[number] - against.by_participant[number] for each in tested] for number in whole
+            ]
+            for each, count in zip(tested, statistics.participants_by_resampling(rows, POWER, ALPHA), strict=True):
+                found[texture, each.condition] = count
+    return found
+
+
 def _tests_of_texture(read: Analysis) -> int:
     """Return by how many tests Holm's correction divides the level of the smallest p."""
     tested = [each.texture for each in read.ratings if each.test is not None]
@@ -532,6 +562,7 @@ def _tables(read: Analysis) -> dict[str, list[dict[str, Any]]]:
             | {f"count_{number}": count for number, count in enumerate(each.counts)}
             for each in read.ratings
         ]
+        needed = _participants_needed(read)
         found["tests"] = [
             {
                 "texture": each.texture,
@@ -542,6 +573,7 @@ def _tables(read: Analysis) -> dict[str, list[dict[str, Any]]]:
                 "p": each.test.p,
                 "holm_p": each.test.holm_p,
                 **_cells("effect", each.test.effect),
+                "participants_needed": needed.get((each.texture, each.condition)),
             }
             for each in read.ratings
             if each.test is not None
@@ -574,6 +606,7 @@ def _tables(read: Analysis) -> dict[str, list[dict[str, Any]]]:
                 "trials": each.trials,
                 "correct": each.correct,
                 **_cells("sensitivity", each.sensitivity),
+                **_cells("independent", each.independent),
             }
             for each in read.detections
         ]

