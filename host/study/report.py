@@ -52,7 +52,6 @@ def write_report(folder: Path, out: Path) -> Path:
             "method": read.study.method,
             "study_sha256": read.study.sha256,
             "simulated": read.is_simulated,
-            "participants": len(read.participants),
             "excluded": {str(number): reason for number, reason in read.excluded.items()},
             "warnings": list(read.warnings),
             "findings": analysis.findings(read),

@@ -36,7 +36,7 @@ def test_simulated_observers_take_part_and_are_reported(tmp_path: Path) -> None:
         result = CliRunner().invoke(main, ["study", *map(str, arguments)])
         assert result.exit_code == 0, result.stderr
     document = json.loads((out / "report" / "report.json").read_text())
-    assert (document["participants"], document["simulated"], document["method"]) == (3, True, "degradation")
+    assert (len(document["participants"]), document["simulated"], document["method"]) == (3, True, "degradation")
     means = {(row["texture"], row["condition"]): row["mean"] for row in document["means"]}
     for texture in ("wood", "sandpaper", "leather"):
         assert means[texture, "uncompressed again"] < means[texture, "linear 4"]
