@@ -41,9 +41,7 @@ SECTIONS: Mapping[str, Mapping[str, Subcommand]] = {
         "plan": Subcommand("plan", "plan", "Choose the cheapest codec settings that meet your requirements."),
     },
     "Controllers": {
-        "devices": Subcommand(
-            "devices", "list_devices", "List the addresses of controllers: simulated, serial, USB and sound cards."
-        ),
+        "devices": Subcommand("devices", "list_devices", "List addresses: simulated, serial, USB and sound cards."),
         "status": Subcommand("devices", "status", "Show the properties and state of a controller."),
         "flash": Subcommand("devices", "flash", "Upload a trained model to a controller."),
         "simulate": Subcommand("devices", "simulate", "Run a simulated controller until Ctrl-C."),

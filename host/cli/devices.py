@@ -27,7 +27,7 @@ from vibrocast.output.actuator import ACTUATORS, PIEZO_STACK
 
 @click.command("devices")
 def list_devices() -> None:
-    """List the addresses of controllers: simulated, serial, USB and sound cards."""
+    """List addresses: simulated, serial, USB and sound cards."""
     found = devices.available()
     width = max(map(len, found))
     for address, description in found.items():
