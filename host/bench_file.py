@@ -23,7 +23,7 @@ from vibrocast.textures import Recording
 from vibrocast.toml_tables import Table, Text, check_names, convert, located, one_of, read_each, read_toml, within
 
 SENSOR_KINDS = ("accelerometer", "laser")
-_INPUT = "an input: audio:CARD:CHANNEL or serial:PORT"
+_INPUT = "audio:CARD:CHANNEL or serial:PORT"
 SENSOR_PLACEHOLDERS = ("file", "seconds")
 SUFFIXES = (".wav", ".csv", ".txt", ".tsv", ".npy", ".npz")
 RateHz = Annotated[float, within(20, 1e7, "sample rate in Hz")]
@@ -113,7 +113,12 @@ class Sensor(Table, frozen=True, kw_only=True):
             raise ValueError("sensitivity needs its unit: add unit, such as 'm/s^2'")
 
     def _check_input(self) -> None:
-        """Raise ValueError for keys that do not go with `input`."""
+        """Raise ValueError for keys that do not go with `input`, or that it lacks."""
+        assert self.input is not None, "one of the two is given"
+        if not self.input.startswith(("serial:", "audio:")):
+            raise ValueError(f"{self.input!r} is no input; give {_INPUT}")
+        if self.input.startswith("audio:") and (self.sensitivity is None or self.volts_full_scale is None):
+            raise ValueError(f"{self.input} records volts; give sensitivity, such as '10.2mV/g', and volts_full_scale")
         if self.unit is not None or self.reduce is not None or self.suffix != ".wav":
             raise ValueError("unit, reduce and suffix go with command; leave them out, sensitivity states the unit")
         if self.sensitivity is not None and not isinstance(self.sensitivity, str):

@@ -202,7 +202,7 @@ def test_an_accelerometer_on_a_sound_card_fits_the_actuator_behind_another(
     [
         (("--sensitivity", "1mV/g"), "describe a sensor; add --sensor"),
         (("--bench", "bench.toml", "--actuator", "lra"), "drop them, or --actuator and --sensor"),
-        (("--sensor", "audio:card:1", "--only", "response"), "give the sensor's `sensitivity` in volts"),
+        (("--sensor", "audio:card:1", "--only", "response"), "records volts; give sensitivity"),
     ],
 )
 def test_a_sensor_needs_its_options(arguments: tuple[str, ...], error: str, tmp_path: Path) -> None:

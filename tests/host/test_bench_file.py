@@ -101,7 +101,7 @@ def test_an_impossible_texture_is_reported_with_its_place(tmp_path: Path) -> Non
             CONTROLLER + SENSOR + 'input = "serial:P"\n',
             "[[sensors]] 1: give either command, a program that records, or",
         ),
-        (CONTROLLER + INPUT.replace("audio:", ""), "input must be an input: audio:CARD:CHANNEL or serial:PORT"),
+        (CONTROLLER + INPUT.replace("audio:", ""), "input must be audio:CARD:CHANNEL or serial:PORT"),
         (CONTROLLER + INPUT.replace("10.2mV/g", "10.2"), "'10.2' is no sensitivity; write one such as 10.2mV/g"),
         (CONTROLLER + INPUT.replace('"10.2mV/g"', "10.2"), "sensitivity of an input is a text"),
         (CONTROLLER + INPUT + 'unit = "g"\n', "unit, reduce and suffix go with command"),
