@@ -14,6 +14,7 @@ import pytest
 
 from tests.host.study.small_study import CONDITIONS, stimuli_of, study_of, text_of
 from vibrocast.device_protocol.transports import TransportError
+from vibrocast.host.study import stimuli
 from vibrocast.host.study.device_player import SilentPlayer
 from vibrocast.host.study.methods import DESIGNS
 from vibrocast.host.study.session import LOG, RESULTS, RUN, Session
@@ -30,6 +31,7 @@ from vibrocast.host.study.trials import (
     StudyError,
     Trial,
 )
+from vibrocast.output.actuator import PIEZO_STACK
 
 QUESTIONS = """
 [[questions]]
@@ -311,11 +313,14 @@ def test_the_log_names_each_stimulus_as_played(folder: Path, tmp_path: Path) -> 
 PROGRAM = """
 import os, signal, sys, time
 from pathlib import Path
-from tests.host.study.test_session import KillingPlayer, opened, play_all, some_answer, step
+from tests.host.study.test_session import KillingPlayer, play_all, some_answer, step
+from vibrocast.host.study import stimuli
+from vibrocast.host.study.session import Session
 from vibrocast.host.study.study_file import read_study
 from vibrocast.host.study.trials import Trial
 folder, out, point, how = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3]), getattr(signal, sys.argv[4])
-session = opened(read_study(folder / "abx.toml"), folder, out, KillingPlayer(point, how))
+made = stimuli.load(folder / "stimuli")
+session = Session(read_study(folder / "abx.toml"), made, 1, out, KillingPlayer(point, how), sleep=lambda _: None)
 try:
     while not session.has_ended:
         screen = session.screen()
@@ -369,7 +374,7 @@ POINTS = 16
 
 def killed_everywhere(folder: Path, out: Path, points: range, how: str) -> None:
     study_of(folder, "abx")
-    stimuli_of("abx", folder)
+    stimuli.save(folder / "stimuli", stimuli_of("abx", folder), PIEZO_STACK)
     for point in points:
         result = out / f"{how}{point}"
         run: Callable[[int, str], subprocess.CompletedProcess[str]] = lambda at, kill: subprocess.run(  # noqa: E731
