@@ -108,7 +108,7 @@ class Session(Run):
             if question := self._question("before"):
                 return question
             if "instructions" in self._messages_left:
-                return Message("instructions", study.title, study.instructions or _INSTRUCTIONS)
+                return Message("instructions", "Instructions", study.instructions or _INSTRUCTIONS)
             if self._break_until_s is not None:
                 total = None if self._trial is None else self._trial.total
                 return Break(max(0.0, self._break_until_s - self._clock()), len(self._history), total)
