@@ -298,7 +298,7 @@ def connect(
 
     Args:
         address: "sim", another name that `vibrocast devices` lists, "serial:PORT", "usb:VID:PID" or
-            "audio:CARD[:CHANNELS][@VOLTS]".
+            `audio:CARD[:CHANNELS][@VOLTS]`.
         actuator: A name, an Actuator or a TOML file. A sound card or a simulated controller drives it; for a real
             controller it is the model of the actuator. None: as the controller says; a sound card needs one.
         runtime: "core" or "onnx": the decoder that a simulated controller uses. None: as the model says.
