@@ -17,7 +17,7 @@ ROOT = Path(__file__).parent
 sys.path.insert(0, str(ROOT))  # a build backend runs this file from elsewhere
 from firmware.declarations import cffi_declarations  # noqa: E402
 
-FOLDERS = ("firmware/core", "firmware/controller", "firmware/ports/python")
+FOLDERS = ("firmware/core", "firmware/monocypher", "firmware/controller", "firmware/ports/python")
 FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-fno-sanitize=all", "-g0", "-shared")
 DEFINES = ("-DVC_CHANNELS=16",)
 """The largest sizes of a simulated controller, where they are not those of firmware/controller/sizes.h."""

@@ -2,6 +2,7 @@
 #include "controller.h"
 
 #include "controller_memory.h"
+#include "ed25519.h"
 
 #define STATUS_INTERVAL_US 100000u
 #define US_PER_MS 1000u
@@ -72,6 +73,7 @@ static vc_status_report status_of(vc_controller *controller)
         vc_playback_report(&controller->playback, &status);
     status.device_time_us = controller->time_us;
     status.bad_frames = vc_frame_reader_bad_frames(&controller->reader);
+    status.signed_images = controller->settings->public_key != NULL;
     return status;
 }
 
@@ -242,9 +244,7 @@ static int write_flash(vc_controller *controller, const vc_message *message, vc_
 {
     vc_image_store *images = &controller->images;
     vc_flash_status report;
-    int rejected = 0;
-    if (message->type == VC_FLASH_BEGIN || message->type == VC_FLASH_ACTIVATE)
-        rejected = reject_while_active(controller, rejection);
+    int rejected = reject_while_active(controller, rejection); /* they may take longer than a block */
     if (rejected)
         return rejected;
     switch (message->type) {
@@ -353,6 +353,8 @@ static void write_description(vc_controller *controller, vc_frame_writer *writer
     hello.limits.max_rate_hz = vc_playback_max_rate_hz(actuator);
     hello.limits.watchdog_ms = controller->settings->watchdog_ms;
     hello.limits.profile_samples = sizes.profile_samples;
+    hello.limits.packet_samples = VC_PACKET_SAMPLES;
+    hello.limits.decoding_kilocycles_per_s = controller->settings->decoding_kilocycles_per_s;
     hello.actuator.name = vc_text_piece(actuator->name);
     hello.actuator.stroke_um_float_bits = actuator->stroke_um;
     hello.actuator.volts_float_bits = actuator->volts;
@@ -371,15 +373,18 @@ static void write_description(vc_controller *controller, vc_frame_writer *writer
     }
     hello.images = images;
     hello.image_count = VC_SLOTS;
+    if (controller->settings->public_key != NULL) {
+        hello.public_key.bytes = controller->settings->public_key;
+        hello.public_key.length = VC_KEY_BYTES;
+    }
     vc_write_hello_response(writer, sequence, &hello);
 }
 
 /* ---- sessions ---- */
 
-static void boot(vc_controller *controller)
+/* After a boot of the image store. */
+static void start_idle(vc_controller *controller)
 {
-    vc_image_store_boot(&controller->images, controller->flash, controller->settings->hardware, vc_tables_check,
-                        controller->settings->callbacks);
     controller->configured = 0;
     controller->state_without_stream = VC_STATE_IDLE;
     controller->in_session = 0;
@@ -463,7 +468,8 @@ static void take_request(vc_controller *controller, const vc_message *message)
     answer(controller, message->sequence, &writer);
     if (message->type == VC_FLASH_ACTIVATE && !rejected) {
         stop(controller);
-        boot(controller);
+        vc_image_store_boot(&controller->images);
+        start_idle(controller);
     }
 }
 
@@ -504,7 +510,7 @@ static void handle(vc_controller *controller, vc_piece payload)
 /* ---- time ---- */
 
 void vc_controller_init(vc_controller *controller, const vc_controller_settings *settings, const vc_flash *flash,
-                        vc_dac_sink dac, void *dac_context, uint64_t now_us)
+                        const vc_dac_port *dac, uint64_t now_us)
 {
     controller->settings = settings;
     controller->flash = flash;
@@ -512,47 +518,53 @@ void vc_controller_init(vc_controller *controller, const vc_controller_settings 
     controller->dac_free_us = 0;
     controller->outgoing_at = controller->outgoing_end = 0;
     controller->playback.actuator = settings->actuator;
-    controller->playback.sink = dac;
-    controller->playback.sink_context = dac_context;
+    controller->playback.dac_port = dac;
     controller->playback.profile = settings->profile;
     controller->playback.sizes = vc_playback_sizes(settings);
     controller->playback.hand_delay_us = settings->position != NULL ? 0 : VC_HAND_DELAY_US;
     vc_frame_reader_init(&controller->reader);
-    boot(controller);
+    vc_image_store_init(&controller->images, flash, settings->hardware, settings->public_key, vc_tables_check,
+                        settings->callbacks);
+    start_idle(controller);
 }
 
-void vc_controller_advance(vc_controller *controller, uint64_t now_us)
+int vc_controller_advance(vc_controller *controller, uint64_t now_us)
 {
     vc_playback *playback = &controller->playback;
     const uint64_t longest_us = (uint64_t)controller->settings->watchdog_ms * US_PER_MS;
+    int behind;
     if (now_us > controller->time_us)
         controller->time_us = now_us;
     if (!controller->configured)
-        return;
+        return 0;
     if (controller->settings->position != NULL && is_active(playback->state))
         vc_playback_position(
             playback, controller->time_us,
             controller->settings->position(controller->settings->position_context, controller->time_us),
             controller->time_us);
     if (is_active(playback->state) && controller->time_us - controller->heard_us > longest_us) {
-        vc_playback_advance(playback, controller->heard_us + longest_us);
+        (void)vc_playback_advance(playback, controller->heard_us + longest_us);
         if (is_active(playback->state))
             vc_playback_stop(playback, VC_STATE_WATCHDOG);
     }
-    vc_playback_advance(playback, controller->time_us);
+    behind = vc_playback_advance(playback, controller->time_us);
     notify(controller);
+    return behind;
 }
 
-void vc_controller_receive(vc_controller *controller, const uint8_t *data, size_t length, uint64_t now_us)
+int vc_controller_receive(vc_controller *controller, const uint8_t *data, size_t length, uint64_t now_us)
 {
-    vc_controller_advance(controller, now_us);
+    int behind = vc_controller_advance(controller, now_us);
     while (length > 0) {
         vc_piece payload;
         const size_t taken = vc_frame_reader_feed(&controller->reader, data, length, &payload);
-        if (payload.length > 0)
+        if (payload.length > 0) {
             handle(controller, payload);
+            behind = controller->configured;
+        }
         data += taken;
         length -= taken;
     }
     notify(controller);
+    return behind;
 }

@@ -18,16 +18,18 @@ size_t vc_controller_size(void);
 size_t vc_controller_profile_size(void);
 
 /* Boots: reads the flash, and starts the image on trial or the confirmed one. The caller owns `controller`, and
- * `settings`, `flash` and `dac_context`, which must stay valid. `now_us`: the controller's clock in microseconds, which
- * never goes back. */
+ * `settings`, `flash` and `dac`, which must stay valid. `now_us`: the controller's clock in microseconds, which never
+ * goes back. */
 void vc_controller_init(vc_controller *controller, const vc_controller_settings *settings, const vc_flash *flash,
-                        vc_dac_sink dac, void *dac_context, uint64_t now_us);
+                        const vc_dac_port *dac, uint64_t now_us);
 
-/* Takes `length` bytes from the host, at the time `now_us`. Any bytes are safe. */
-void vc_controller_receive(vc_controller *controller, const uint8_t *data, size_t length, uint64_t now_us);
+/* Takes `length` bytes from the host, at the time `now_us`. Any bytes are safe. Returns as vc_controller_advance. */
+int vc_controller_receive(vc_controller *controller, const uint8_t *data, size_t length, uint64_t now_us);
 
-/* Plays everything due up to `now_us`, and checks the watchdog. Call it every few milliseconds. */
-void vc_controller_advance(vc_controller *controller, uint64_t now_us);
+/* Plays what is due up to `now_us`, and checks the watchdog. A call decodes one block at most, so bytes from the host
+ * never wait longer than for one. Returns 1 if work is left: call it again at once, after vc_controller_receive where
+ * bytes have come. Else call it every few milliseconds. */
+int vc_controller_advance(vc_controller *controller, uint64_t now_us);
 
 /* Moves up to `capacity` bytes for the host into `data`. Returns how many bytes. */
 size_t vc_controller_transmit(vc_controller *controller, uint8_t *data, size_t capacity);

@@ -93,17 +93,16 @@ void vc_decoder_init(vc_decoder *decoder, const vc_coding *coding)
         decoder->codec->init(&decoder->of, coding);
 }
 
-int vc_decoder_decode(vc_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples)
+int vc_decoder_feed(vc_decoder *decoder, const uint8_t *packet, size_t length)
 {
     if (decoder->codec == NULL)
-        return decoder->callbacks->decode(decoder->callbacks->context, packet, length, samples);
-    return decoder->codec->decode(&decoder->of, packet, length, samples) >= VC_OK;
+        return decoder->callbacks->feed(decoder->callbacks->context, packet, length);
+    return decoder->codec->feed(&decoder->of, packet, length) >= VC_OK;
 }
 
-void vc_decoder_conceal(vc_decoder *decoder, int16_t *samples)
+uint32_t vc_decoder_poll(vc_decoder *decoder, int16_t *samples)
 {
     if (decoder->codec == NULL)
-        decoder->callbacks->conceal(decoder->callbacks->context, samples);
-    else
-        decoder->codec->conceal(&decoder->of, samples);
+        return decoder->callbacks->poll(decoder->callbacks->context, samples);
+    return decoder->codec->poll(&decoder->of, samples);
 }

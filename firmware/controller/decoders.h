@@ -14,7 +14,8 @@ int vc_codec_is_in_c(uint8_t identifier);
  * `codecs`: all that HelloResponse lists, including those in C.
  * `check_tables` and `check` have the tasks of vc_tables_check and vc_coding_check. They return 0 if these callbacks
  * decode, VC_NOT_BY_CALLBACKS to leave it to C, or the rejection's code. C calls them for codecs that it lacks, and for
- * model images. `init`, `decode` and `conceal` then replace the functions in C. */
+ * model images. `init`, `feed` and `poll` then replace the functions of vc_decoder below.
+ */
 struct vc_decoder_callbacks {
     void *context;
     const vc_codec_description *codecs;
@@ -22,8 +23,8 @@ struct vc_decoder_callbacks {
     int (*check_tables)(void *context, uint8_t codec, const uint8_t *tables, size_t length, vc_rejection *rejection);
     int (*check)(void *context, vc_coding *coding, vc_rejection *rejection);
     void (*init)(void *context, const vc_coding *coding);
-    int (*decode)(void *context, const uint8_t *packet, size_t length, int16_t *samples);
-    void (*conceal)(void *context, int16_t *samples);
+    int (*feed)(void *context, const uint8_t *packet, size_t length);
+    uint32_t (*poll)(void *context, int16_t *samples);
 };
 enum { VC_NOT_BY_CALLBACKS = -1 };
 
@@ -31,6 +32,10 @@ enum { VC_NOT_BY_CALLBACKS = -1 };
  * bytes are safe. `callbacks`: a vc_decoder_callbacks; NULL = there are none. */
 int vc_tables_check(const void *callbacks, uint8_t codec, const uint8_t *tables, size_t length,
                     vc_rejection *rejection);
+
+/* Fills in packet_samples and delay_samples of a coding. Returns 0, or the rejection's code, VC_UNKNOWN_CODEC, if no
+ * decoder takes it. Any bytes are safe. `callbacks`: as above. */
+int vc_coding_check(vc_coding *coding, const vc_decoder_callbacks *callbacks, vc_rejection *rejection);
 /* cffi: end */
 
 /* The number of codecs in C. */
@@ -50,18 +55,17 @@ typedef struct {
     } of;
 } vc_decoder;
 
-/* Fills in packet_samples and delay_samples of a coding. Returns 0, or the rejection's code, VC_UNKNOWN_CODEC, if no
- * decoder takes it. Any bytes are safe. `callbacks`: as above. */
-int vc_coding_check(vc_coding *coding, const vc_decoder_callbacks *callbacks, vc_rejection *rejection);
-
 /* Makes a fresh decoder for a coding that vc_coding_check has accepted. */
 void vc_decoder_init(vc_decoder *decoder, const vc_coding *coding);
 
-/* Decodes the next packet into packet_samples x channels interleaved samples. Returns 0, and writes nothing, if that
- * fails. A packet that does not follow the last one fades to silence. Any bytes are safe. */
-int vc_decoder_decode(vc_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples);
+/* Takes the next packet, NULL where it is missing; it must stay valid until its last sample is there. Returns 0, and
+ * takes nothing, if that fails. A packet that does not follow the last one fades to silence, as a missing one does. Any
+ * bytes are safe. */
+int vc_decoder_feed(vc_decoder *decoder, const uint8_t *packet, size_t length);
 
-/* Conceals one missing packet: writes packet_samples x channels samples, which fade out, then silence. */
-void vc_decoder_conceal(vc_decoder *decoder, int16_t *samples);
+/* Decodes the next block of the packet, and returns the samples per channel that are complete, from the packet's first
+ * one on; packet_samples end it. `samples`: memory for the packet's packet_samples x channels interleaved samples, the
+ * same in each call of a packet. */
+uint32_t vc_decoder_poll(vc_decoder *decoder, int16_t *samples);
 
 #endif

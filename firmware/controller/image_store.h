@@ -6,43 +6,42 @@
 
 #include "messages.h"
 #include "model_image.h"
-#include "settings.h"
-#include "sha256.h"
+#include "slot_record.h"
 
-#define VC_SLOTS 2
+/* Changes of the record by a host from one power-on to the next; 5 or 6 make an upload, and one erases at most one slot
+ * or record piece. */
+#define VC_FLASH_CHANGES 2000u
 
 /* cffi: begin */
 /* Checks whether a codec can use the payload of an image. Returns 0, or the rejection's code, VC_IMAGE_REJECTED. */
 typedef int (*vc_payload_check)(const void *context, uint8_t codec, const uint8_t *payload, size_t length,
                                 vc_rejection *rejection);
 
-/* A slot's entry in the record. */
+/* `whole`: the slot's image was whole at the last check, with a signature where that is needed, and images[] describes
+ * it. `erased`: nothing has been written since the slot was erased. `running`: the slot that runs, or -1. `changes`: of
+ * the record since power-on. */
 typedef struct {
-    uint8_t state;  /* enum vc_slot_state */
-    uint8_t booted; /* a slot on trial has been started once */
-    uint32_t size_bytes;
-    uint8_t sha256[32];
-} vc_slot;
-
-/* `whole`: the slot's image was whole at the last check, and images[] describes it. `running`: the slot that runs, or
- * -1. */
-typedef struct {
-    const vc_flash *flash;
     const char *hardware;
+    const uint8_t *public_key;
     vc_payload_check check;
     const void *check_context;
-    uint32_t counter; /* of the newest record */
-    vc_slot slots[2];
+    vc_slot_record record;
+    uint32_t changes;
     vc_model_image images[2];
-    uint8_t whole[2];
+    uint8_t whole[2], erased[2];
     uint32_t written[2]; /* bytes of an image that is being written */
     int running;
 } vc_image_store;
 
-/* Boots: starts a slot on trial, or reverts from one that was not confirmed. `flash`, `hardware` and `check_context`
- * must stay valid. Reads both slots and may write the record. */
-void vc_image_store_boot(vc_image_store *store, const vc_flash *flash, const char *hardware, vc_payload_check check,
-                         const void *check_context);
+/* Prepares the store at power-on, and boots it. All pointers must stay valid. `public_key`: 32 bytes of Ed25519; the
+ * store then takes images only that this key signed, and none with a lower number than one confirmed before. NULL: it
+ * takes every image. */
+void vc_image_store_init(vc_image_store *store, const vc_flash *flash, const char *hardware, const uint8_t *public_key,
+                         vc_payload_check check, const void *check_context);
+
+/* Boots: starts a slot on trial, or reverts from one that was not confirmed. Reads both slots and may write the record.
+ */
+void vc_image_store_boot(vc_image_store *store);
 
 /* The image that runs, in flash, or NULL; and the 32 bytes of its SHA-256. */
 const vc_model_image *vc_image_store_running(const vc_image_store *store);

@@ -179,7 +179,7 @@ static void write_sha256(vc_frame_writer *writer, const uint8_t *sha256)
 
 static void write_limits(vc_frame_writer *writer, uint8_t tag, const vc_controller_limits *value)
 {
-    write_tag(writer, tag, 2 + 2 + 4 + 4 + 1 + 4 + 4 + 2 + 4);
+    write_tag(writer, tag, 2 + 2 + 4 + 4 + 1 + 4 + 4 + 2 + 4 + 4 + 4);
     vc_frame_write_number(writer, value->max_payload_bytes, 2);
     vc_frame_write_number(writer, value->max_packet_bytes, 2);
     vc_frame_write_number(writer, value->buffer_samples, 4);
@@ -189,6 +189,8 @@ static void write_limits(vc_frame_writer *writer, uint8_t tag, const vc_controll
     vc_frame_write_number(writer, value->max_rate_hz, 4);
     vc_frame_write_number(writer, value->watchdog_ms, 2);
     vc_frame_write_number(writer, value->profile_samples, 4);
+    vc_frame_write_number(writer, value->packet_samples, 4);
+    vc_frame_write_number(writer, value->decoding_kilocycles_per_s, 4);
 }
 
 static void write_actuator_description(vc_frame_writer *writer, uint8_t tag, const vc_actuator_description *value)
@@ -213,10 +215,11 @@ static void write_codec_description(vc_frame_writer *writer, uint8_t tag, const 
 
 static void write_image_description(vc_frame_writer *writer, uint8_t tag, const vc_image_description *value)
 {
-    write_tag(writer, tag, 1 + 1 + 32 + 1 + value->name.length + value->version.length);
+    write_tag(writer, tag, 1 + 1 + 32 + 4 + 1 + value->name.length + value->version.length);
     vc_frame_write_number(writer, value->slot, 1);
     vc_frame_write_number(writer, value->state, 1);
     write_sha256(writer, value->sha256);
+    vc_frame_write_number(writer, value->number, 4);
     vc_frame_write_number(writer, value->name.length, 1);
     write_piece(writer, value->name);
     write_piece(writer, value->version);
@@ -238,6 +241,8 @@ void vc_write_hello_response(vc_frame_writer *writer, uint16_t sequence, const v
         write_codec_description(writer, 5, &message->codecs[i]);
     for (i = 0; i < message->image_count; i++)
         write_image_description(writer, 6, &message->images[i]);
+    write_tag(writer, 7, message->public_key.length);
+    write_piece(writer, message->public_key);
 }
 
 void vc_write_status(vc_frame_writer *writer, uint16_t sequence, const vc_status_report *message)
@@ -256,6 +261,9 @@ void vc_write_status(vc_frame_writer *writer, uint16_t sequence, const vc_status
     vc_frame_write_number(writer, message->voltage_limited, 4);
     vc_frame_write_number(writer, message->slew_limited, 4);
     vc_frame_write_number(writer, message->power_limited, 4);
+    vc_frame_write_number(writer, message->output_gaps, 4);
+    vc_frame_write_number(writer, message->late_samples, 4);
+    vc_frame_write_number(writer, message->signed_images, 1);
 }
 
 void vc_write_capture_data(vc_frame_writer *writer, uint16_t sequence, const vc_capture_data *message)

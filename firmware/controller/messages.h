@@ -103,7 +103,9 @@ typedef struct {
 } vc_position;
 
 /* The controller's limits. `watchdog_ms`: longest silence of the host while armed, playing or paused.
- * `profile_samples`: of a height profile, all channels together; 0, or absent in protocol 1.0: no profiles. */
+ * `profile_samples`: of a height profile, all channels together; 0: no profiles. `packet_samples`: of the longest
+ * packet, per channel. `decoding_kilocycles_per_s`: what a second of a stream may take to decode, in thousands of
+ * Cortex-M4 cycles; 0: any stream is decoded in time. */
 typedef struct {
     uint16_t max_payload_bytes;
     uint16_t max_packet_bytes;
@@ -114,6 +116,8 @@ typedef struct {
     uint32_t max_rate_hz;
     uint16_t watchdog_ms;
     uint32_t profile_samples;
+    uint32_t packet_samples;
+    uint32_t decoding_kilocycles_per_s;
 } vc_controller_limits;
 
 /* The actuator with its amplifier and DAC. `stroke_um`: displacement at `volts`. `lower_hz`, `upper_hz`: -3 dB; a lower
@@ -135,16 +139,19 @@ typedef struct {
     vc_piece name;
 } vc_codec_description;
 
-/* A slot and the model image in it; `sha256` is of the whole image. */
+/* A slot and the model image in it. `sha256`: of the image without its number and signature. `number`: of a signed
+ * image, 0 = unsigned. */
 typedef struct {
     uint8_t slot;
     uint8_t state;
     const uint8_t *sha256;
+    uint32_t number;
     vc_piece name;
     vc_piece version;
 } vc_image_description;
 
-/* The controller's version, limits, actuator, codecs and model images. */
+/* The controller's version, limits, actuator, codecs and model images. `public_key`: of Ed25519; model images need its
+ * signature. Empty: they need none. */
 typedef struct {
     uint8_t major;
     uint8_t minor;
@@ -156,12 +163,14 @@ typedef struct {
     unsigned codec_count;
     const vc_image_description *images;
     unsigned image_count;
+    vc_piece public_key;
 } vc_hello_response;
 
 /* State, position, credit and counts: the answer to most requests, and the notification that grants credit. Positions
  * and credit count samples per channel, over all iterations. `credit_until`: the controller takes packets that end at
  * or before this position. `buffered_samples`: received and not yet played. `bad_frames` counts since the controller
- * started, the fields after it since Configure. */
+ * started, the fields after it since Configure. `output_gaps`: how often the DAC had no sample while it was away from
+ * rest; `late_samples`: for how many of its samples. `signed_images`: model images need a signature. */
 typedef struct {
     uint8_t state;
     uint8_t stream;
@@ -176,6 +185,9 @@ typedef struct {
     uint32_t voltage_limited;
     uint32_t slew_limited;
     uint32_t power_limited;
+    uint32_t output_gaps;
+    uint32_t late_samples;
+    uint8_t signed_images;
 } vc_status_report;
 
 /* Captured samples, int16 little-endian, channels interleaved. `offset`: of the first sample, later than requested if

@@ -4,6 +4,18 @@
 #include "crc.h"
 
 #define CRC_BYTES 4
+enum { LENGTHS_AT = sizeof VC_IMAGE_MAGIC - 1 + 2, FIXED_BYTES = LENGTHS_AT + 3 + 4 };
+
+size_t vc_model_image_unsigned_bytes(const uint8_t *data, size_t length)
+{
+    const size_t unsigned_bytes = length - VC_IMAGE_SIGNED_BYTES;
+    uint64_t stated;
+    if (length < FIXED_BYTES + CRC_BYTES + VC_IMAGE_SIGNED_BYTES)
+        return length;
+    stated = (uint64_t)FIXED_BYTES + data[LENGTHS_AT] + data[LENGTHS_AT + 1] + data[LENGTHS_AT + 2] +
+             vc_number(data + LENGTHS_AT + 3, 4) + CRC_BYTES;
+    return stated == unsigned_bytes ? unsigned_bytes : length;
+}
 
 int vc_model_image_read(vc_model_image *image, const uint8_t *data, size_t length, vc_rejection *rejection)
 {
@@ -11,6 +23,14 @@ int vc_model_image_read(vc_model_image *image, const uint8_t *data, size_t lengt
     vc_piece magic, crc;
     unsigned layout, name_bytes, version_bytes, hardware_bytes;
     uint32_t payload_bytes;
+    const size_t unsigned_bytes = vc_model_image_unsigned_bytes(data, length);
+    image->number = 0;
+    image->signature = NULL;
+    if (unsigned_bytes < length) {
+        image->number = (uint32_t)vc_number(data + unsigned_bytes, 4);
+        image->signature = data + unsigned_bytes + 4;
+        length = unsigned_bytes;
+    }
     vc_fields_begin(&fields, data, length);
     magic = vc_take_piece(&fields, sizeof VC_IMAGE_MAGIC - 1);
     layout = (unsigned)vc_take_number(&fields, 1);

@@ -168,7 +168,7 @@ int vc_playback_check(const vc_configure *configure, const vc_stream_header *hea
     const vc_output_stream output = output_of(header, actuator);
     const uint32_t max_rate_hz = vc_playback_max_rate_hz(actuator);
     const vc_sizes sizes = vc_playback_sizes(settings);
-    uint64_t end, room;
+    uint64_t end, room, kilocycles_per_s;
     if (configure->packets > 0 && configure->first_packet >= configure->packets)
         return vc_reject_numbers(rejection, VC_BAD_VALUE, "packet # of # cannot be the first", configure->first_packet,
                                  configure->packets);
@@ -182,6 +182,7 @@ int vc_playback_check(const vc_configure *configure, const vc_stream_header *hea
         return rejection->code;
     if (vc_drive_size(actuator, &output) == 0)
         return vc_reject(rejection, VC_BEYOND_LIMITS, "the output cannot play a stream of this kind");
+    kilocycles_per_s = (uint64_t)coding->cycles_per_sample * output.rate_hz / 1000;
     end = recording_end(header, coding);
     if (end != NO_END && (uint64_t)configure->packets * coding->packet_samples >= end + 2 * coding->packet_samples)
         return vc_reject_numbers(rejection, VC_BAD_VALUE,
@@ -191,6 +192,12 @@ int vc_playback_check(const vc_configure *configure, const vc_stream_header *hea
         return vc_reject_numbers(rejection, VC_BEYOND_LIMITS,
                                  "packets of # samples; here they have at most #: encode with shorter packets",
                                  coding->packet_samples, VC_PACKET_SAMPLES);
+    if (!is_spatial(header) && settings->decoding_kilocycles_per_s > 0 &&
+        kilocycles_per_s > settings->decoding_kilocycles_per_s)
+        return vc_reject_numbers(rejection, VC_BEYOND_LIMITS,
+                                 "decoding may take # thousand cycles a second; there is time for # here: use fewer "
+                                 "channels, a lower rate, or a codec that takes less",
+                                 kilocycles_per_s, settings->decoding_kilocycles_per_s);
     room = (uint64_t)buffer_packets_of(coding, &sizes) * coding->packet_samples;
     if (room == 0 || configure->prebuffer_samples > room)
         return vc_reject_numbers(
@@ -239,7 +246,8 @@ void vc_playback_init(vc_playback *playback, const vc_configure *configure, cons
 
     vc_packet_buffer_clear(&playback->buffer);
     vc_decoder_init(&playback->decoder, &playback->coding);
-    playback->decoded_at = playback->decoded_end = 0;
+    playback->decoding = playback->behind = 0;
+    playback->decoded_samples = playback->decoded_at = playback->decoded_end = 0;
     playback->decoded_for_drive = playback->played = 0;
     playback->finishing = playback->drained = 0;
     playback->drive_at = playback->drive_end = 0;
@@ -253,6 +261,8 @@ void vc_playback_init(vc_playback *playback, const vc_configure *configure, cons
     hold_samples = vc_drive_samples(drive_of(playback), delay_samples);
     vc_dac_init(&playback->dac, playback->actuator, &playback->output, configure->gain_float_bits,
                 configure->compensation, hold_samples);
+    if (playback->dac_port->count != NULL)
+        playback->dac_port->count(playback->dac_port->context, &playback->counts_before);
     for (tap = 0; tap < 2; tap++) {
         playback->captures[tap].size = playback->sizes.capture_samples;
         playback->captures[tap].end = playback->captures[tap].at = 0;
@@ -285,8 +295,8 @@ uint32_t vc_playback_capacity_samples(const vc_playback *playback)
            playback->coding.packet_samples;
 }
 
-/* Decodes the next packet, or conceals its loss; its samples to be played wait for the drive. */
-static void decode_next(vc_playback *playback)
+/* Begins to decode the next packet, or to conceal its loss. */
+static void begin_packet(vc_playback *playback)
 {
     const vc_coding *coding = &playback->coding;
     const uint64_t number = playback->next++;
@@ -305,13 +315,15 @@ static void decode_next(vc_playback *playback)
     if (starved && !playback->starved)
         count_one(&playback->underruns);
     playback->starved = starved;
-    if (packet == NULL || !vc_decoder_decode(&playback->decoder, packet, length, playback->decoded)) {
+    if (packet != NULL) /* later packets may take its place in the buffer before it is decoded */
+        memcpy(playback->packet, packet, length);
+    if (packet == NULL || !vc_decoder_feed(&playback->decoder, playback->packet, length)) {
         count_one(&playback->lost_packets);
-        vc_decoder_conceal(&playback->decoder, playback->decoded);
+        (void)vc_decoder_feed(&playback->decoder, NULL, 0);
     }
     vc_packet_buffer_remove(&playback->buffer, number);
-    capture(&playback->captures[VC_TAP_DECODED], playback->decoded, coding->packet_samples,
-            playback->header.output.channels);
+    playback->decoding = 1;
+    playback->decoded_samples = 0;
     /* Iterations join without a gap: a later one begins after the codec's delay, and each ends with the recording. */
     playback->decoded_at = 0;
     if ((iteration > 0 || playback->spatial) && before < coding->delay_samples)
@@ -322,14 +334,46 @@ static void decode_next(vc_playback *playback)
     playback->decoded_for_drive += playback->decoded_end - playback->decoded_at;
 }
 
-/* Decodes the next packet of a profile into it. */
-static void load_next(vc_playback *playback)
+/* Decodes the next block. Returns 0, and does nothing, if this turn has decoded one already. */
+static int decode_block(vc_playback *playback)
 {
-    decode_next(playback);
+    const unsigned channels = playback->header.output.channels;
+    uint32_t before;
+    if (playback->polled) {
+        playback->behind = 1;
+        return 0;
+    }
+    if (!playback->decoding)
+        begin_packet(playback);
+    before = playback->decoded_samples;
+    playback->polled = 1;
+    playback->decoded_samples = vc_decoder_poll(&playback->decoder, playback->decoded);
+    playback->decoding = playback->decoded_samples < playback->coding.packet_samples;
+    capture(&playback->captures[VC_TAP_DECODED], playback->decoded + (size_t)before * channels,
+            playback->decoded_samples - before, channels);
+    return 1;
+}
+
+/* Returns how many decoded samples the drive can take now. */
+static uint32_t takeable(const vc_playback *playback)
+{
+    const uint32_t end = (uint32_t)least(playback->decoded_samples, playback->decoded_end);
+    return end > playback->decoded_at ? end - playback->decoded_at : 0;
+}
+
+/* Decodes the next block of a profile into it, if its packet is there. */
+static void load_block(vc_playback *playback)
+{
+    size_t length;
+    uint32_t samples;
+    if (!playback->decoding && vc_packet_buffer_find(&playback->buffer, playback->next, &length) == NULL)
+        return;
+    (void)decode_block(playback);
+    samples = takeable(playback);
     vc_profile_load(playback->profile,
-                    playback->decoded + (size_t)playback->decoded_at * playback->header.output.channels,
-                    playback->decoded_end - playback->decoded_at);
-    playback->decoded_at = playback->decoded_end;
+                    playback->decoded + (size_t)playback->decoded_at * playback->header.output.channels, samples);
+    playback->decoded_at += samples;
+    playback->behind = playback->decoding || vc_packet_buffer_find(&playback->buffer, playback->next, &length) != NULL;
 }
 
 void vc_playback_add(vc_playback *playback, uint32_t iteration, vc_piece packet, uint64_t time_us)
@@ -337,7 +381,6 @@ void vc_playback_add(vc_playback *playback, uint32_t iteration, vc_piece packet,
     uint32_t sequence;
     int refresh;
     uint64_t number;
-    size_t length;
     if (playback->state < VC_STATE_BUFFERING || playback->state > VC_STATE_PAUSED ||
         vc_packet_sequence(packet.bytes, packet.length, &sequence, &refresh) != 0 ||
         (playback->open ? iteration > 0 : sequence >= playback->packets))
@@ -350,8 +393,6 @@ void vc_playback_add(vc_playback *playback, uint32_t iteration, vc_piece packet,
     if (number >= playback->newest_end)
         playback->newest_end = number + 1;
     playback->waiting_since_us = time_us;
-    while (playback->spatial && vc_packet_buffer_find(&playback->buffer, playback->next, &length) != NULL)
-        load_next(playback);
 }
 
 void vc_playback_position(vc_playback *playback, uint64_t hand_us, int64_t position_nm, uint64_t time_us)
@@ -395,8 +436,12 @@ void vc_playback_stop(vc_playback *playback, enum vc_state state)
     if (playback->state == VC_STATE_PLAYING)
         ramp_down(playback);
     playback->state = state;
+    if (playback->dac_port->drop != NULL)
+        playback->dac_port->drop(playback->dac_port->context);
     vc_packet_buffer_clear(&playback->buffer);
-    playback->decoded_at = playback->decoded_end = playback->drive_at = playback->drive_end = 0;
+    playback->decoding = 0;
+    playback->decoded_samples = playback->decoded_at = playback->decoded_end = 0;
+    playback->drive_at = playback->drive_end = 0;
 }
 
 int vc_playback_set_loops(vc_playback *playback, uint16_t loops, vc_rejection *rejection)
@@ -422,25 +467,25 @@ void vc_playback_end_live(vc_playback *playback, uint32_t packets)
 
 /* ---- playing ---- */
 
-/* Makes drive samples if none are left, and decodes packets for them; returns how many samples the DAC may take. */
+/* Makes drive samples if none are left, and decodes a block for them; returns how many samples the DAC may take. */
 static uint32_t ready_drive(vc_playback *playback)
 {
     const unsigned channels = playback->header.output.channels;
     while (playback->drive_at == playback->drive_end && !playback->drained) {
         const int full = playback->drive_end == VC_PIECE_SAMPLES; /* the last push may have more */
+        const uint32_t samples = takeable(playback);
         playback->drive_at = playback->drive_end = 0;
         if (playback->finishing) {
             playback->drive_end = vc_drive_finish(drive_of(playback), playback->drive_samples, VC_PIECE_SAMPLES);
             playback->drained = playback->drive_end == 0;
-        } else if (full || playback->decoded_at < playback->decoded_end) {
+        } else if (full || samples > 0) {
             playback->decoded_at +=
-                vc_drive_push(drive_of(playback), playback->decoded + (size_t)playback->decoded_at * channels,
-                              playback->decoded_end - playback->decoded_at, playback->drive_samples, VC_PIECE_SAMPLES,
-                              &playback->drive_end);
-        } else if (playback->next >= end_of(playback)) {
+                vc_drive_push(drive_of(playback), playback->decoded + (size_t)playback->decoded_at * channels, samples,
+                              playback->drive_samples, VC_PIECE_SAMPLES, &playback->drive_end);
+        } else if (!playback->decoding && playback->next >= end_of(playback)) {
             playback->finishing = 1;
-        } else {
-            decode_next(playback);
+        } else if (!decode_block(playback)) {
+            break;
         }
     }
     return playback->drive_end - playback->drive_at;
@@ -481,7 +526,7 @@ static void begin_if_ready(vc_playback *playback, uint64_t time_us)
     const uint64_t buffered = (playback->newest_end - playback->next) * playback->coding.packet_samples;
     const int full = credit_of(playback) - playback->next == playback->buffer.count;
     const int waits = playback->spatial
-                          ? playback->next < playback->packets
+                          ? playback->next < playback->packets || playback->decoding
                           : buffered < playback->prebuffer_samples && playback->newest_end != end_of(playback) &&
                                 !full && time_us - playback->waiting_since_us <= LONGEST_WAIT_US;
     if (waits) {
@@ -495,8 +540,9 @@ static void begin_if_ready(vc_playback *playback, uint64_t time_us)
     }
 }
 
-/* Puts out codes, at most `samples` and VC_PIECE_SAMPLES; returns how many, 0 at rest. */
-static uint32_t play(vc_playback *playback, uint64_t samples)
+/* Puts out codes that were due at `due_us`, at most `samples` and VC_PIECE_SAMPLES; returns how many, 0 at rest or
+ * where the next block is left to the next turn. */
+static uint32_t play(vc_playback *playback, uint64_t samples, uint64_t due_us)
 {
     const unsigned channels = playback->header.output.channels;
     const uint32_t wanted = (uint32_t)least(samples, VC_PIECE_SAMPLES);
@@ -512,36 +558,48 @@ static uint32_t play(vc_playback *playback, uint64_t samples)
             vc_dac_play(&playback->dac, playback->drive_samples + (size_t)playback->drive_at * channels, made, codes);
             playback->drive_at += made;
             playback->played += made;
-        } else if (!vc_dac_at_rest(&playback->dac)) {
+        } else if (!playback->behind && !vc_dac_at_rest(&playback->dac)) {
             ramp_down(playback);
             made = vc_dac_ramp(&playback->dac, codes, wanted);
         }
     }
     if (made > 0) {
         capture(&playback->captures[VC_TAP_DAC], codes, made, channels);
-        playback->sink(playback->sink_context, codes, made, channels);
+        playback->dac_port->play(playback->dac_port->context, codes, made, channels, due_us);
     }
     return made;
 }
 
-void vc_playback_advance(vc_playback *playback, uint64_t time_us)
+/* The time at which the next sample of the DAC is due. */
+static uint64_t due_us_of(const vc_playback *playback)
 {
+    return playback->clock_from_us + scaled(playback->clock_samples, US_PER_S, playback->actuator->dac_rate_hz);
+}
+
+int vc_playback_advance(vc_playback *playback, uint64_t time_us)
+{
+    unsigned pieces = 0;
     uint64_t due, begun;
+    playback->polled = playback->behind = 0;
+    if (playback->spatial && playback->state >= VC_STATE_BUFFERING && playback->state <= VC_STATE_PAUSED)
+        load_block(playback);
     if (playback->state == VC_STATE_ARMED)
         begin_if_ready(playback, time_us);
     begun = playback->clock_samples;
     due = scaled(time_us - playback->clock_from_us, playback->actuator->dac_rate_hz, US_PER_S) - begun;
     while (due > 0) {
-        const uint32_t made = play(playback, due);
+        const uint32_t made = pieces < VC_TURN_PIECES ? play(playback, due, due_us_of(playback)) : 0;
         if (made == 0)
             break;
         due -= made;
         playback->clock_samples += made;
+        pieces++;
     }
+    playback->behind |= due > 0 && pieces == VC_TURN_PIECES;
     if (playback->clock_samples > begun)
         playback->rest_from_us =
             playback->clock_from_us + scaled_up(playback->clock_samples, US_PER_S, playback->actuator->dac_rate_hz);
-    if (due > 0) { /* at rest: no samples are due later for this time */
+    if (due > 0 && !playback->behind) { /* at rest: no samples are due later for this time */
         playback->clock_from_us = time_us;
         playback->clock_samples = 0;
         if (playback->state == VC_STATE_PLAYING) {
@@ -549,6 +607,7 @@ void vc_playback_advance(vc_playback *playback, uint64_t time_us)
             vc_packet_buffer_clear(&playback->buffer);
         }
     }
+    return playback->behind;
 }
 
 void vc_playback_flush(vc_playback *playback, uint64_t time_us)
@@ -556,7 +615,7 @@ void vc_playback_flush(vc_playback *playback, uint64_t time_us)
     uint64_t samples = 0;
     uint32_t made;
     do {
-        made = play(playback, VC_PIECE_SAMPLES);
+        made = play(playback, VC_PIECE_SAMPLES, time_us);
         samples += made;
     } while (made > 0);
     if (samples > 0)
@@ -572,9 +631,13 @@ uint64_t vc_playback_free_us(const vc_playback *playback)
 void vc_playback_report(vc_playback *playback, vc_status_report *status)
 {
     const uint32_t pending = pending_samples(playback), packet_samples = playback->coding.packet_samples;
+    const uint64_t reached = playback->next - (playback->spatial && playback->decoding);
     const vc_limit_counts *limited = vc_dac_counts(&playback->dac);
-    if (playback->next * packet_samples > playback->position + pending)
-        playback->position = playback->next * packet_samples - pending;
+    vc_output_counts counts = playback->counts_before;
+    if (playback->dac_port->count != NULL)
+        playback->dac_port->count(playback->dac_port->context, &counts);
+    if (reached * packet_samples > playback->position + pending)
+        playback->position = reached * packet_samples - pending;
     status->state = (uint8_t)playback->state;
     status->stream = playback->stream;
     status->position = playback->position;
@@ -586,4 +649,6 @@ void vc_playback_report(vc_playback *playback, vc_status_report *status)
     status->voltage_limited = limited->voltage_limited;
     status->slew_limited = limited->slew_limited;
     status->power_limited = limited->power_limited;
+    status->output_gaps = counts.gaps - playback->counts_before.gaps;
+    status->late_samples = counts.late_samples - playback->counts_before.late_samples;
 }

@@ -16,8 +16,9 @@
 #define VC_MIN_RATE_HZ 100u
 #define VC_MAX_RATE_HZ 48000u
 
-/* Samples that are made and put out at a time. */
+/* Samples that are made and put out at a time, and how often in one turn. */
 #define VC_PIECE_SAMPLES 32u
+#define VC_TURN_PIECES 16u
 
 /* The last samples of a signal, by their number since the start. */
 typedef struct {
@@ -54,8 +55,13 @@ typedef struct {
     /* Its way to the DAC. */
     vc_packet_buffer buffer;
     vc_decoder decoder;
+    int decoding; /* some blocks of the packet below are still to be decoded */
+    int polled;   /* this turn has decoded a block */
+    int behind;   /* this turn has left work undone */
+    uint8_t packet[VC_MAX_PACKET_BYTES];
     int16_t decoded[VC_PACKET_SAMPLES * VC_CHANNELS];
-    uint32_t decoded_at, decoded_end; /* samples per channel that the drive has yet to take */
+    uint32_t decoded_samples;         /* samples per channel of the packet that are there */
+    uint32_t decoded_at, decoded_end; /* those that the drive has yet to take */
     uint64_t decoded_for_drive;       /* with those, all that were decoded for it */
     uint64_t played;                  /* drive samples that the DAC has taken */
     int finishing, drained;           /* the drive is being finished; all of it is made */
@@ -70,8 +76,8 @@ typedef struct {
     vc_profile *profile;    /* memory for one; NULL: none */
     uint32_t hand_delay_us; /* delay between a position's time and its rendering, us */
     const vc_actuator *actuator;
-    vc_dac_sink sink;
-    void *sink_context;
+    const vc_dac_port *dac_port;
+    vc_output_counts counts_before; /* of the DAC, at Configure */
 } vc_playback;
 
 /* The highest rate of a stream for a DAC. */
@@ -109,8 +115,9 @@ void vc_playback_set_gain(vc_playback *playback, uint32_t gain_float_bits);
 /* Sets the number of packets of the live stream; if more have been decoded, it ends with those. */
 void vc_playback_end_live(vc_playback *playback, uint32_t packets);
 
-/* Puts out the codes that are due up to this time. */
-void vc_playback_advance(vc_playback *playback, uint64_t time_us);
+/* Puts out the codes that are due up to this time, as far as one block of decoding and VC_TURN_PIECES allow. Returns
+ * whether work is left. */
+int vc_playback_advance(vc_playback *playback, uint64_t time_us);
 /* Puts out the rest of the ramp after a stop: the DAC takes all of it now. */
 void vc_playback_flush(vc_playback *playback, uint64_t time_us);
 /* Returns when the DAC is at rest and its power limit has recovered, if nothing more plays. */

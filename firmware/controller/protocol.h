@@ -2,8 +2,8 @@
 #ifndef VIBROCAST_PROTOCOL_H
 #define VIBROCAST_PROTOCOL_H
 
-#define VC_PROTOCOL_MAJOR 1
-#define VC_PROTOCOL_MINOR 1
+#define VC_PROTOCOL_MAJOR 2
+#define VC_PROTOCOL_MINOR 0
 #define VC_NOTIFICATION 0 /* the sequence number of a message that answers no request */
 #define VC_FIRST_UNSEQUENCED 0x40 /* types from here on have no sequence number */
 #define VC_FIRST_FROM_CONTROLLER 0x80
@@ -24,6 +24,7 @@
 #define VC_IMAGE_HASH_BYTES 4
 #define VC_IMAGE_MAGIC "VCMI"
 #define VC_IMAGE_LAYOUT_VERSION 1
+#define VC_IMAGE_SIGNED_BYTES 68 /* number and signature behind a signed image */
 
 /* cffi: begin */
 enum vc_message_type {

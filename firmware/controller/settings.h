@@ -38,18 +38,39 @@ typedef struct {
 typedef struct {
     const char *build, *hardware;
     const vc_actuator *actuator;
+    const uint8_t *public_key;   /* 32 bytes of Ed25519: images need its signature; NULL: they need none */
     uint16_t watchdog_ms;        /* longest silence of the host in ms; at least 50 */
     vc_profile *profile;         /* VC_PROFILE_WORDS of int64_t (sizes.h) for height profiles; NULL: no profiles */
     vc_position_sensor position; /* NULL: the host sends the position */
     void *position_context;
     const vc_sizes *sizes;                 /* smaller limits than sizes.h; NULL: those of sizes.h */
     const vc_decoder_callbacks *callbacks; /* for codecs that are not in C (decoders.h); NULL: none */
+    /* Thousands of Cortex-M4 cycles that decoding a second of a stream may take; heavier streams are rejected. 0: any
+     * stream is decoded in time. */
+    uint32_t decoding_kilocycles_per_s;
 } vc_controller_settings;
 
-/* Takes DAC codes, in their order: samples x channels, interleaved, signed, 0 = rest. `codes` belong to the controller
- * and are valid during the call. The DAC plays a sample every 1 / dac_rate_hz seconds. Without codes it holds the last
- * one, which is rest. */
-typedef void (*vc_dac_sink)(void *context, const int16_t *codes, uint32_t samples, unsigned channels);
+/* Gaps of the output since the port was started: how often the DAC had no sample while it was away from rest, and for
+ * how many of its samples. */
+typedef struct {
+    uint32_t gaps, late_samples;
+} vc_output_counts;
+
+/* The way to the DAC. It plays a sample every 1 / dac_rate_hz seconds. Without codes it holds the last one, which is
+ * rest.
+ *
+ * `play` takes codes, in their order: samples x channels, interleaved, signed, 0 = rest. `codes` belong to the
+ * controller and are valid during the call. `due_us`: the controller's time at which the first of them was due; a port
+ * that plays them some time later never runs out of codes while the next ones are being decoded.
+ * `drop` throws away the codes that wait to be played, at a Stop: those that follow begin at another level, to which
+ * the port fades from that of its output. NULL: none ever wait.
+ * `count` fills in the counts. NULL: they stay 0. */
+typedef struct {
+    void (*play)(void *context, const int16_t *codes, uint32_t samples, unsigned channels, uint64_t due_us);
+    void (*drop)(void *context);
+    void (*count)(void *context, vc_output_counts *counts);
+    void *context;
+} vc_dac_port;
 /* cffi: end */
 
 #endif

@@ -37,14 +37,14 @@
 #define VC_CAPTURE_SAMPLES 524288
 #endif
 
-/* Bytes of a frame's payload in both directions: 576 to 4096. HelloResponse needs 576. */
+/* Bytes of a frame's payload in both directions: 640 to 4096. HelloResponse needs 640. */
 #ifndef VC_MAX_PAYLOAD_BYTES
 #define VC_MAX_PAYLOAD_BYTES VC_PROTOCOL_MAX_PAYLOAD_BYTES
 #endif
 #define VC_MAX_PACKET_BYTES (VC_MAX_PAYLOAD_BYTES - VC_PACKET_OVERHEAD_BYTES)
 /* Bytes of an image's name, and of its version, in HelloResponse. The other parts leave this room with two slots, eight
  * codecs, and the longest build, hardware id and name of an actuator. */
-#define VC_IMAGE_TEXT_BYTES ((VC_MAX_PAYLOAD_BYTES - 512) / 4)
+#define VC_IMAGE_TEXT_BYTES ((VC_MAX_PAYLOAD_BYTES - 576) / 4)
 
 /* Bytes that wait for the host: a few answers. A lost answer comes again when the host repeats its request. */
 #ifndef VC_OUTGOING_BYTES
@@ -59,8 +59,8 @@
 #if VC_CHANNELS < 1 || VC_CHANNELS > VC_MAX_CHANNELS
 #error "VC_CHANNELS: 1 to VC_MAX_CHANNELS"
 #endif
-#if VC_MAX_PAYLOAD_BYTES < 576 || VC_MAX_PAYLOAD_BYTES > VC_PROTOCOL_MAX_PAYLOAD_BYTES
-#error "VC_MAX_PAYLOAD_BYTES: 576 to VC_PROTOCOL_MAX_PAYLOAD_BYTES"
+#if VC_MAX_PAYLOAD_BYTES < 640 || VC_MAX_PAYLOAD_BYTES > VC_PROTOCOL_MAX_PAYLOAD_BYTES
+#error "VC_MAX_PAYLOAD_BYTES: 640 to VC_PROTOCOL_MAX_PAYLOAD_BYTES"
 #endif
 #if VC_BUFFER_BYTES < 4 * VC_MAX_PACKET_BYTES
 #error "VC_BUFFER_BYTES: room for four of the longest packets, or a host is kept waiting"

@@ -32,4 +32,8 @@ void vc_block_decode(vc_range_coder *coder, vc_model *model, vc_block_state *sta
 void vc_block_encode(vc_range_coder *coder, vc_model *model, vc_block_state *state, vc_block_search *search,
                      uint32_t bins, const uint32_t *magnitudes, const int32_t *values, uint32_t lambda);
 
+/* Encodes the levels that vc_block_decode has returned from the same state; `silent`: as the block was coded. */
+void vc_block_write(vc_range_coder *coder, vc_model *model, vc_block_state *state, vc_block_search *search,
+                    uint32_t bins, const int32_t *levels, int silent);
+
 #endif

@@ -152,15 +152,14 @@ static void encode_index(vc_range_coder *coder, vc_model *model, const vc_contex
         vc_golomb_encode(coder, index - VC_UNARY_LIMIT);
 }
 
-void vc_block_encode(vc_range_coder *coder, vc_model *model, vc_block_state *state, vc_block_search *search,
-                     uint32_t bins, const uint32_t *magnitudes, const int32_t *values, uint32_t lambda)
+/* Writes the block of search->indices, with the signs of `values`. */
+static void write_block(vc_range_coder *coder, vc_model *model, vc_block_state *state, vc_block_search *search,
+                        uint32_t bins, const int32_t *values, int silent)
 {
     vc_history *history = &state->history;
-    const task task = {model, history, search, bins, lambda};
     vc_below below = {{0, 0, 0}, 0, 0};
     vc_contexts contexts;
     uint32_t k;
-    int silent = search_block(&task, state->state, magnitudes);
     vc_range_encode(coder, silent, vc_silence_predict(model, history));
     vc_silence_update(model, history, silent);
     history->silent_history = (uint8_t)((history->silent_history << 1 | silent) & 3);
@@ -184,4 +183,24 @@ void vc_block_encode(vc_range_coder *coder, vc_model *model, vc_block_state *sta
         vc_below_add(&below, history, k, vc_history_set(history, k, vc_level_of(index, quantiser)));
     }
     vc_history_next_block(history, bins);
+}
+
+void vc_block_encode(vc_range_coder *coder, vc_model *model, vc_block_state *state, vc_block_search *search,
+                     uint32_t bins, const uint32_t *magnitudes, const int32_t *values, uint32_t lambda)
+{
+    const task task = {model, &state->history, search, bins, lambda};
+    write_block(coder, model, state, search, bins, values, search_block(&task, state->state, magnitudes));
+}
+
+void vc_block_write(vc_range_coder *coder, vc_model *model, vc_block_state *state, vc_block_search *search,
+                    uint32_t bins, const int32_t *levels, int silent)
+{
+    unsigned now = state->state;
+    uint32_t k;
+    for (k = 0; k < bins; k++) {
+        const uint32_t level = (uint32_t)(levels[k] < 0 ? -levels[k] : levels[k]);
+        search->indices[k] = level == 0 ? 0 : (level + vc_quantiser_of(now)) / 2;
+        now = vc_next_state(now, search->indices[k]);
+    }
+    write_block(coder, model, state, search, bins, levels, silent);
 }

@@ -83,6 +83,18 @@ static inline int32_t vc_random_sign(uint32_t *state)
     return *state >> 31 ? -1 : 1;
 }
 
+/* Moves the generator on by `count` signs, in steps of doubled length. */
+static inline void vc_random_skip(uint32_t *state, uint32_t count)
+{
+    uint32_t factor = 1664525u, addend = 1013904223u;
+    for (; count > 0; count >>= 1) {
+        if (count & 1u)
+            *state = *state * factor + addend;
+        addend *= factor + 1;
+        factor *= factor;
+    }
+}
+
 /* Floor of the logarithm to base 2; value > 0. */
 static inline unsigned vc_floor_log2(uint32_t value)
 {

@@ -64,6 +64,25 @@ static uint64_t gain_of(uint32_t float_bits)
                              : 0;
 }
 
+/* The factor of the power limit follows the drive by a block, and the slew limit holds back the way to rest. The mean
+ * stays below limit - knee nevertheless if a code lasts two and a half blocks, and then the way, in less than a knee.
+ * So the highest code is limited: for a low limit on power, or a slow one on slew. */
+static int32_t highest_code(const vc_dac *dac)
+{
+    const vc_actuator *actuator = dac->actuator;
+    const unsigned bits = MEAN_BITS - 2 * (actuator->dac_bits - 1u);
+    uint32_t highest = 0, bit;
+    for (bit = 1u << 15; bit > 0; bit >>= 1) {
+        const uint64_t code = highest | bit;
+        const uint64_t samples =
+            (5 * (uint64_t)dac->block_samples + 1) / 2 + code / (uint32_t)actuator->code_step_limit;
+        if (code <= (uint32_t)actuator->code_limit &&
+            (code * code * samples) << bits <= dac->knee * actuator->dac_rate_hz)
+            highest = (uint32_t)code;
+    }
+    return (int32_t)highest;
+}
+
 size_t vc_dac_size(void)
 {
     return sizeof(vc_dac);
@@ -88,6 +107,7 @@ void vc_dac_init(vc_dac *dac, const vc_actuator *actuator, const vc_output_strea
     dac->knee = limit / 5 < LARGEST_KNEE ? limit / 5 : LARGEST_KNEE;
     dac->top = limit - dac->knee;
     dac->floor = dac->top - dac->knee;
+    dac->highest = highest_code(dac);
     for (i = 0; i < dac->channels; i++) {
         vc_dac_channel *channel = &dac->channel[i];
         channel->scale = channel_scale(actuator, stream, i);
@@ -178,7 +198,7 @@ static vc_scale next_level(vc_dac *dac)
 /* The code of a drive sample within the limit on voltage. */
 static int32_t within_voltage(vc_dac *dac, int32_t drive, vc_scale scale, vc_scale level)
 {
-    const int32_t highest = dac->actuator->code_limit;
+    const int32_t highest = dac->highest;
     /* At full DAC scale the lowest code is one farther from rest than the highest. */
     const int32_t lowest = -highest - (highest == (1 << (dac->actuator->dac_bits - 1)) - 1);
     const int64_t product = drive * (int64_t)(((uint64_t)scale.mantissa * level.mantissa) >> 31);

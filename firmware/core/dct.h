@@ -25,20 +25,19 @@ int vc_dct_decoder_init(vc_dct_decoder *decoder, const uint8_t *configuration, s
  * sample is there, and decoded as a whole. */
 uint32_t vc_dct_decoder_packet_samples(const vc_dct_decoder *decoder);
 
-/* Decodes one packet into packet_samples x channels interleaved samples, 32768 = full scale.
- * Returns VC_OK, VC_HOST_ONLY for a stream of whole transforms, or VC_BAD_PACKET (nothing written). A bad packet is no
- * refresh, lacks its ranges, or has an invalid Huffman table or number of levels.
- * The caller orders packets and drops late ones. Any bytes are safe. */
+/* As the functions of `mdct` with these names. A block is one transform of one channel, in one poll for every 128
+ * of its coefficients. No sample is complete before the last channel's blocks. vc_dct_feed returns VC_HOST_ONLY for a
+ * stream of whole transforms. A bad packet is no refresh, lacks its ranges, or has an invalid Huffman table or number
+ * of levels. A missing packet plays the last samples backwards, faded to zero, then silence. The first samples of the
+ * packet that follows rise from zero. */
+int vc_dct_feed(vc_dct_decoder *decoder, const uint8_t *packet, size_t length);
+uint32_t vc_dct_poll(vc_dct_decoder *decoder, int16_t *samples);
 int vc_dct_decode(vc_dct_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples);
 
 /* Decodes one packet of a stream of whole transforms: writes the coded coefficients, first to end - 1, of channel after
- * channel, in 1/256 of a sample's least significant bit. Returns as vc_dct_decode, but VC_BAD_CONFIGURATION for a
+ * channel, in 1/256 of a sample's least significant bit. Returns VC_OK, VC_BAD_PACKET, or VC_BAD_CONFIGURATION for a
  * stream of blocks. For hosts, which have the inverse transform of any length. */
 int vc_dct_decode_whole(vc_dct_decoder *decoder, const uint8_t *packet, size_t length, int32_t *coefficients);
-
-/* Stands in for one missing packet: writes packet_samples x channels samples, the last ones backwards and faded to
- * zero, then silence. The first samples of the packet decoded next rise from zero. */
-void vc_dct_conceal(vc_dct_decoder *decoder, int16_t *samples);
 
 /* The number of levels that a code in a packet stands for, 16 codes to an octave of the steps between them. `code`: 0
  * to 230, which are 4 and 63743. For encoders. */

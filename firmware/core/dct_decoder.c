@@ -6,11 +6,12 @@
 #define MAX_PACKET_SAMPLES (1u << 18)
 #define WHOLE 7u /* in place of a block's size: a packet is one transform */
 #define LOGARITHMIC 0x08u
-#define LINEAR 0x20u /* absent from older streams, whose linear levels were others */
-#define SYMBOLS 120u
+#define LINEAR 0x20u    /* absent from older streams, whose linear levels were others */
 #define FIRST_CLASS 16u /* symbols from here on stand for classes of values, eight an octave */
-#define LONGEST_CODE 15u
 #define ONE (1 << 24)
+/* For a sample of a channel, the longest block and a tenth more; docs/benchmarks/worst_case.md. */
+#define CYCLES 1600u
+#define POLLED_BINS 128u      /* most that a poll decodes */
 #define ROOT_OF_HALF 11863283 /* sqrt(1 / 2) in 1/2^24 */
 
 size_t vc_dct_decoder_size(void)
@@ -128,13 +129,7 @@ static void inverse_dct(vc_dct_decoder *decoder, int16_t *samples, unsigned stri
         samples[n * stride] = vc_rounded_sample(real[n & 1u ? count - 1 - n / 2 : n / 2] / 4);
 }
 
-/* Bits from the highest of each byte on; those past the end are 0. */
-typedef struct {
-    const uint8_t *bytes;
-    size_t length, position; /* in bytes, in bits */
-} bit_reader;
-
-static uint32_t read_bits(bit_reader *reader, unsigned count)
+static uint32_t read_bits(vc_bit_reader *reader, unsigned count)
 {
     uint32_t bits = 0;
     while (count-- > 0) {
@@ -146,38 +141,32 @@ static uint32_t read_bits(bit_reader *reader, unsigned count)
     return bits;
 }
 
-/* A canonical Huffman code: how many symbols have each length, and the symbols by length, then by number. */
-typedef struct {
-    uint8_t lengths[LONGEST_CODE + 1];
-    uint8_t symbols[SYMBOLS];
-} huffman_code;
-
 /* Returns 0 unless the code is complete: every sequence of bits has a meaning. */
-static int huffman_read(huffman_code *code, bit_reader *reader)
+static int huffman_read(vc_huffman_code *code, vc_bit_reader *reader)
 {
-    uint8_t length_of[SYMBOLS];
+    uint8_t length_of[VC_HUFFMAN_SYMBOLS];
     uint32_t count = read_bits(reader, 7) + 1, symbol, used = 0, filled = 0;
     unsigned length;
-    if (count > SYMBOLS)
+    if (count > VC_HUFFMAN_SYMBOLS)
         return 0;
     for (symbol = 0; symbol < count; symbol++)
         length_of[symbol] = (uint8_t)read_bits(reader, 4);
     memset(code, 0, sizeof *code);
-    for (length = 1; length <= LONGEST_CODE; length++)
+    for (length = 1; length <= VC_HUFFMAN_LONGEST_CODE; length++)
         for (symbol = 0; symbol < count; symbol++)
             if (length_of[symbol] == length) {
                 code->lengths[length]++;
                 code->symbols[used++] = (uint8_t)symbol;
-                filled += 1u << (LONGEST_CODE - length);
+                filled += 1u << (VC_HUFFMAN_LONGEST_CODE - length);
             }
-    return filled == 1u << LONGEST_CODE;
+    return filled == 1u << VC_HUFFMAN_LONGEST_CODE;
 }
 
-static uint32_t huffman_value(const huffman_code *code, bit_reader *reader)
+static uint32_t huffman_value(const vc_huffman_code *code, vc_bit_reader *reader)
 {
     uint32_t bits = 0, first = 0, index = 0, symbol;
     unsigned length, octave;
-    for (length = 1; length <= LONGEST_CODE; length++) {
+    for (length = 1; length <= VC_HUFFMAN_LONGEST_CODE; length++) {
         bits = bits << 1 | read_bits(reader, 1);
         first <<= 1;
         if (bits - first < code->lengths[length])
@@ -219,18 +208,8 @@ static uint32_t range_value(vc_range_coder *coder, vc_dct_model *model, uint32_t
     return zeros + (rank < first_pair ? rank : 2 * rank - first_pair + (uint32_t)vc_range_decode(coder, VC_EVEN_ODDS));
 }
 
-/* A packet that is being read: its ranges, its number of levels, and the source of its values. */
-typedef struct {
-    const uint8_t *ranges;
-    uint32_t levels;
-    vc_range_coder range;
-    bit_reader bits;
-    huffman_code huffman;
-    unsigned zeros;
-} packet_reader;
-
 /* Reads the fields before the values. Returns VC_OK or VC_BAD_PACKET. */
-static int packet_open(packet_reader *reader, vc_dct_decoder *decoder, const uint8_t *packet, size_t length)
+static int packet_open(vc_dct_packet *reader, vc_dct_decoder *decoder, const uint8_t *packet, size_t length)
 {
     const vc_dct_configuration *configuration = &decoder->configuration;
     uint32_t sequence;
@@ -264,7 +243,7 @@ static int packet_open(packet_reader *reader, vc_dct_decoder *decoder, const uin
 }
 
 /* Moves to the next channel; returns 0 for a silent one, whose coefficients are all 0. */
-static int channel_open(const packet_reader *reader, vc_dct_decoder *decoder, unsigned channel,
+static int channel_open(const vc_dct_packet *reader, vc_dct_decoder *decoder, unsigned channel,
                         vc_dct_quantiser *quantiser)
 {
     const uint32_t below = number_at(reader->ranges + 4 * (size_t)channel);
@@ -278,13 +257,18 @@ static int channel_open(const packet_reader *reader, vc_dct_decoder *decoder, un
     return 1;
 }
 
-static void decode_block(vc_dct_decoder *decoder, packet_reader *reader, const vc_dct_quantiser *quantiser,
-                         uint32_t block)
+/* The coefficients of a block that are coded. */
+static uint32_t bins_of(const vc_dct_decoder *decoder)
 {
-    const uint32_t bins = decoder->configuration.end - decoder->configuration.first;
+    return decoder->configuration.end - decoder->configuration.first;
+}
+
+static void decode_bins(vc_dct_decoder *decoder, vc_dct_packet *reader, const vc_dct_quantiser *quantiser,
+                        uint32_t block, uint32_t first, uint32_t end)
+{
     const uint32_t first_pair = vc_dct_first_pair(decoder->configuration.logarithmic);
     uint32_t bin;
-    for (bin = 0; bin < bins; bin++) {
+    for (bin = first; bin < end; bin++) {
         const uint32_t value = decoder->configuration.range_coded
                                    ? range_value(&reader->range, &decoder->model, bin, block, first_pair, reader->zeros)
                                    : huffman_value(&reader->huffman, &reader->bits);
@@ -292,62 +276,25 @@ static void decode_block(vc_dct_decoder *decoder, packet_reader *reader, const v
     }
 }
 
-/* Rises from zero after a gap, and keeps the samples that a later gap would fade. */
-static void finish_channel(vc_dct_decoder *decoder, unsigned channel, int16_t *samples)
+/* Rises from zero after a gap. `samples`: of the channel's first block. */
+static void rise(const vc_dct_decoder *decoder, int16_t *samples)
 {
-    const uint32_t packet_samples = vc_dct_decoder_packet_samples(decoder);
     uint32_t n;
-    for (n = 0; n < VC_DCT_FADE_SAMPLES && decoder->rises; n++)
-        samples[n * decoder->configuration.channels] =
-            (int16_t)(samples[n * decoder->configuration.channels] * (int32_t)(n + 1) / (int32_t)VC_DCT_FADE_SAMPLES);
-    for (n = 0; n < VC_DCT_FADE_SAMPLES; n++)
-        decoder->last[channel][n] =
-            samples[(packet_samples - VC_DCT_FADE_SAMPLES + n) * decoder->configuration.channels];
+    for (n = 0; n < VC_DCT_FADE_SAMPLES; n++, samples += decoder->configuration.channels)
+        *samples = (int16_t)(*samples * (int32_t)(n + 1) / (int32_t)VC_DCT_FADE_SAMPLES);
 }
 
-int vc_dct_decode(vc_dct_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples)
+/* Keeps the samples that a later gap would fade. `samples`: of the channel's last block. */
+static void keep_last(vc_dct_decoder *decoder, const int16_t *samples)
 {
-    const unsigned channels = decoder->configuration.channels;
-    packet_reader reader;
-    vc_dct_quantiser quantiser;
-    uint32_t block;
-    unsigned channel;
-    if (decoder->configuration.whole)
-        return VC_HOST_ONLY;
-    if (packet_open(&reader, decoder, packet, length) != VC_OK)
-        return VC_BAD_PACKET;
-    for (channel = 0; channel < channels; channel++) {
-        const int sounds = channel_open(&reader, decoder, channel, &quantiser);
-        for (block = 0; block < decoder->configuration.packet_blocks; block++) {
-            if (sounds)
-                decode_block(decoder, &reader, &quantiser, block);
-            inverse_dct(decoder, samples + (size_t)block * decoder->configuration.block * channels + channel, channels);
-        }
-        finish_channel(decoder, channel, samples + channel);
-    }
-    decoder->rises = 0;
-    return VC_OK;
+    uint32_t n;
+    samples += (size_t)(decoder->configuration.block - VC_DCT_FADE_SAMPLES) * decoder->configuration.channels;
+    for (n = 0; n < VC_DCT_FADE_SAMPLES; n++, samples += decoder->configuration.channels)
+        decoder->last[decoder->channel][n] = *samples;
 }
 
-int vc_dct_decode_whole(vc_dct_decoder *decoder, const uint8_t *packet, size_t length, int32_t *coefficients)
-{
-    const uint32_t first = decoder->configuration.first, bins = decoder->configuration.end - first;
-    packet_reader reader;
-    vc_dct_quantiser quantiser;
-    unsigned channel;
-    if (!decoder->configuration.whole)
-        return VC_BAD_CONFIGURATION;
-    if (packet_open(&reader, decoder, packet, length) != VC_OK)
-        return VC_BAD_PACKET;
-    for (channel = 0; channel < decoder->configuration.channels; channel++) {
-        if (channel_open(&reader, decoder, channel, &quantiser))
-            decode_block(decoder, &reader, &quantiser, 0);
-        memcpy(coefficients + (size_t)channel * bins, decoder->spectrum + first, bins * sizeof *coefficients);
-    }
-    return VC_OK;
-}
-
-void vc_dct_conceal(vc_dct_decoder *decoder, int16_t *samples)
+/* Writes a missing packet. */
+static void conceal(vc_dct_decoder *decoder, int16_t *samples)
 {
     const size_t values = (size_t)vc_dct_decoder_packet_samples(decoder) * decoder->configuration.channels;
     uint32_t n;
@@ -363,6 +310,80 @@ void vc_dct_conceal(vc_dct_decoder *decoder, int16_t *samples)
     decoder->rises = 1;
 }
 
+int vc_dct_feed(vc_dct_decoder *decoder, const uint8_t *packet, size_t length)
+{
+    if (decoder->configuration.whole)
+        return VC_HOST_ONLY;
+    if (packet != NULL && packet_open(&decoder->packet, decoder, packet, length) != VC_OK)
+        return VC_BAD_PACKET;
+    decoder->channel = decoder->block = decoder->bin = 0;
+    decoder->concealing = packet == NULL;
+    return decoder->concealing ? VC_CONCEALED : VC_OK;
+}
+
+/* Samples per channel that the last channel has, before the end of the packet. */
+static uint32_t complete_samples(const vc_dct_decoder *decoder)
+{
+    return decoder->channel + 1 == decoder->configuration.channels ? decoder->block * decoder->configuration.block : 0;
+}
+
+uint32_t vc_dct_poll(vc_dct_decoder *decoder, int16_t *samples)
+{
+    const vc_dct_configuration *configuration = &decoder->configuration;
+    const uint32_t packet_samples = vc_dct_decoder_packet_samples(decoder), bins = bins_of(decoder);
+    const uint32_t first = decoder->bin;
+    if (decoder->concealing) {
+        conceal(decoder, samples);
+        return packet_samples;
+    }
+    samples += (size_t)decoder->block * configuration->block * configuration->channels + decoder->channel;
+    if (decoder->block == 0 && first == 0)
+        decoder->sounds = channel_open(&decoder->packet, decoder, decoder->channel, &decoder->quantiser);
+    if (decoder->sounds) {
+        decoder->bin = bins - first > POLLED_BINS ? first + POLLED_BINS : bins;
+        decode_bins(decoder, &decoder->packet, &decoder->quantiser, decoder->block, first, decoder->bin);
+        if (decoder->bin < bins)
+            return complete_samples(decoder);
+        decoder->bin = 0;
+    }
+    inverse_dct(decoder, samples, configuration->channels);
+    if (decoder->block == 0 && decoder->rises)
+        rise(decoder, samples);
+    if (++decoder->block == configuration->packet_blocks) {
+        keep_last(decoder, samples);
+        decoder->block = 0;
+        decoder->channel++;
+    }
+    if (decoder->channel == configuration->channels) {
+        decoder->rises = 0;
+        return packet_samples;
+    }
+    return complete_samples(decoder);
+}
+
+int vc_dct_decode(vc_dct_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples)
+{
+    return vc_codec_decode(&vc_dct_codec, decoder, vc_dct_decoder_packet_samples(decoder), packet, length, samples);
+}
+
+int vc_dct_decode_whole(vc_dct_decoder *decoder, const uint8_t *packet, size_t length, int32_t *coefficients)
+{
+    const uint32_t first = decoder->configuration.first, bins = bins_of(decoder);
+    vc_dct_packet reader;
+    vc_dct_quantiser quantiser;
+    unsigned channel;
+    if (!decoder->configuration.whole)
+        return VC_BAD_CONFIGURATION;
+    if (packet_open(&reader, decoder, packet, length) != VC_OK)
+        return VC_BAD_PACKET;
+    for (channel = 0; channel < decoder->configuration.channels; channel++) {
+        if (channel_open(&reader, decoder, channel, &quantiser))
+            decode_bins(decoder, &reader, &quantiser, 0, 0, bins);
+        memcpy(coefficients + (size_t)channel * bins, decoder->spectrum + first, bins * sizeof *coefficients);
+    }
+    return VC_OK;
+}
+
 static int check(vc_coding *coding)
 {
     vc_dct_configuration read;
@@ -373,6 +394,7 @@ static int check(vc_coding *coding)
     if (status == VC_OK) {
         coding->packet_samples = read.packet_blocks * read.block;
         coding->delay_samples = 0;
+        coding->cycles_per_sample = coding->channels * CYCLES;
     }
     return status;
 }
@@ -382,14 +404,14 @@ static void init(void *decoder, const vc_coding *coding)
     (void)vc_dct_decoder_init(decoder, coding->configuration, coding->configuration_length, coding->channels);
 }
 
-static int decode(void *decoder, const uint8_t *packet, size_t length, int16_t *samples)
+static int feed(void *decoder, const uint8_t *packet, size_t length)
 {
-    return vc_dct_decode(decoder, packet, length, samples);
+    return vc_dct_feed(decoder, packet, length);
 }
 
-static void conceal(void *decoder, int16_t *samples)
+static uint32_t poll(void *decoder, int16_t *samples)
 {
-    vc_dct_conceal(decoder, samples);
+    return vc_dct_poll(decoder, samples);
 }
 
-const vc_codec vc_dct_codec = {2, "dct", 0, NULL, check, init, decode, conceal};
+const vc_codec vc_dct_codec = {2, "dct", 0, NULL, check, init, feed, poll};

@@ -29,21 +29,16 @@ int vc_eva_decoder_init(vc_eva_decoder *decoder, const uint8_t *configuration, s
 uint32_t vc_eva_decoder_packet_samples(const vc_eva_decoder *decoder);
 uint32_t vc_eva_decoder_delay_samples(const vc_eva_decoder *decoder);
 
-/* Decodes one packet into packet_samples x channels interleaved samples, 32768 = full scale. Returns VC_OK,
- * VC_CONCEALED when the packet does not follow the last one and is not a refresh, VC_BAD_PACKET, or VC_BAD_TABLES when
- * the model has no network in integers (nothing written in both cases). A refresh packet is decoded whatever its
- * number: the caller orders packets and drops those that come late. Any bytes are safe. */
+/* As the functions of `mdct` with these names. A block is four columns of 16 samples of one channel, and takes two
+ * polls. No sample is complete before the last channel's blocks. vc_eva_feed returns VC_BAD_TABLES, and takes nothing,
+ * where the model has no network in integers. */
+int vc_eva_feed(vc_eva_decoder *decoder, const uint8_t *packet, size_t length);
+uint32_t vc_eva_poll(vc_eva_decoder *decoder, int16_t *samples);
 int vc_eva_decode(vc_eva_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples);
 
-/* Conceals one missing packet: writes packet_samples x channels samples. The last sound fades to zero within the packet
- * or its first 128 samples. Silence follows until a packet can be decoded. Without a network in integers there is only
- * silence. */
-void vc_eva_conceal(vc_eva_decoder *decoder, int16_t *samples);
-
-/* The same two for a synthesis that is done elsewhere: write the latents, channels x packet_samples / 16 columns x
+/* The last for a synthesis that is done elsewhere: writes the latents, channels x packet_samples / 16 columns x
  * latents, in the model's unit. */
 int vc_eva_decode_latents(vc_eva_decoder *decoder, const uint8_t *packet, size_t length, int16_t *latents);
-void vc_eva_conceal_latents(vc_eva_decoder *decoder, int16_t *latents);
 
 /* Prepares an encoder; configuration, model and result as for a decoder. `refresh_packets`: packets from one refresh to
  * the next, 0 = only the first packet is one. */

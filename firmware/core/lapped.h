@@ -24,8 +24,9 @@ int vc_lapped_decoder_init(vc_lapped_decoder *decoder, const uint8_t *configurat
 /* As the functions of `mdct` with these names. */
 uint32_t vc_lapped_decoder_packet_samples(const vc_lapped_decoder *decoder);
 uint32_t vc_lapped_decoder_delay_samples(const vc_lapped_decoder *decoder);
+int vc_lapped_feed(vc_lapped_decoder *decoder, const uint8_t *packet, size_t length);
+uint32_t vc_lapped_poll(vc_lapped_decoder *decoder, int16_t *samples);
 int vc_lapped_decode(vc_lapped_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples);
-void vc_lapped_conceal(vc_lapped_decoder *decoder, int16_t *samples);
 /* cffi: end */
 
 #endif

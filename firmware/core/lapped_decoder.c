@@ -54,14 +54,20 @@ static void synthesise(vc_mdct_decoder *spectra, unsigned channel, int16_t *samp
                          spectra->configuration.hop, samples, spectra->configuration.channels);
 }
 
-int vc_lapped_decode(vc_lapped_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples)
+int vc_lapped_feed(vc_lapped_decoder *decoder, const uint8_t *packet, size_t length)
 {
-    return vc_spectra_decode(&decoder->spectra, packet, length, synthesise, samples);
+    return vc_spectra_feed(&decoder->spectra, packet, length);
 }
 
-void vc_lapped_conceal(vc_lapped_decoder *decoder, int16_t *samples)
+uint32_t vc_lapped_poll(vc_lapped_decoder *decoder, int16_t *samples)
 {
-    vc_spectra_conceal(&decoder->spectra, synthesise, samples);
+    return vc_spectra_poll(&decoder->spectra, synthesise, samples);
+}
+
+int vc_lapped_decode(vc_lapped_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples)
+{
+    return vc_codec_decode(&vc_lapped_codec, decoder, vc_lapped_decoder_packet_samples(decoder), packet, length,
+                           samples);
 }
 
 static const char *check_tables(const uint8_t *tables, size_t length)
@@ -78,6 +84,8 @@ static int check(vc_coding *coding)
     if (status == VC_OK) {
         coding->packet_samples = read.packet_blocks * read.hop;
         coding->delay_samples = DELAY_HOPS * read.hop;
+        coding->cycles_per_sample =
+            coding->channels * vc_spectra_cycles(coding->tables + WINDOWS_BYTES, coding->tables_length - WINDOWS_BYTES);
     }
     return status;
 }
@@ -88,14 +96,14 @@ static void init(void *decoder, const vc_coding *coding)
                                  coding->tables, coding->tables_length);
 }
 
-static int decode(void *decoder, const uint8_t *packet, size_t length, int16_t *samples)
+static int feed(void *decoder, const uint8_t *packet, size_t length)
 {
-    return vc_lapped_decode(decoder, packet, length, samples);
+    return vc_lapped_feed(decoder, packet, length);
 }
 
-static void conceal(void *decoder, int16_t *samples)
+static uint32_t poll(void *decoder, int16_t *samples)
 {
-    vc_lapped_conceal(decoder, samples);
+    return vc_lapped_poll(decoder, samples);
 }
 
-const vc_codec vc_lapped_codec = {12, "lapped", 1, check_tables, check, init, decode, conceal};
+const vc_codec vc_lapped_codec = {12, "lapped", 1, check_tables, check, init, feed, poll};

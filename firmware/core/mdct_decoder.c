@@ -4,6 +4,9 @@
 #include "mdct_synthesis.h"
 
 #define FADE_BLOCKS 8u /* longest time that concealment sounds */
+/* For a sample of a channel, the longest hop and a tenth more; docs/benchmarks/worst_case.md. */
+#define CYCLES 4300u
+#define NETWORK_CYCLES 15800u
 
 size_t vc_mdct_decoder_size(void)
 {
@@ -69,6 +72,11 @@ uint32_t vc_mdct_decoder_delay_samples(const vc_mdct_decoder *decoder)
     return decoder->configuration.hop;
 }
 
+uint32_t vc_spectra_cycles(const uint8_t *tables, size_t length)
+{
+    return vc_model_network(tables, length) == NULL ? CYCLES : NETWORK_CYCLES;
+}
+
 static void decode_block(vc_mdct_decoder *decoder, vc_range_coder *coder, unsigned number)
 {
     const uint32_t hop = decoder->configuration.hop;
@@ -85,62 +93,60 @@ static void decode_block(vc_mdct_decoder *decoder, vc_range_coder *coder, unsign
                                                          : vc_reconstruct(channel->spectrum[k], step);
 }
 
-int vc_spectra_decode(vc_mdct_decoder *decoder, const uint8_t *packet, size_t length, vc_synthesis synthesise,
-                      int16_t *samples)
+int vc_spectra_feed(vc_mdct_decoder *decoder, const uint8_t *packet, size_t length)
 {
     const vc_mdct_configuration *configuration = &decoder->configuration;
-    vc_range_coder coder;
-    uint32_t sequence, block;
+    uint32_t sequence;
     int refresh;
     unsigned channel;
-    size_t head = vc_packet_head_read(packet, length, &sequence, &refresh);
-    if (head == 0)
+    const size_t head = packet == NULL ? 0 : vc_packet_head_read(packet, length, &sequence, &refresh);
+    if (packet != NULL && head == 0)
         return VC_BAD_PACKET;
-    if (!refresh && (!decoder->in_sequence || sequence != decoder->next_sequence)) {
-        vc_spectra_conceal(decoder, synthesise, samples);
+    decoder->block = decoder->channel = 0;
+    decoder->concealing = packet == NULL || (!refresh && (!decoder->in_sequence || sequence != decoder->next_sequence));
+    decoder->in_sequence = !decoder->concealing;
+    if (decoder->concealing)
         return VC_CONCEALED;
-    }
     if (refresh) {
         vc_model_reset(&decoder->model, decoder->tables);
         vc_quantiser_offset_reset(&decoder->quantiser_offset);
     }
     for (channel = 0; channel < configuration->channels && refresh; channel++)
         vc_block_reset(&decoder->channels[channel].block);
-    decoder->in_sequence = 1;
     decoder->next_sequence = sequence + 1;
     decoder->random = sequence; /* so that a decoder that begins here fills alike */
-    vc_range_decoder_init(&coder, packet + head, length - head);
+    vc_range_decoder_init(&decoder->coder, packet + head, length - head);
     if (configuration->rate_controlled)
-        vc_quantiser_offset_decode(&coder, &decoder->quantiser_offset);
-    for (block = 0; block < configuration->packet_blocks; block++)
-        for (channel = 0; channel < configuration->channels; channel++) {
-            decode_block(decoder, &coder, channel);
-            synthesise(decoder, channel, samples + channel);
-            if (channel + 1 == configuration->channels)
-                samples += (size_t)configuration->hop * configuration->channels;
-        }
+        vc_quantiser_offset_decode(&decoder->coder, &decoder->quantiser_offset);
     return VC_OK;
 }
 
-void vc_spectra_conceal(vc_mdct_decoder *decoder, vc_synthesis synthesise, int16_t *samples)
+/* Repeats the last spectrum of a channel with random signs, scaled so that the blocks of a packet ramp to zero. */
+static void conceal_block(vc_mdct_decoder *decoder, unsigned channel)
 {
-    const vc_mdct_configuration *configuration = &decoder->configuration;
-    const uint32_t fade = configuration->packet_blocks < FADE_BLOCKS ? configuration->packet_blocks : FADE_BLOCKS;
-    uint32_t block, k;
-    unsigned channel;
-    decoder->in_sequence = 0;
-    for (block = 0; block < configuration->packet_blocks; block++)
-        for (channel = 0; channel < configuration->channels; channel++) {
-            vc_mdct_channel *state = &decoder->channels[channel];
-            /* Each block repeats the last spectrum with random signs, scaled so that it ramps to zero. */
-            for (k = 0; k < configuration->hop; k++)
-                state->spectrum[k] = block < fade ? state->spectrum[k] / (int32_t)(fade - block) *
-                                                        (int32_t)(fade - block - 1) * vc_random_sign(&decoder->random)
-                                                  : 0;
-            synthesise(decoder, channel, samples + channel);
-            if (channel + 1 == configuration->channels)
-                samples += (size_t)configuration->hop * configuration->channels;
-        }
+    const uint32_t blocks = decoder->configuration.packet_blocks, block = decoder->block;
+    const uint32_t fade = blocks < FADE_BLOCKS ? blocks : FADE_BLOCKS;
+    int32_t *spectrum = decoder->channels[channel].spectrum;
+    uint32_t k;
+    for (k = 0; k < decoder->configuration.hop; k++)
+        spectrum[k] = block < fade ? spectrum[k] / (int32_t)(fade - block) * (int32_t)(fade - block - 1) *
+                                         vc_random_sign(&decoder->random)
+                                   : 0;
+}
+
+uint32_t vc_spectra_poll(vc_mdct_decoder *decoder, vc_synthesis synthesise, int16_t *samples)
+{
+    const unsigned channels = decoder->configuration.channels, channel = decoder->channel;
+    const uint32_t hop = decoder->configuration.hop;
+    if (decoder->concealing)
+        conceal_block(decoder, channel);
+    else
+        decode_block(decoder, &decoder->coder, channel);
+    synthesise(decoder, channel, samples + (size_t)decoder->block * hop * channels + channel);
+    decoder->channel = (channel + 1) % channels;
+    if (decoder->channel == 0)
+        decoder->block++;
+    return decoder->block * hop;
 }
 
 static void synthesise(vc_mdct_decoder *decoder, unsigned channel, int16_t *samples)
@@ -150,14 +156,19 @@ static void synthesise(vc_mdct_decoder *decoder, unsigned channel, int16_t *samp
                        decoder->configuration.channels);
 }
 
-int vc_mdct_decode(vc_mdct_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples)
+int vc_mdct_feed(vc_mdct_decoder *decoder, const uint8_t *packet, size_t length)
 {
-    return vc_spectra_decode(decoder, packet, length, synthesise, samples);
+    return vc_spectra_feed(decoder, packet, length);
 }
 
-void vc_mdct_conceal(vc_mdct_decoder *decoder, int16_t *samples)
+uint32_t vc_mdct_poll(vc_mdct_decoder *decoder, int16_t *samples)
 {
-    vc_spectra_conceal(decoder, synthesise, samples);
+    return vc_spectra_poll(decoder, synthesise, samples);
+}
+
+int vc_mdct_decode(vc_mdct_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples)
+{
+    return vc_codec_decode(&vc_mdct_codec, decoder, vc_mdct_decoder_packet_samples(decoder), packet, length, samples);
 }
 
 static const char *check_tables(const uint8_t *tables, size_t length)
@@ -174,6 +185,7 @@ static int check(vc_coding *coding)
     if (status == VC_OK) {
         coding->packet_samples = read.packet_blocks * read.hop;
         coding->delay_samples = read.hop;
+        coding->cycles_per_sample = coding->channels * vc_spectra_cycles(coding->tables, coding->tables_length);
     }
     return status;
 }
@@ -184,14 +196,14 @@ static void init(void *decoder, const vc_coding *coding)
                                coding->tables, coding->tables_length);
 }
 
-static int decode(void *decoder, const uint8_t *packet, size_t length, int16_t *samples)
+static int feed(void *decoder, const uint8_t *packet, size_t length)
 {
-    return vc_mdct_decode(decoder, packet, length, samples);
+    return vc_mdct_feed(decoder, packet, length);
 }
 
-static void conceal(void *decoder, int16_t *samples)
+static uint32_t poll(void *decoder, int16_t *samples)
 {
-    vc_mdct_conceal(decoder, samples);
+    return vc_mdct_poll(decoder, samples);
 }
 
-const vc_codec vc_mdct_codec = {1, "mdct", 0, check_tables, check, init, decode, conceal};
+const vc_codec vc_mdct_codec = {1, "mdct", 0, check_tables, check, init, feed, poll};

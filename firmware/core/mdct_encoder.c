@@ -55,6 +55,16 @@ size_t vc_mdct_encoder_recorded(const vc_mdct_encoder *encoder)
     return encoder->search.example_count;
 }
 
+/* At a refresh. */
+static void restart(vc_mdct_encoder *encoder)
+{
+    unsigned channel;
+    vc_model_reset(&encoder->model, encoder->tables);
+    vc_quantiser_offset_reset(&encoder->quantiser_offset);
+    for (channel = 0; channel < encoder->configuration.channels; channel++)
+        vc_block_reset(&encoder->channels[channel]);
+}
+
 static uint32_t magnitude_of(int32_t value)
 {
     int64_t magnitude = value < 0 ? -(int64_t)value : value;
@@ -71,6 +81,23 @@ static void encode_block(vc_mdct_encoder *encoder, vc_range_coder *coder, vc_blo
     vc_block_encode(coder, &encoder->model, channel, &encoder->search, hop, magnitudes, coefficients, lambda);
 }
 
+/* Begins the next packet: its head, and at a refresh a new start. Returns where its payload begins. */
+static uint8_t *begin_packet(vc_mdct_encoder *encoder, vc_range_coder *coder, int refresh, uint8_t *packet,
+                             size_t capacity)
+{
+    uint8_t *payload = packet + vc_packet_head_write(packet, encoder->sequence++, refresh);
+    if (refresh)
+        restart(encoder);
+    vc_range_encoder_init(coder, payload, capacity - (size_t)(payload - packet));
+    return payload;
+}
+
+static int32_t end_packet(vc_range_coder *coder, const uint8_t *packet, uint8_t *payload)
+{
+    payload += vc_range_encoder_finish(coder, payload);
+    return coder->overflow ? VC_PACKET_TOO_LARGE : (int32_t)(payload - packet);
+}
+
 int32_t vc_mdct_encode(vc_mdct_encoder *encoder, const int32_t *coefficients, int32_t quantiser_offset, uint8_t *packet,
                        size_t capacity)
 {
@@ -83,21 +110,59 @@ int32_t vc_mdct_encode(vc_mdct_encoder *encoder, const int32_t *coefficients, in
     unsigned channel;
     if (capacity < VC_PACKET_HEAD_BYTES)
         return VC_PACKET_TOO_LARGE;
-    payload = packet + vc_packet_head_write(packet, encoder->sequence, refresh);
-    if (refresh) {
-        vc_model_reset(&encoder->model, encoder->tables);
-        vc_quantiser_offset_reset(&encoder->quantiser_offset);
-    }
-    for (channel = 0; channel < configuration->channels && refresh; channel++)
-        vc_block_reset(&encoder->channels[channel]);
-    vc_range_encoder_init(&coder, payload, capacity - (size_t)(payload - packet));
+    payload = begin_packet(encoder, &coder, refresh, packet, capacity);
     if (configuration->rate_controlled)
         lambda = vc_quantiser_offset_encode_fours(&coder, &encoder->quantiser_offset, quantiser_offset, lambda);
     for (block = 0; block < configuration->packet_blocks; block++)
         for (channel = 0; channel < configuration->channels; channel++, coefficients += configuration->hop)
             encode_block(encoder, &coder, &encoder->channels[channel], coefficients,
                          vc_packet_step(configuration, channel, encoder->quantiser_offset.value), lambda);
-    encoder->sequence++;
-    payload += vc_range_encoder_finish(&coder, payload);
-    return coder.overflow ? VC_PACKET_TOO_LARGE : (int32_t)(payload - packet);
+    return end_packet(&coder, packet, payload);
+}
+
+int vc_mdct_read_levels(vc_mdct_encoder *reader, const uint8_t *packet, size_t length, int32_t *levels, uint8_t *silent,
+                        int32_t *quantiser_offset)
+{
+    const vc_mdct_configuration *configuration = &reader->configuration;
+    vc_range_coder coder;
+    uint32_t sequence, block;
+    int refresh;
+    unsigned channel;
+    const size_t head = vc_packet_head_read(packet, length, &sequence, &refresh);
+    if (head == 0 || sequence != reader->sequence || (sequence == 0 && !refresh))
+        return VC_BAD_PACKET;
+    reader->sequence++;
+    if (refresh)
+        restart(reader);
+    vc_range_decoder_init(&coder, packet + head, length - head);
+    if (configuration->rate_controlled)
+        vc_quantiser_offset_decode(&coder, &reader->quantiser_offset);
+    *quantiser_offset = reader->quantiser_offset.value;
+    for (block = 0; block < configuration->packet_blocks; block++)
+        for (channel = 0; channel < configuration->channels; channel++, levels += configuration->hop) {
+            vc_block_state *state = &reader->channels[channel];
+            vc_block_decode(&coder, &reader->model, state, configuration->hop, levels);
+            *silent++ = state->history.silent_history & 1u;
+        }
+    return VC_OK;
+}
+
+int32_t vc_mdct_write_levels(vc_mdct_encoder *writer, const int32_t *levels, const uint8_t *silent,
+                             int32_t quantiser_offset, int refresh, uint8_t *packet, size_t capacity)
+{
+    const vc_mdct_configuration *configuration = &writer->configuration;
+    vc_range_coder coder;
+    uint8_t *payload;
+    uint32_t block;
+    unsigned channel;
+    if (capacity < VC_PACKET_HEAD_BYTES)
+        return VC_PACKET_TOO_LARGE;
+    payload = begin_packet(writer, &coder, refresh, packet, capacity);
+    if (configuration->rate_controlled)
+        vc_quantiser_offset_encode(&coder, &writer->quantiser_offset, quantiser_offset);
+    for (block = 0; block < configuration->packet_blocks; block++)
+        for (channel = 0; channel < configuration->channels; channel++, levels += configuration->hop)
+            vc_block_write(&coder, &writer->model, &writer->channels[channel], &writer->search, configuration->hop,
+                           levels, *silent++);
+    return end_packet(&coder, packet, payload);
 }

@@ -51,7 +51,8 @@ typedef struct vc_actuator {
     /* The highest code (the lowest is its negative, one more at full DAC scale), and the largest difference of two
      * codes in sequence, at least 1: limits on voltage and slew. */
     int32_t code_limit, code_step_limit;
-    /* Limit on the mean of the squared drive over any second, in 1/2^30 of full drive; at least 1. */
+    /* Limit on the mean of the squared drive over any second, in 1/2^30 of full drive; at least 1. Below an eighth it
+     * lowers the highest code as well, and more where the slew limit is slow. */
     uint32_t power_limit;
     vc_section compensation; /* inverse of the response, at the DAC's rate */
 } vc_actuator;

@@ -89,6 +89,7 @@ struct vc_dac {
     /* Power limit. */
     uint32_t block_samples, measured; /* samples of a block, and of it so far */
     uint64_t top, knee, floor;        /* as the mean */
+    int32_t highest;                  /* code, within the limit on voltage */
     vc_dac_channel channel[VC_MAX_CHANNELS];
 };
 

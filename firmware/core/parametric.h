@@ -26,14 +26,10 @@ int vc_parametric_decoder_init(vc_parametric_decoder *decoder, const uint8_t *co
 uint32_t vc_parametric_decoder_packet_samples(const vc_parametric_decoder *decoder);
 uint32_t vc_parametric_decoder_delay_samples(const vc_parametric_decoder *decoder);
 
-/* Synthesises one packet: packet_samples x channels interleaved samples, 32768 = full scale. Returns VC_OK,
- * VC_CONCEALED when the packet does not follow the last one and is not a refresh, or VC_BAD_PACKET (nothing written).
- * Any bytes are safe. */
+/* As the functions of `mdct` with these names. */
+int vc_parametric_feed(vc_parametric_decoder *decoder, const uint8_t *packet, size_t length);
+uint32_t vc_parametric_poll(vc_parametric_decoder *decoder, int16_t *samples);
 int vc_parametric_decode(vc_parametric_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples);
-
-/* Conceals one missing packet: writes packet_samples x channels samples. The last sound fades to zero within the packet
- * or its first eight blocks. Silence follows until a packet can be decoded. */
-void vc_parametric_conceal(vc_parametric_decoder *decoder, int16_t *samples);
 
 /* Prepares an encoder. `refresh_packets`: packets from one refresh to the next, 0 = only the first packet is one. */
 int vc_parametric_encoder_init(vc_parametric_encoder *encoder, const uint8_t *configuration,

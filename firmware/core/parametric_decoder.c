@@ -5,6 +5,7 @@
 #include "mdct_synthesis.h"
 
 #define FADE_BLOCKS 8u /* longest time that concealment sounds */
+#define CYCLES 1650u   /* for a sample of a channel, a tenth more than found; docs/benchmarks/worst_case.md */
 
 size_t vc_parametric_decoder_size(void)
 {
@@ -58,65 +59,70 @@ static void add_ridges(vc_parametric_synthesis *synthesis, uint32_t *phase, uint
     *phase += hop * synthesis->turn;
 }
 
-/* Puts out one frame of a channel. */
-static void play(vc_parametric_decoder *decoder, unsigned number, const vc_parametric_frame *frame, int16_t *samples)
+int vc_parametric_feed(vc_parametric_decoder *decoder, const uint8_t *packet, size_t length)
+{
+    uint32_t sequence;
+    int refresh;
+    unsigned channel;
+    const size_t head = packet == NULL ? 0 : vc_packet_head_read(packet, length, &sequence, &refresh);
+    if (packet != NULL && head == 0)
+        return VC_BAD_PACKET;
+    decoder->block = 0;
+    decoder->concealing = packet == NULL || (!refresh && (!decoder->in_sequence || sequence != decoder->next_sequence));
+    decoder->in_sequence = !decoder->concealing;
+    if (decoder->concealing)
+        return VC_CONCEALED;
+    if (refresh)
+        vc_parametric_model_reset(&decoder->model);
+    for (channel = 0; channel < decoder->configuration.channels && refresh; channel++)
+        vc_parametric_channel_reset(&decoder->channels[channel]);
+    decoder->refresh = refresh;
+    decoder->next_sequence = sequence + 1;
+    decoder->random = sequence; /* so that a decoder that begins here draws the same numbers */
+    vc_range_decoder_init(&decoder->coder, packet + head, length - head);
+    return VC_OK;
+}
+
+/* Reads the next frame of every channel. Each channel draws its random signs where the one before has drawn all those
+ * of its frame, as if the frames were put out one after the other. */
+static void read_frames(vc_parametric_decoder *decoder)
 {
     const vc_parametric_configuration *configuration = &decoder->configuration;
-    const uint32_t hop = configuration->hop;
-    vc_parametric_synthesis *synthesis = &decoder->synthesis[number];
-    uint32_t block, k;
-    unsigned i;
-    if (frame->pitch >= 0)
-        synthesis->turn = vc_parametric_turn(frame->pitch);
-    for (block = 0; block < configuration->frame_blocks; block++) {
-        const int32_t time = frame->times[block / configuration->level_blocks];
-        int32_t target[VC_PARAMETRIC_MAX_HARMONICS];
-        for (i = 0; i < VC_PARAMETRIC_MAX_HARMONICS; i++)
-            target[i] = amplitude(configuration, frame->harmonics[i], time);
-        for (i = 0; i < configuration->bands; i++) {
-            const int32_t magnitude = amplitude(configuration, frame->bands[i], time);
-            for (k = configuration->edges[i]; k < configuration->edges[i + 1]; k++)
-                synthesis->spectrum[k] = magnitude * vc_random_sign(&decoder->random);
-        }
-        add_ridges(synthesis, &decoder->channels[number].phase, hop, target);
-        vc_mdct_synthesise(synthesis->spectrum, synthesis->overlap, hop, samples, configuration->channels);
-        samples += (size_t)hop * configuration->channels;
+    const uint32_t drawn =
+        (configuration->edges[configuration->bands] - configuration->edges[0]) * configuration->frame_blocks;
+    unsigned channel;
+    for (channel = 0; channel < configuration->channels; channel++) {
+        vc_parametric_synthesis *synthesis = &decoder->synthesis[channel];
+        memset(&synthesis->frame, 0, sizeof synthesis->frame);
+        vc_parametric_code_frame(&decoder->coder, 0, &decoder->model, &decoder->channels[channel], configuration,
+                                 decoder->refresh && decoder->block == 0, &synthesis->frame);
+        if (synthesis->frame.pitch >= 0)
+            synthesis->turn = vc_parametric_turn(synthesis->frame.pitch);
+        synthesis->random = decoder->random;
+        vc_random_skip(&decoder->random, drawn);
     }
 }
 
-int vc_parametric_decode(vc_parametric_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples)
+/* Puts out the next block of a channel's frame. */
+static void play_block(vc_parametric_decoder *decoder, unsigned channel, int16_t *samples)
 {
     const vc_parametric_configuration *configuration = &decoder->configuration;
-    vc_range_coder coder;
-    vc_parametric_frame frame;
-    uint32_t sequence, index;
-    int refresh;
-    unsigned channel;
-    size_t head = vc_packet_head_read(packet, length, &sequence, &refresh);
-    if (head == 0)
-        return VC_BAD_PACKET;
-    if (!refresh && (!decoder->in_sequence || sequence != decoder->next_sequence)) {
-        vc_parametric_conceal(decoder, samples);
-        return VC_CONCEALED;
+    vc_parametric_synthesis *synthesis = &decoder->synthesis[channel];
+    const vc_parametric_frame *frame = &synthesis->frame;
+    const uint32_t block = decoder->block % configuration->frame_blocks;
+    const int32_t time = frame->times[block / configuration->level_blocks];
+    int32_t target[VC_PARAMETRIC_MAX_HARMONICS];
+    uint32_t k;
+    unsigned i;
+    for (i = 0; i < VC_PARAMETRIC_MAX_HARMONICS; i++)
+        target[i] = amplitude(configuration, frame->harmonics[i], time);
+    for (i = 0; i < configuration->bands; i++) {
+        const int32_t magnitude = amplitude(configuration, frame->bands[i], time);
+        for (k = configuration->edges[i]; k < configuration->edges[i + 1]; k++)
+            synthesis->spectrum[k] = magnitude * vc_random_sign(&synthesis->random);
     }
-    if (refresh)
-        vc_parametric_model_reset(&decoder->model);
-    for (channel = 0; channel < configuration->channels && refresh; channel++)
-        vc_parametric_channel_reset(&decoder->channels[channel]);
-    decoder->in_sequence = 1;
-    decoder->next_sequence = sequence + 1;
-    decoder->random = sequence; /* so that a decoder that begins here draws the same numbers */
-    vc_range_decoder_init(&coder, packet + head, length - head);
-    for (index = 0; index < configuration->packet_frames; index++) {
-        for (channel = 0; channel < configuration->channels; channel++) {
-            memset(&frame, 0, sizeof frame);
-            vc_parametric_code_frame(&coder, 0, &decoder->model, &decoder->channels[channel], configuration,
-                                     refresh && index == 0, &frame);
-            play(decoder, channel, &frame, samples + channel);
-        }
-        samples += (size_t)vc_parametric_frame_samples(configuration) * configuration->channels;
-    }
-    return VC_OK;
+    add_ridges(synthesis, &decoder->channels[channel].phase, configuration->hop, target);
+    vc_mdct_synthesise(synthesis->spectrum, synthesis->overlap, configuration->hop, samples, configuration->channels);
 }
 
 /* Returns the next value of a ramp to zero that has `left` steps left. */
@@ -125,30 +131,45 @@ static int32_t faded(int32_t value, uint32_t left)
     return left > 1 ? value / (int32_t)left * (int32_t)(left - 1) : 0;
 }
 
-void vc_parametric_conceal(vc_parametric_decoder *decoder, int16_t *samples)
+/* Repeats the last block of a channel with random signs, scaled so that the blocks of a packet ramp to zero. */
+static void conceal_block(vc_parametric_decoder *decoder, unsigned channel, int16_t *samples)
 {
     const vc_parametric_configuration *configuration = &decoder->configuration;
     const uint32_t blocks = configuration->packet_frames * configuration->frame_blocks;
     const uint32_t fade = blocks < FADE_BLOCKS ? blocks : FADE_BLOCKS;
-    uint32_t block, k;
-    unsigned channel, i;
-    decoder->in_sequence = 0;
-    for (block = 0; block < blocks; block++)
-        for (channel = 0; channel < configuration->channels; channel++) {
-            /* Each block repeats the last one with random signs, scaled to ramp to zero. */
-            const uint32_t left = block < fade ? fade - block : 0;
-            vc_parametric_synthesis *synthesis = &decoder->synthesis[channel];
-            int32_t target[VC_PARAMETRIC_MAX_HARMONICS];
-            for (i = 0; i < VC_PARAMETRIC_MAX_HARMONICS; i++)
-                target[i] = faded(synthesis->amplitudes[i], left);
-            for (k = 0; k < configuration->hop; k++)
-                synthesis->spectrum[k] = faded(synthesis->spectrum[k], left) * vc_random_sign(&decoder->random);
-            add_ridges(synthesis, &decoder->channels[channel].phase, configuration->hop, target);
-            vc_mdct_synthesise(synthesis->spectrum, synthesis->overlap, configuration->hop, samples + channel,
-                               configuration->channels);
-            if (channel + 1 == configuration->channels)
-                samples += (size_t)configuration->hop * configuration->channels;
-        }
+    const uint32_t left = decoder->block < fade ? fade - decoder->block : 0;
+    vc_parametric_synthesis *synthesis = &decoder->synthesis[channel];
+    int32_t target[VC_PARAMETRIC_MAX_HARMONICS];
+    uint32_t k;
+    unsigned i;
+    for (i = 0; i < VC_PARAMETRIC_MAX_HARMONICS; i++)
+        target[i] = faded(synthesis->amplitudes[i], left);
+    for (k = 0; k < configuration->hop; k++)
+        synthesis->spectrum[k] = faded(synthesis->spectrum[k], left) * vc_random_sign(&decoder->random);
+    add_ridges(synthesis, &decoder->channels[channel].phase, configuration->hop, target);
+    vc_mdct_synthesise(synthesis->spectrum, synthesis->overlap, configuration->hop, samples, configuration->channels);
+}
+
+uint32_t vc_parametric_poll(vc_parametric_decoder *decoder, int16_t *samples)
+{
+    const vc_parametric_configuration *configuration = &decoder->configuration;
+    const unsigned channels = configuration->channels;
+    unsigned channel;
+    samples += (size_t)decoder->block * configuration->hop * channels;
+    if (!decoder->concealing && decoder->block % configuration->frame_blocks == 0)
+        read_frames(decoder);
+    for (channel = 0; channel < channels; channel++)
+        if (decoder->concealing)
+            conceal_block(decoder, channel, samples + channel);
+        else
+            play_block(decoder, channel, samples + channel);
+    return ++decoder->block * configuration->hop;
+}
+
+int vc_parametric_decode(vc_parametric_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples)
+{
+    return vc_codec_decode(&vc_parametric_codec, decoder, vc_parametric_decoder_packet_samples(decoder), packet, length,
+                           samples);
 }
 
 static int check(vc_coding *coding)
@@ -159,6 +180,7 @@ static int check(vc_coding *coding)
     if (status == VC_OK) {
         coding->packet_samples = read.packet_frames * vc_parametric_frame_samples(&read);
         coding->delay_samples = read.hop;
+        coding->cycles_per_sample = coding->channels * CYCLES;
     }
     return status;
 }
@@ -168,14 +190,14 @@ static void init(void *decoder, const vc_coding *coding)
     (void)vc_parametric_decoder_init(decoder, coding->configuration, coding->configuration_length, coding->channels);
 }
 
-static int decode(void *decoder, const uint8_t *packet, size_t length, int16_t *samples)
+static int feed(void *decoder, const uint8_t *packet, size_t length)
 {
-    return vc_parametric_decode(decoder, packet, length, samples);
+    return vc_parametric_feed(decoder, packet, length);
 }
 
-static void conceal(void *decoder, int16_t *samples)
+static uint32_t poll(void *decoder, int16_t *samples)
 {
-    vc_parametric_conceal(decoder, samples);
+    return vc_parametric_poll(decoder, samples);
 }
 
-const vc_codec vc_parametric_codec = {11, "parametric", 0, NULL, check, init, decode, conceal};
+const vc_codec vc_parametric_codec = {11, "parametric", 0, NULL, check, init, feed, poll};

@@ -25,14 +25,11 @@ int vc_slp_decoder_init(vc_slp_decoder *decoder, const uint8_t *configuration, s
 /* Samples per channel in every packet of the stream. The output does not lag the input. */
 uint32_t vc_slp_decoder_packet_samples(const vc_slp_decoder *decoder);
 
-/* Decodes one packet into packet_samples x channels interleaved samples, 32768 = full scale. Returns VC_OK,
- * VC_CONCEALED when the packet does not follow the last one and is not a refresh, or VC_BAD_PACKET (nothing written).
- * Any bytes are safe: the synthesis filter is stable for each of them. */
+/* As the functions of `mdct` with these names; a block is a frame. Any bytes are safe: the synthesis filter is stable
+ * for each of them. A concealed packet fades the last sound to zero within the packet or its first 256 samples. */
+int vc_slp_feed(vc_slp_decoder *decoder, const uint8_t *packet, size_t length);
+uint32_t vc_slp_poll(vc_slp_decoder *decoder, int16_t *samples);
 int vc_slp_decode(vc_slp_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples);
-
-/* Conceals one missing packet: writes packet_samples x channels samples. The last sound fades to zero within the packet
- * or its first 256 samples. Silence follows until a packet can be decoded. */
-void vc_slp_conceal(vc_slp_decoder *decoder, int16_t *samples);
 
 /* Prepares an encoder. `refresh_packets`: packets from one refresh to the next, 0 = only the first packet is one. */
 int vc_slp_encoder_init(vc_slp_encoder *encoder, const uint8_t *configuration, size_t configuration_length,

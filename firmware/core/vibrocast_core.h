@@ -42,15 +42,22 @@ int vc_mdct_decoder_init(vc_mdct_decoder *decoder, const uint8_t *configuration,
 uint32_t vc_mdct_decoder_packet_samples(const vc_mdct_decoder *decoder);
 uint32_t vc_mdct_decoder_delay_samples(const vc_mdct_decoder *decoder);
 
-/* Decodes one packet into packet_samples x channels interleaved samples, 32768 = full scale.
- * Returns VC_OK, VC_CONCEALED for a packet that does not follow the last one and is no refresh, or VC_BAD_PACKET
- * (nothing written). A refresh is decoded whatever its number: the caller orders packets and drops late ones. Any bytes
- * are safe. */
-int vc_mdct_decode(vc_mdct_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples);
+/* Takes the next packet, NULL where it is missing; its bytes must stay valid until the last block has been polled.
+ * Returns VC_OK; VC_CONCEALED for a missing packet, or one that does not follow the last one and is no refresh; or
+ * VC_BAD_PACKET, and takes nothing. A refresh is decoded whatever its number: the caller orders packets and drops late
+ * ones. Any bytes are safe.
+ * A concealed packet fades the last sound to zero within the packet or its first eight blocks. Silence follows until a
+ * packet can be decoded. */
+int vc_mdct_feed(vc_mdct_decoder *decoder, const uint8_t *packet, size_t length);
 
-/* Conceals one missing packet: writes packet_samples x channels samples. The last sound fades to zero within the packet
- * or its first eight blocks. Silence follows until a packet can be decoded. */
-void vc_mdct_conceal(vc_mdct_decoder *decoder, int16_t *samples);
+/* Decodes the next block of one channel, and returns the samples per channel that are complete, from the packet's first
+ * one on: packet_samples of them end it. `samples`: memory for the whole packet, packet_samples x channels interleaved
+ * samples, 32768 = full scale, the same in each call of a packet. */
+uint32_t vc_mdct_poll(vc_mdct_decoder *decoder, int16_t *samples);
+
+/* Decodes a whole packet: feeds it and polls all its blocks. Returns as vc_mdct_feed; nothing is written for
+ * VC_BAD_PACKET. */
+int vc_mdct_decode(vc_mdct_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples);
 
 /* Prepares an encoder. `refresh_packets`: packets from one refresh to the next, 0 = only the first packet is one.
  * `lambda`: Lagrangian weight of one bit against squared error, in 1/256 of a squared quantiser step. */
@@ -65,6 +72,20 @@ int vc_mdct_encoder_init(vc_mdct_encoder *encoder, const uint8_t *configuration,
  * of four; the remainder adjusts lambda. Other streams ignore it. */
 int32_t vc_mdct_encode(vc_mdct_encoder *encoder, const int32_t *coefficients, int32_t quantiser_offset, uint8_t *packet,
                        size_t capacity);
+
+/* Re-packing: the same levels in packets of another length. Both functions take a structure that vc_mdct_encoder_init
+ * has prepared, with lambda 0. One has the configuration of the packets, the other a configuration of another length.
+ *
+ * Reads the levels of the next packet, blocks x channels x hop, in quantiser steps. `silent`: blocks x channels, 1 for
+ * a block that is coded as silent. `quantiser_offset`: in 1/4 octave, 0 if packets carry none. Returns VC_OK, or
+ * VC_BAD_PACKET for another packet than the next one. Any bytes are safe. */
+int vc_mdct_read_levels(vc_mdct_encoder *reader, const uint8_t *packet, size_t length, int32_t *levels, uint8_t *silent,
+                        int32_t *quantiser_offset);
+
+/* Codes the next packet from levels as read. `refresh`: whether a refresh begins with them. Returns as
+ * vc_mdct_encode. */
+int32_t vc_mdct_write_levels(vc_mdct_encoder *writer, const int32_t *levels, const uint8_t *silent,
+                             int32_t quantiser_offset, int refresh, uint8_t *packet, size_t capacity);
 
 /* The built-in tables. */
 const uint8_t *vc_mdct_builtin_tables(void);
