@@ -15,11 +15,14 @@ from pathlib import Path
 import click
 
 from vibrocast import extras
+from vibrocast.files import InputFileError
 from vibrocast.firmware.declarations import cffi_declarations
 from vibrocast.firmware.elf import Elf
+from vibrocast.firmware.keys import read_public_key
+from vibrocast.firmware.native_core import CoreError
 
 ROOT = Path(__file__).parent
-SHARED = ("core", "controller")
+SHARED = ("core", "monocypher", "controller")
 """Folders whose C sources are in every target."""
 
 FLAGS = (
@@ -51,7 +54,7 @@ class BuildError(Exception):
 class Target:
     """One build of the firmware.
 
-    `folders`: of its port, below firmware/, whose C sources are compiled with the shared ones. `defines`: sizes of
+    `folders`: of its port, below firmware/, whose C sources are compiled with those of `shared`. `defines`: sizes of
     controller/sizes.h, and settings of its port.
     """
 
@@ -59,17 +62,18 @@ class Target:
     suffix: str
     flags: tuple[str, ...]
     folders: tuple[str, ...] = ()
+    shared: tuple[str, ...] = SHARED
     defines: Mapping[str, int | str] = field(default_factory=dict)
 
     def sources(self) -> list[Path]:
         """Return its C sources, from ROOT on; a controller has no use for the core's encoders."""
-        folders = [ROOT / folder for folder in (*SHARED, *self.folders)]
+        folders = [ROOT / folder for folder in (*self.shared, *self.folders)]
         found = [path.relative_to(ROOT) for folder in folders for path in sorted(folder.glob("*.c"))]
         return [path for path in found if not path.stem.endswith("_encoder")]
 
     def command(self) -> list[str]:
         """Return the compiler's arguments except the output; run it in ROOT."""
-        includes = [f"-I{folder}" for folder in (*SHARED, *self.folders)]
+        includes = [f"-I{folder}" for folder in (*self.shared, *self.folders)]
         texts = {name: f'"{value}"' if isinstance(value, str) else value for name, value in self.defines.items()}
         defines = [f"-D{name}={value}" for name, value in texts.items()]
         return [*FLAGS, *self.flags, *defines, *includes, *map(str, self.sources())]
@@ -79,7 +83,7 @@ def _cortex_m(summary: str, processor: str, script: str, folders: tuple[str, ...
     """Return the target of a Cortex-M with an FPU. `script`: its linker script, in the first of `folders`."""
     layout = ("-T", f"{folders[0]}/{script}", "-Wl,-e,Reset_Handler")
     flags = (*CORTEX_M_FLAGS, f"-mcpu={processor}", *layout)
-    return Target(summary, ".elf", flags, ("ports", "ports/cortex_m", *folders), defines)
+    return Target(summary, ".elf", flags, ("ports", "ports/cortex_m", *folders), defines=defines)
 
 
 def _mps2(core: str, processor: str, board: str, script: str = "mps2.ld", **defines: int | str) -> dict[str, Target]:
@@ -113,14 +117,15 @@ def _stm32f405(summary: str, script: str) -> Target:
     return _cortex_m(summary, M4F, script, ("ports/stm32f405",), VC_HARDWARE="feather-stm32f405", **_STM32F405)
 
 
-# Two channels in 128 KiB; the longest packets are those of files, 128 blocks of 32 samples.
+# Two channels in 128 KiB. The longest packets are those of files below 5600 Hz: 128 blocks of 32 samples, and the
+# overlap of `lapped` at a hop of 128 beyond that of one such block, in whole blocks.
 _STM32F405 = {
     "VC_CHANNELS": 2,
     "VC_MAX_CHANNELS": 2,
     "VC_BUFFER_SAMPLES": 16384,
     "VC_BUFFER_PACKETS": 128,
     "VC_BUFFER_BYTES": 24576,
-    "VC_PACKET_SAMPLES": 4096,
+    "VC_PACKET_SAMPLES": 4096 + 384,
     "VC_PROFILE_SAMPLES": 4096,
     "VC_CAPTURE_SAMPLES": 2048,
     "VC_MAX_PAYLOAD_BYTES": 2048,
@@ -136,6 +141,13 @@ TARGETS: Mapping[str, Target] = {
     "host": Target(
         "program for this machine, behind a pseudo-terminal", "", ("-mcpu=native",), ("ports", "ports/host")
     ),
+    "cycle-counter": Target(
+        "library that counts the cycles of emulated processors",
+        _LIBRARY_SUFFIX,
+        ("-shared", *_POSITION_INDEPENDENT),
+        ("emulator",),
+        (),
+    ),
     **_mps2("cortex-m4", M4F, "an386"),
     **_mps2("cortex-m7", M7, "an500"),
     **_mps2("cortex-m33", M33, "an505", "an505.ld", VC_AN505=1),
@@ -144,15 +156,17 @@ TARGETS: Mapping[str, Target] = {
 }
 
 
-def build(name: str, sizes: Mapping[str, int] | None = None) -> Path:
+def build(name: str, sizes: Mapping[str, int] | None = None, public_key: bytes | None = None) -> Path:
     """Build a target of TARGETS, unless it is there already, and return its file.
 
-    `sizes`: of controller/sizes.h, in place of the target's. A library's declarations for cffi lie next to it, with the
-    suffix ".cdef". Builds are kept in firmware/build, or in the user's cache where that cannot be written, by a hash
-    of all that they are made from. Raises BuildError and MissingExtraError.
+    `sizes`: of controller/sizes.h, in place of the target's. `public_key`: 32 bytes, of Ed25519; model images need its
+    signature, None = they need none. A library's declarations for cffi lie next to it, with the suffix ".cdef". Builds
+    are kept in firmware/build, or in the user's cache where that cannot be written, by a hash of all that they are made
+    from. Raises BuildError and MissingExtraError.
     """
     target = TARGETS[name]
-    target = replace(target, defines={**target.defines, **(sizes or {})})
+    key = {} if public_key is None else {"VC_PUBLIC_KEY": "".join(f"\\x{byte:02x}" for byte in public_key)}
+    target = replace(target, defines={**target.defines, **(sizes or {}), **key})
     extras.require("firmware", "ziglang")
     folder = _build_folder() / f"{name}-{_fingerprint(target)}"
     built = folder / f"{name}{target.suffix}"
@@ -163,7 +177,7 @@ def build(name: str, sizes: Mapping[str, int] | None = None) -> Path:
             made.mkdir()
             _compile(target, made / built.name)
             if target.suffix == _LIBRARY_SUFFIX:
-                parts = [cffi_declarations(ROOT / shared) for shared in SHARED]
+                parts = [cffi_declarations(ROOT / shared) for shared in target.shared]
                 (made / built.with_suffix(".cdef").name).write_text("\n".join(parts))
             try:
                 made.rename(folder)
@@ -189,7 +203,7 @@ def _build_folder() -> Path:
 def _fingerprint(target: Target) -> str:
     """Return a hash of the sources, the flags, the machine and the compiler."""
     digest = hashlib.sha256(repr((target.command(), sys.platform, platform.machine(), version("ziglang"))).encode())
-    for folder in (*SHARED, *target.folders):
+    for folder in (*target.shared, *target.folders):
         for path in sorted((ROOT / folder).iterdir()):
             if path.suffix in (".c", ".h", ".ld"):
                 digest.update(path.name.encode() + path.read_bytes())
@@ -228,19 +242,26 @@ def size(name: str, sizes: Mapping[str, int] | None = None) -> Size:
     type=click.Path(dir_okay=False, path_type=Path),
     help="Write the bytes of each image as JSON.",
 )
-def main(names: tuple[str, ...], with_sizes: bool, json_path: Path | None) -> None:
+@click.option(
+    "--public-key",
+    "key_path",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Let controllers take only model images that this key signed.",
+)
+def main(names: tuple[str, ...], with_sizes: bool, json_path: Path | None, key_path: Path | None) -> None:
     """Build targets of the firmware, and print the file of each.
 
     Without TARGET, all targets are built.
     """
     wanted = names or tuple(TARGETS)
     try:
+        public_key = None if key_path is None else read_public_key(key_path)
         if not with_sizes and json_path is None:
             for name in wanted:
-                click.echo(f"{name}: {build(name)}")
+                click.echo(f"{name}: {build(name, public_key=public_key)}")
             return
         sizes = {name: asdict(size(name)) for name in wanted if TARGETS[name].suffix == ".elf"}
-    except (BuildError, extras.MissingExtraError) as error:
+    except (BuildError, CoreError, InputFileError, OSError, extras.MissingExtraError) as error:
         raise click.ClickException(str(error)) from error
     click.echo(f"{'image':<24}{'flash':>10}{'RAM':>10}{'of it stack':>13}")
     for name, of in sizes.items():

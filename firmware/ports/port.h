@@ -1,4 +1,4 @@
-/* The four functions of a port, and the loop that runs a controller on them.
+/* The three functions of a port, and the loop that runs a controller on them.
  *
  * The port's main() sets up its hardware and calls vc_loop_start() once. It then calls vc_loop_turn() for ever, at
  * least every few milliseconds. docs/how-to/port_the_firmware.md walks through a port.
@@ -9,12 +9,19 @@
 #include "controller.h"
 
 #define VC_BUILD "vibrocast firmware 0.1.0"
+/* The 32 bytes of the key that signs model images: `python -m vibrocast.firmware.build --public-key`. */
+#ifndef VC_PUBLIC_KEY
+#define VC_PUBLIC_KEY NULL
+#endif
 
-/* Starts the controller. The port owns `settings` and `flash`, which must stay valid. */
-void vc_loop_start(const vc_controller_settings *settings, const vc_flash *flash);
+/* Starts the controller. The port owns `settings`, `flash` and `dac`, which must stay valid. A turn hands codes to the
+ * DAC after it has decoded a block for them, so they come late by that time. The ramp to rest after a Stop comes at
+ * once, about 5 ms ahead of time. */
+void vc_loop_start(const vc_controller_settings *settings, const vc_flash *flash, const vc_dac_port *dac);
 
-/* Takes bytes from the host, plays the samples that are due, and hands on bytes for the host. Returns 0 if no byte
- * moved: the port may then wait for the next byte, or for a few milliseconds. */
+/* Takes bytes from the host, plays the samples that are due, and hands on bytes for the host; a turn decodes one block
+ * at most. Returns 0 if no byte moved and no work is left: the port may then wait for the next byte, or for a few
+ * milliseconds. */
 int vc_loop_turn(void);
 
 /* Copies up to `capacity` bytes from the host into `data`. Returns how many bytes there were. Never waits. */
@@ -25,11 +32,5 @@ size_t vc_port_write(const uint8_t *data, size_t length);
 
 /* Returns a clock in microseconds, from any start. It never goes back, and the same oscillator drives the DAC. */
 uint64_t vc_port_now_us(void);
-
-/* Takes DAC codes: the controller's vc_dac_sink (settings.h), with a `context` of NULL. `codes` belong to the caller.
- *
- * vc_loop_turn() calls it with all codes that were due when the turn began, in pieces, after decoding. So codes come
- * late by the time that decoding took. The ramp to rest after a Stop comes at once, about 5 ms ahead of time. */
-void vc_port_play(void *context, const int16_t *codes, uint32_t samples, unsigned channels);
 
 #endif

@@ -85,9 +85,10 @@ uint64_t vc_port_now_us(void)
     return (uint64_t)(passed_us + passed_us * drift_ppm / 1000000);
 }
 
-void vc_port_play(void *context, const int16_t *codes, uint32_t samples, unsigned channels)
+static void play(void *context, const int16_t *codes, uint32_t samples, unsigned channels, uint64_t due_us)
 {
     (void)context;
+    (void)due_us;
     if (dac_file != NULL && fwrite(codes, sizeof *codes * channels, samples, dac_file) != samples)
         fail(dac_failure);
 }
@@ -174,6 +175,7 @@ int main(int count, char **arguments)
     vc_controller_settings settings = {.build = VC_BUILD,
                                        .hardware = "host",
                                        .actuator = &vc_piezo_stack,
+                                       .public_key = (const uint8_t *)VC_PUBLIC_KEY,
                                        .watchdog_ms = 2000,
                                        .profile = (vc_profile *)profile};
     vc_flash flash = {.record = {0, RECORD_BYTES},
@@ -182,6 +184,7 @@ int main(int count, char **arguments)
                       .slot_bytes = SLOT_BYTES,
                       .erase = erase,
                       .program = program};
+    static const vc_dac_port dac = {.play = play};
     const char *flash_path = NULL, *name;
     struct sigaction on_end = {.sa_handler = end};
     int index;
@@ -217,7 +220,7 @@ int main(int count, char **arguments)
         make_link(name);
     printf("%s\n", name);
     fflush(stdout);
-    vc_loop_start(&settings, &flash);
+    vc_loop_start(&settings, &flash, &dac);
     while (!ended) {
         struct pollfd wanted[2] = {{terminal, POLLIN, 0}, {STDIN_FILENO, POLLIN, 0}};
         char ignored[256];

@@ -6,26 +6,29 @@
 
 static int64_t profile[VC_PROFILE_WORDS];
 
+static void play(void *context, const int16_t *codes, uint32_t samples, unsigned channels, uint64_t due_us)
+{
+    (void)context;
+    (void)due_us;
+    VC_OUTPUT_CODES = (uint32_t)(uintptr_t)codes;
+    VC_OUTPUT_CHANNELS = channels;
+    VC_OUTPUT_SAMPLES = samples;
+}
+
 int main(void)
 {
     static const vc_controller_settings settings = {
         .build = VC_BUILD,
         .hardware = VC_HARDWARE,
         .actuator = &vc_piezo_stack,
+        .public_key = (const uint8_t *)VC_PUBLIC_KEY,
         .watchdog_ms = 2000,
         .profile = (vc_profile *)profile,
     };
+    static const vc_dac_port dac = {.play = play};
     vc_board_start();
-    vc_loop_start(&settings, &vc_board_flash);
+    vc_loop_start(&settings, &vc_board_flash, &dac);
     for (;;)
         if (!vc_loop_turn())
             vc_board_wait();
-}
-
-void vc_port_play(void *context, const int16_t *codes, uint32_t samples, unsigned channels)
-{
-    (void)context;
-    VC_OUTPUT_CODES = (uint32_t)(uintptr_t)codes;
-    VC_OUTPUT_CHANNELS = channels;
-    VC_OUTPUT_SAMPLES = samples;
 }

@@ -21,20 +21,19 @@
 void vc_clocks_start(void);
 
 /* Starts the watchdog. It resets the board about 4 s after the last feed: at least 2.7 s, because its oscillator varies
- * from 17 to 47 kHz. The largest model takes less for the longest packet. */
+ * from 17 to 47 kHz. A turn of the loop takes far less, but for the erasure of flash. */
 void vc_watchdog_start(void);
 static inline void vc_watchdog_feed(void)
 {
     VC_IWDG_KR = VC_IWDG_FEED;
 }
 
-/* Brings both outputs slowly from 0 V to rest and returns when they are there. Then plays the codes of vc_port_play().
- * `dac_bits`: of the codes. */
+/* Turns both outputs on at rest, where a divider at each holds it until then. They play the codes that vc_board_dac
+ * takes. `dac_bits`: of the codes. */
 void vc_dac_output_start(uint32_t dac_rate_hz, unsigned dac_bits);
 void TIM6_DAC_IRQHandler(void);
 
-/* States that a turn of the loop begins. Decoding takes the time from here to the next codes. */
-void vc_dac_output_turn(void);
+extern const vc_dac_port vc_board_dac;
 
 /* For a fault: brings both outputs to rest, without interrupts. Does not return; the watchdog resets the board. */
 void vc_dac_output_rest(void);

@@ -1,8 +1,9 @@
 /* The DAC: one sample of both channels at each interrupt of TIM6. RM0090: 14.3 (DAC), 20.3 (timer), 8.3 (pins).
  *
- * The samples wait in a ring, because the loop hands on none while it decodes a packet. So the output lags the
- * controller's clock: by LEAST_LAG_MS plus twice the time of the stream's first packet, as far as the ring has room. A
- * longer time empties the ring: the output goes to rest, fades back into the stream, and sets the lag again.
+ * The samples wait in a ring, because the loop hands on none while it decodes a block. So the output lags the
+ * controller's clock: by LEAST_LAG_MS plus twice the time by which the stream's first sample came late, as far as the
+ * ring has room. If samples come later than that, the ring is empty: the output goes to rest, fades back into the
+ * stream, and sets the lag again. A Stop empties the ring, so the lag does not delay it.
  */
 #include "board.h"
 #include "common.h"
@@ -13,22 +14,24 @@
 #define LEAST_LAG_MS 4
 #define CAPACITY 4096u /* samples; a power of two */
 #define SPARE 64u      /* samples beyond the lag: the ramp to rest comes at once, in one piece */
-#define FADE_MS 50     /* to rest at boot; to rest and back where samples are missing */
+#define FADE_MS 50     /* to rest, and back, where samples are missing or dropped */
 
 /* Written by the loop. */
 static int16_t ring[CAPACITY][CHANNELS] VC_CORE_MEMORY;
 static volatile uint32_t put;
-static uint64_t turn_us; /* when the loop's turn began */
-static uint32_t rate_hz, lag_samples;
+static uint32_t rate_hz, least_lag_samples, lag_samples;
 static unsigned shift;
 
 /* Written by the interrupt; by the loop as well where the ring is empty, or with interrupts off. */
 static volatile uint32_t taken;
 static volatile uint32_t waiting; /* samples to wait before the next is taken */
 static volatile int broken;       /* the next sample does not follow the last output */
+static volatile int missing;      /* the stream goes on, but the ring is empty */
+static vc_output_counts counts;
 
 /* Of the interrupt. */
 static int playing;                                   /* the last sample came from the ring */
+static int away;                                      /* the last one that did was not rest */
 static int32_t level[CHANNELS], faded_from[CHANNELS]; /* codes of 12 bits, 0 = rest; `level`: at the output */
 static int32_t fade_samples, fade_left;
 
@@ -37,38 +40,27 @@ static uint32_t samples_in(uint64_t us)
     return (uint32_t)(us * rate_hz / 1000000);
 }
 
+static inline void write_levels(void)
+{
+    VC_DAC_DHR12RD = (uint32_t)(level[0] + REST) | (uint32_t)(level[1] + REST) << 16;
+}
+
 void vc_dac_output_start(uint32_t dac_rate_hz, unsigned dac_bits)
 {
-    unsigned channel;
     shift = dac_bits - 12;
     rate_hz = dac_rate_hz;
-    lag_samples = samples_in(LEAST_LAG_MS * 1000);
-    fade_samples = fade_left = (int32_t)samples_in(FADE_MS * 1000) + 1;
-    for (channel = 0; channel < CHANNELS; channel++)
-        level[channel] = faded_from[channel] = -REST;
+    lag_samples = least_lag_samples = samples_in(LEAST_LAG_MS * 1000);
+    fade_samples = (int32_t)samples_in(FADE_MS * 1000) + 1;
     VC_RCC_AHB1ENR |= VC_RCC_GPIOA;
     VC_RCC_APB1ENR |= VC_RCC_DAC | VC_RCC_TIM6;
     (void)VC_RCC_APB1ENR;                 /* as in uart.c */
     VC_GPIO_MODER(VC_GPIOA) |= 0xFu << 8; /* PA4 and PA5: analogue */
-    VC_DAC_DHR12RD = 0;
+    write_levels();                       /* before the outputs are on: dividers hold rest until then */
     VC_DAC_CR = VC_DAC_EN1 | VC_DAC_EN2;
     VC_TIM6_ARR = VC_APB1_TIMERS_HZ / dac_rate_hz - 1;
     VC_TIM6_DIER = 1;
     VC_TIM6_CR1 = 1;
     vc_enable_interrupt(VC_TIM6_LINE, 0);
-    turn_us = vc_port_now_us();
-    while (vc_port_now_us() - turn_us < (FADE_MS + 2) * 1000)
-        vc_wait_for_interrupt();
-}
-
-void vc_dac_output_turn(void)
-{
-    turn_us = vc_port_now_us();
-}
-
-static inline void write_levels(void)
-{
-    VC_DAC_DHR12RD = (uint32_t)(level[0] + REST) | (uint32_t)(level[1] + REST) << 16;
 }
 
 VC_IN_RAM void TIM6_DAC_IRQHandler(void)
@@ -85,10 +77,17 @@ VC_IN_RAM void TIM6_DAC_IRQHandler(void)
         fade_left = fade_samples;
         broken = stopping;
     }
+    if (stopping && away && !missing) {
+        missing = 1;
+        counts.gaps++;
+    }
+    counts.late_samples += missing && !taking;
     if (taking) {
         for (channel = 0; channel < CHANNELS; channel++)
             target[channel] = ring[next & (CAPACITY - 1)][channel];
+        away = target[0] != 0 || target[1] != 0;
         taken = next + 1;
+        missing = 0;
     } else if (waiting > 0) {
         waiting--;
     }
@@ -109,15 +108,13 @@ static void put_sample(const int16_t *codes, unsigned channels)
     put++;
 }
 
-/* The ring was empty: sets the lag, during which its samples wait. */
-static void begin_lag(void)
+/* The ring was empty: sets the lag, during which its samples wait. It grows only, until the stream is dropped. */
+static void begin_lag(uint64_t due_us)
 {
-    const uint32_t kept = samples_in(vc_port_now_us() - turn_us);
-    if (kept > 0) /* otherwise nothing was decoded now, as after a pause */
-        lag_samples = samples_in(LEAST_LAG_MS * 1000) + 2 * kept;
-    if (lag_samples > CAPACITY - 2 * SPARE)
-        lag_samples = CAPACITY - 2 * SPARE;
-    waiting = lag_samples;
+    const uint32_t late = samples_in(vc_port_now_us() - due_us), needed = least_lag_samples + 2 * late;
+    if (lag_samples < needed)
+        lag_samples = needed < CAPACITY - 2 * SPARE ? needed : CAPACITY - 2 * SPARE;
+    waiting = late < lag_samples ? lag_samples - late : 0;
 }
 
 /* Lets no sample wait longer than the lag; part of it has passed already if many samples come at once. If something
@@ -136,16 +133,43 @@ static void keep_lag(void)
     __asm volatile("cpsie i" ::: "memory");
 }
 
-void vc_port_play(void *context, const int16_t *codes, uint32_t samples, unsigned channels)
+static void play(void *context, const int16_t *codes, uint32_t samples, unsigned channels, uint64_t due_us)
 {
     uint32_t sample;
     (void)context;
     if (put == taken)
-        begin_lag();
+        begin_lag(due_us);
     for (sample = 0; sample < samples; sample++)
         put_sample(codes + sample * channels, channels);
     keep_lag();
 }
+
+/* The output goes to rest from the next interrupt on. */
+static void drop(void *context)
+{
+    unsigned channel;
+    (void)context;
+    __asm volatile("cpsid i" ::: "memory");
+    taken = put;
+    waiting = 0;
+    lag_samples = least_lag_samples;
+    missing = playing = 0;
+    broken = 1;
+    for (channel = 0; channel < CHANNELS; channel++)
+        faded_from[channel] = level[channel];
+    fade_left = fade_samples;
+    __asm volatile("cpsie i" ::: "memory");
+}
+
+static void count(void *context, vc_output_counts *filled)
+{
+    (void)context;
+    __asm volatile("cpsid i" ::: "memory");
+    *filled = counts;
+    __asm volatile("cpsie i" ::: "memory");
+}
+
+const vc_dac_port vc_board_dac = {play, drop, count, NULL};
 
 void vc_dac_output_rest(void)
 {

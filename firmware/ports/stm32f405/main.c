@@ -7,6 +7,8 @@
 #include "systick.h"
 
 #define ACTUATOR vc_piezo_stack_12_bits
+/* Of the processor's time, decoding may take 7 parts in 10; the rest is for messages and the output. */
+#define DECODING_KILOCYCLES_PER_S (VC_PROCESSOR_HZ / 1000 / 10 * 7)
 
 /* In RAM, because flash cannot be read while it is being erased; aligned as VTOR requires for 98 entries. */
 static struct {
@@ -24,8 +26,10 @@ int main(void)
     static const vc_controller_settings settings = {.build = VC_BUILD,
                                                     .hardware = VC_HARDWARE,
                                                     .actuator = &ACTUATOR,
+                                                    .public_key = (const uint8_t *)VC_PUBLIC_KEY,
                                                     .watchdog_ms = 2000,
-                                                    .profile = (vc_profile *)profile};
+                                                    .profile = (vc_profile *)profile,
+                                                    .decoding_kilocycles_per_s = DECODING_KILOCYCLES_PER_S};
     unsigned line;
     vc_watchdog_start();
     vc_clocks_start();
@@ -38,10 +42,9 @@ int main(void)
     vc_systick_start(VC_PROCESSOR_HZ / 1000000);
     vc_dac_output_start(ACTUATOR.dac_rate_hz, ACTUATOR.dac_bits);
     vc_uart_start();
-    vc_loop_start(&settings, &vc_board_flash);
+    vc_loop_start(&settings, &vc_board_flash, &vc_board_dac);
     for (;;) {
         vc_watchdog_feed();
-        vc_dac_output_turn();
         if (!vc_loop_turn())
             vc_wait_for_interrupt();
     }
