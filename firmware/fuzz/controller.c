@@ -1,4 +1,5 @@
-/* Target: a whole controller, which must answer and bring its output to rest after any input. */
+/* Target: a whole controller. After any input it must bring its output to rest without a host, and answer one; its
+ * codes stay within the limits on voltage, slew and power. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -12,6 +13,9 @@ enum { WIRE, PAYLOAD, TIME, KINDS };
 
 #define STEP_US 5000u
 #define MAX_TIME_US 5000000u
+#define WATCHDOG_MS 1000u
+#define REST_US 50000u /* from a Stop, or the end of the watchdog's time, to rest: the ramp, and some steps */
+#define MAX_DAC_RATE_HZ 8000u
 /* Sequence numbers that requests of the corpus do not have; of two Hellos, one is no copy of an earlier one. */
 #define FIRST_HELLO 0x7001
 #define SECOND_HELLO 0x7002
@@ -23,6 +27,9 @@ typedef struct {
     vc_controller *controller;
     uint64_t now_us;
     int16_t codes[VC_MAX_CHANNELS]; /* the last ones */
+    /* The squared codes of the last second by their time, and their sums; `sample`: the number of the next one. */
+    uint32_t squares[VC_MAX_CHANNELS][MAX_DAC_RATE_HZ];
+    uint64_t energy[VC_MAX_CHANNELS], sample;
     vc_frame_reader *host;
     unsigned stops_answered;
 } bench;
@@ -45,20 +52,44 @@ static int program(void *context, uint32_t offset, const uint8_t *data, uint32_t
     return 0;
 }
 
-static void take_codes(void *context, const int16_t *codes, uint32_t samples, unsigned channels)
+/* Puts a squared code in the place of that of a second before. */
+static void take_square(bench *test, unsigned channel, uint64_t sample, uint32_t square)
+{
+    uint32_t *place = &test->squares[channel][sample % test->actuator->dac_rate_hz];
+    test->energy[channel] += square - (uint64_t)*place;
+    *place = square;
+}
+
+/* Times at which no codes came are at rest. */
+static void rest_until(bench *test, uint64_t sample)
+{
+    unsigned channel;
+    for (; test->sample < sample; test->sample++)
+        for (channel = 0; channel < VC_MAX_CHANNELS; channel++)
+            take_square(test, channel, test->sample, 0);
+}
+
+static void take_codes(void *context, const int16_t *codes, uint32_t samples, unsigned channels, uint64_t due_us)
 {
     bench *test = context;
     const vc_actuator *actuator = test->actuator;
+    const uint64_t most =
+        ((uint64_t)actuator->power_limit * actuator->dac_rate_hz) >> (30 - 2 * (actuator->dac_bits - 1));
     uint32_t i;
     unsigned channel;
+    vc_fuzz_check(due_us <= test->now_us, "codes ahead of their time");
     vc_fuzz_check(channels >= 1 && channels <= VC_CHANNELS, "codes of no channel");
+    rest_until(test, due_us * actuator->dac_rate_hz / 1000000);
     for (i = 0; i < samples; i++)
         for (channel = 0; channel < channels; channel++) {
             int32_t code = codes[i * channels + channel], step = code - test->codes[channel];
             vc_fuzz_check(code <= actuator->code_limit && code >= -actuator->code_limit - 1, "a code beyond its limit");
             vc_fuzz_check(step <= actuator->code_step_limit && step >= -actuator->code_step_limit, "a step too large");
             test->codes[channel] = (int16_t)code;
+            take_square(test, channel, test->sample + i, (uint32_t)(code * code));
+            vc_fuzz_check(test->energy[channel] <= most, "a second of too much power");
         }
+    test->sample += samples;
 }
 
 /* Takes the bytes that the controller sends, as a host does. */
@@ -81,13 +112,21 @@ static void receive(bench *test)
     vc_fuzz_check(vc_frame_reader_bad_frames(test->host) == 0, "a bad frame of the controller");
 }
 
+/* Lets the controller take turns until no work is left. */
+static void catch_up(bench *test)
+{
+    while (vc_controller_advance(test->controller, test->now_us)) {
+    }
+}
+
 static void send(bench *test, const uint8_t *payload, size_t length)
 {
     uint8_t frame[VC_FRAME_BYTES + 1] = {0}; /* a zero before it ends earlier bytes */
     vc_frame_writer writer;
     vc_frame_begin(&writer, frame + 1, VC_FRAME_BYTES);
     vc_frame_write(&writer, payload, length);
-    vc_controller_receive(test->controller, frame, 1 + vc_frame_end(&writer), test->now_us);
+    if (vc_controller_receive(test->controller, frame, 1 + vc_frame_end(&writer), test->now_us))
+        catch_up(test);
     receive(test);
 }
 
@@ -103,7 +142,7 @@ static void pass_time(bench *test, uint64_t duration_us)
     uint64_t end_us = test->now_us + duration_us;
     while (test->now_us < end_us) {
         test->now_us += STEP_US;
-        vc_controller_advance(test->controller, test->now_us);
+        catch_up(test);
         receive(test);
     }
 }
@@ -111,7 +150,8 @@ static void pass_time(bench *test, uint64_t duration_us)
 static void take_record(bench *test, const uint8_t *record, size_t length)
 {
     if (record[0] % KINDS == WIRE) {
-        vc_controller_receive(test->controller, record + 1, length - 1, test->now_us);
+        if (vc_controller_receive(test->controller, record + 1, length - 1, test->now_us))
+            catch_up(test);
         receive(test);
     } else if (record[0] % KINDS == PAYLOAD && length > 1) {
         send(test, record + 1, length - 1);
@@ -120,18 +160,23 @@ static void take_record(bench *test, const uint8_t *record, size_t length)
     }
 }
 
+static void check_rest(const bench *test)
+{
+    unsigned channel;
+    for (channel = 0; channel < VC_MAX_CHANNELS; channel++)
+        vc_fuzz_check(test->codes[channel] == 0, "an output that stays away from rest");
+}
+
 static void check_alive(bench *test)
 {
     static const uint8_t version[2] = {VC_PROTOCOL_MAJOR, VC_PROTOCOL_MINOR};
-    unsigned channel;
     send_request(test, VC_HELLO, FIRST_HELLO, version, sizeof version);
     send_request(test, VC_HELLO, SECOND_HELLO, version, sizeof version);
     test->stops_answered = 0;
     send_request(test, VC_STOP, LAST_STOP, version, 0);
     vc_fuzz_check(test->stops_answered == 1, "a Stop that is not answered once");
-    pass_time(test, 50000);
-    for (channel = 0; channel < VC_CHANNELS; channel++)
-        vc_fuzz_check(test->codes[channel] == 0, "an output that stays away from rest");
+    pass_time(test, REST_US);
+    check_rest(test);
 }
 
 void vc_fuzz_controller(const uint8_t *data, size_t length)
@@ -140,7 +185,9 @@ void vc_fuzz_controller(const uint8_t *data, size_t length)
     vc_flash flash = {
         test->flash, {0, RECORD_BYTES}, RECORD_BYTES, {2 * RECORD_BYTES, 2 * RECORD_BYTES + SLOT_BYTES}, SLOT_BYTES,
         erase,       program,           test};
-    vc_controller_settings settings = {.build = "fuzzed", .hardware = "board", .watchdog_ms = 1000};
+    const vc_dac_port dac = {.play = take_codes, .context = test};
+    vc_controller_settings settings = {.build = "fuzzed", .hardware = "board", .watchdog_ms = WATCHDOG_MS};
+    const int without_host = length / 2 % 2;
     uint8_t *record;
     size_t record_length;
     memset(test->flash, 0xFF, FLASH_BYTES);
@@ -150,11 +197,15 @@ void vc_fuzz_controller(const uint8_t *data, size_t length)
     settings.actuator = test->actuator;
     settings.profile = malloc(vc_controller_profile_size());
     vc_frame_reader_init(test->host);
-    vc_controller_init(test->controller, &settings, &flash, take_codes, test, test->now_us);
+    vc_controller_init(test->controller, &settings, &flash, &dac, test->now_us);
     while (vc_fuzz_record(&data, &length, &record, &record_length)) {
         if (record_length > 0)
             take_record(test, record, record_length);
         free(record);
+    }
+    if (without_host) {
+        pass_time(test, 1000 * WATCHDOG_MS + REST_US);
+        check_rest(test);
     }
     check_alive(test);
     free(test->controller);

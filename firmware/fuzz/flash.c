@@ -6,7 +6,8 @@
 #include "image_store.h"
 #include "targets.h"
 
-enum { PIECE_BYTES = 256, SLOT_BYTES = 2048, FLASH_BYTES = 2 * PIECE_BYTES + 2 * SLOT_BYTES, RECORD_BYTES = 84 };
+enum { PIECE_BYTES = 256, SLOT_BYTES = 2048, FLASH_BYTES = 2 * PIECE_BYTES + 2 * SLOT_BYTES };
+enum { ENTRY_BYTES = VC_SLOT_ENTRY_BYTES - 4 /* a CRC-32 */ };
 enum { BEGIN, WRITE, VERIFY, ACTIVATE, CONFIRM, RESTART, REQUESTS };
 
 typedef struct {
@@ -53,7 +54,7 @@ static void boot(vc_image_store *store, const vc_flash *flash)
     vc_image_description description;
     const vc_model_image *image;
     unsigned number;
-    vc_image_store_boot(store, flash, "board", check, NULL);
+    vc_image_store_boot(store);
     image = vc_image_store_running(store);
     vc_fuzz_check((image != NULL) == (vc_image_store_running_sha256(store) != NULL), "an image without its hash");
     if (image != NULL)
@@ -81,7 +82,7 @@ static void dispatch(vc_image_store *store, const vc_flash *flash, const uint8_t
     switch (request) {
     case BEGIN:
         /* The rest is the image itself. */
-        vc_sha256(rest.bytes, rest.length, sha256);
+        vc_sha256(rest.bytes, vc_model_image_unsigned_bytes(rest.bytes, rest.length), sha256);
         begin.size_bytes = (uint32_t)rest.length;
         begin.sha256 = sha256;
         code = vc_image_store_begin(store, &begin, &report, &rejection);
@@ -117,8 +118,8 @@ void vc_fuzz_flash(const uint8_t *data, size_t length)
         erase,         program,          memory};
     static const struct {
         uint32_t offset, room;
-    } parts[] = {{0, RECORD_BYTES},
-                 {PIECE_BYTES, RECORD_BYTES},
+    } parts[] = {{0, ENTRY_BYTES},
+                 {PIECE_BYTES, ENTRY_BYTES},
                  {2 * PIECE_BYTES, SLOT_BYTES},
                  {2 * PIECE_BYTES + SLOT_BYTES, SLOT_BYTES}};
     vc_image_store *store = malloc(sizeof *store);
@@ -135,8 +136,9 @@ void vc_fuzz_flash(const uint8_t *data, size_t length)
         free(record);
     }
     for (part = 0; part < 2; part++)
-        vc_number_bytes(memory->bytes + parts[part].offset + RECORD_BYTES,
-                        vc_crc32(memory->bytes + parts[part].offset, RECORD_BYTES, 0), 4);
+        vc_number_bytes(memory->bytes + parts[part].offset + ENTRY_BYTES,
+                        vc_crc32(memory->bytes + parts[part].offset, ENTRY_BYTES, 0), 4);
+    vc_image_store_init(store, &flash, "board", NULL, check, NULL);
     boot(store, &flash);
     while (vc_fuzz_record(&data, &length, &record, &record_length)) {
         if (record_length > 0)

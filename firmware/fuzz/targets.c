@@ -3,13 +3,16 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "engine.h"
 #include "targets.h"
 
 static const struct {
     const char *name;
     vc_fuzz_target run;
-} targets[] = {{"frames", vc_fuzz_frames},   {"messages", vc_fuzz_messages}, {"images", vc_fuzz_images},
-               {"streams", vc_fuzz_streams}, {"flash", vc_fuzz_flash},       {"controller", vc_fuzz_controller}};
+} targets[] = {
+#define ROW(name) {#name, vc_fuzz_##name},
+    VC_CODECS(ROW) ROW(frames) ROW(messages) ROW(headers) ROW(images) ROW(output) ROW(profile) ROW(flash)
+        ROW(controller)};
 
 static vc_fuzz_target chosen;
 

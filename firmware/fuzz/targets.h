@@ -1,7 +1,7 @@
-/* The fuzz targets: each takes any bytes, and stops the program on a fault.
+/* The fuzz targets: each takes any bytes, and stops the program on a fault. FUZZ_TARGET in the environment names it.
  *
- * They run in two programs: libFuzzer's, which looks for new inputs (`make fuzz`), and replay.c, which runs those of
- * the corpus and changed copies of them. These programs may use an operating system.
+ * They run in two programs: that of libFuzzer (`make fuzz`), and that of engine.c, which any Clang compiles, and where
+ * it finds less, any compiler. These programs may use an operating system.
  */
 #ifndef VIBROCAST_FUZZ_TARGETS_H
 #define VIBROCAST_FUZZ_TARGETS_H
@@ -9,16 +9,27 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "codec.h"
+
 typedef void (*vc_fuzz_target)(const uint8_t *data, size_t length);
 
 /* The bytes of a link, which a reader of frames gets in pieces. */
 void vc_fuzz_frames(const uint8_t *data, size_t length);
 /* The payload of a frame: the message, the stream header in it, the heads of its packets. */
 void vc_fuzz_messages(const uint8_t *data, size_t length);
+/* A stream header, and the head of a packet. */
+void vc_fuzz_headers(const uint8_t *data, size_t length);
 /* A model image, as it is and with its CRC-32 put right. */
 void vc_fuzz_images(const uint8_t *data, size_t length);
-/* Records: the tables of a model (none: the built-in ones), a stream header, then packets; an empty one is lost. */
-void vc_fuzz_streams(const uint8_t *data, size_t length);
+/* A stream of the codec of this name, in records: the number of channels and the configuration, the model, then
+ * packets; an empty one is lost. The model is that of `eva`; three records of `mdct` and `lapped`, changes of the
+ * built-in tables, the network, the windows; and none of other codecs. */
+#define VC_FUZZ_DECLARED(name) void vc_fuzz_##name(const uint8_t *data, size_t length);
+VC_CODECS(VC_FUZZ_DECLARED)
+/* A stream's way to the DAC: a record of its setting, then records of events; see output.c. */
+void vc_fuzz_output(const uint8_t *data, size_t length);
+/* A height profile under a hand: a record of its setting, one of its samples, then events; see profile.c. */
+void vc_fuzz_profile(const uint8_t *data, size_t length);
 /* Records: the two copies of the record, without their CRC-32, and the two slots of a flash, then requests. */
 void vc_fuzz_flash(const uint8_t *data, size_t length);
 /* Records for a whole controller; a record's first byte is its kind. 0: bytes of the link. 1: a payload that becomes a
@@ -32,9 +43,5 @@ int vc_fuzz_record(const uint8_t **data, size_t *length, uint8_t **record, size_
 
 /* Stops the program unless `holds`. */
 void vc_fuzz_check(int holds, const char *what);
-
-/* libFuzzer's interface; the environment variable FUZZ_TARGET names the target. */
-int LLVMFuzzerInitialize(int *argument_count, char ***arguments);
-int LLVMFuzzerTestOneInput(const uint8_t *data, size_t length);
 
 #endif

@@ -1,4 +1,4 @@
-/* Targets: frames, messages, model images. */
+/* Targets: frames, messages, stream headers, model images. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -31,30 +31,55 @@ static void check_rejection(int code, const vc_rejection *rejection)
     vc_fuzz_check(vc_frame_end(&writer) > 0, "an error that fits no frame");
 }
 
-static void read_configure(const vc_configure *configure)
+/* Reads a header, and checks a coding of the codec that it names. */
+static void read_header(const uint8_t *data, size_t length)
 {
     vc_stream_header header;
+    vc_coding coding;
     vc_rejection rejection;
-    int code = vc_stream_header_read(&header, configure->header.bytes, configure->header.length, &rejection);
+    int code = vc_stream_header_read(&header, data, length, &rejection);
     if (code != 0) {
         check_rejection(code, &rejection);
         return;
     }
     vc_fuzz_check(header.output.channels >= 1 && header.output.channels <= VC_STREAM_MAX_CHANNELS &&
                       header.output.rate_hz >= 1 && header.output.rate_hz <= VC_STREAM_MAX_RATE_HZ &&
-                      header.output.unit <= 2 && header.codec >= 1 && header.codec <= 15,
+                      header.output.unit <= VC_UNIT_PROFILE && header.codec >= 1 && header.codec <= 15,
                   "a stream header out of range");
+    memset(&coding, 0, sizeof coding);
+    coding.codec = header.codec;
+    coding.channels = header.output.channels;
+    coding.configuration = header.configuration;
+    coding.configuration_length = header.configuration_length;
+    code = vc_coding_check(&coding, NULL, &rejection);
+    if (code != 0)
+        check_rejection(code, &rejection);
+    else
+        vc_fuzz_check(coding.packet_samples > 0, "packets without samples");
+}
+
+static void read_packet_head(vc_piece packet)
+{
+    uint32_t sequence;
+    int refresh;
+    if (vc_packet_sequence(packet.bytes, packet.length, &sequence, &refresh) == 0)
+        vc_fuzz_check(packet.length > 0 && (refresh == 0 || refresh == 1), "a packet without a head");
 }
 
 static void read_packets(const vc_stream_data *data)
 {
     vc_piece packets = data->packets, packet;
-    uint32_t sequence;
-    int refresh;
     while (vc_next_item(&packets, &packet)) {
         touch(packet);
-        (void)vc_packet_sequence(packet.bytes, packet.length, &sequence, &refresh);
+        read_packet_head(packet);
     }
+}
+
+void vc_fuzz_headers(const uint8_t *data, size_t length)
+{
+    const vc_piece packet = {data, length};
+    read_header(data, length);
+    read_packet_head(packet);
 }
 
 void vc_fuzz_messages(const uint8_t *data, size_t length)
@@ -68,7 +93,7 @@ void vc_fuzz_messages(const uint8_t *data, size_t length)
     if (code != 0)
         check_rejection(code, &rejection);
     else if (message.type == VC_CONFIGURE)
-        read_configure(&message.body.configure);
+        read_header(message.body.configure.header.bytes, message.body.configure.header.length);
     else if (message.type == VC_STREAM_DATA)
         read_packets(&message.body.stream_data);
     else if (message.type == VC_FLASH_DATA)

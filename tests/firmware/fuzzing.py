@@ -1,21 +1,30 @@
-"""Fuzzes the firmware: builds the targets of firmware/fuzz, replays the corpus, or looks for new inputs with libFuzzer.
+"""Fuzzes the firmware: builds the targets of firmware/fuzz, and looks for inputs that they do not take.
 
-`python -m tests.firmware.fuzzing` does the latter (`make fuzz`); what it finds stays in firmware/build/fuzz.
+`python -m tests.firmware.fuzzing` does so with libFuzzer (`make fuzz`); what it finds stays in firmware/build/fuzz.
 """
 
 import os
+import re
 import subprocess
-import sys
 import zipfile
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
 FIRMWARE = Path(__file__).parents[2] / "firmware"
-CORPUS = FIRMWARE / "fuzz" / "corpus.zip"
-TARGETS = ("frames", "messages", "images", "streams", "flash", "controller")
+FUZZ = FIRMWARE / "fuzz"
+CORPUS = FUZZ / "corpus.zip"
+CODECS = ("mdct", "dct", "slp", "eva", "lapped", "parametric")
+TARGETS = (*CODECS, "frames", "messages", "headers", "images", "output", "profile", "flash", "controller")
+ENGINE = FUZZ / "engine.c"
+FLAGS = ["-std=c99", "-g", "-O1", "-Wall", "-Wextra", "-Werror", "-fno-sanitize-recover=all", f"-I{FUZZ}"]
+COUNTING = "-fsanitize-coverage=inline-8bit-counters"
+"""The option of Clang by which the engine sees which code an input reaches."""
 
-_FOLDERS = [FIRMWARE / "core", FIRMWARE / "controller", FIRMWARE / "fuzz"]
+_FOLDERS = [*(FIRMWARE / name for name in ("core", "monocypher", "controller")), FUZZ]
 # A small controller, which is quick to reset for each input.
 _SIZES = {
     "VC_CHANNELS": 2,
@@ -24,17 +33,33 @@ _SIZES = {
     "VC_BUFFER_PACKETS": 32,
     "VC_CAPTURE_SAMPLES": 1000,
 }
-_FLAGS = ["-std=c99", "-g", "-O1", "-Wall", "-Wextra", "-Werror", "-fno-sanitize-recover=all"]
+# One input of a target takes some milliseconds; a computer may be busy.
+_INPUT_SECONDS = 10
+_MARGIN_SECONDS = 240
 
 
-def build(compiler: list[str], sanitisers: str, program: Path) -> subprocess.CompletedProcess[str]:
-    """Compile libFuzzer's program, where `sanitisers` have "fuzzer" among them, or else the one that replays."""
+class FaultError(Exception):
+    """A target that stopped, with its output."""
+
+
+@dataclass(frozen=True)
+class Counts:
+    """The inputs that a target took, the seconds that they took, and the edges of the program that they reached."""
+
+    target: str
+    inputs: int
+    seconds: int
+    edges: int
+
+
+def build(compiler: list[str], sanitisers: str, program: Path, *options: str) -> subprocess.CompletedProcess[str]:
+    """Compile libFuzzer's program, where `sanitisers` have "fuzzer" among them, or else that of the engine."""
     sources = [path for folder in _FOLDERS for path in sorted(folder.glob("*.c"))]
     if "fuzzer" in sanitisers:
-        sources.remove(FIRMWARE / "fuzz" / "replay.c")
+        sources.remove(ENGINE)
     sizes = [f"-D{name}={value}" for name, value in _SIZES.items()]
     includes = [f"-I{folder}" for folder in _FOLDERS]
-    command = [*compiler, *_FLAGS, f"-fsanitize={sanitisers}", *sizes, *includes, *map(str, sources)]
+    command = [*compiler, *FLAGS, f"-fsanitize={sanitisers}", *options, *sizes, *includes, *map(str, sources)]
     return subprocess.run([*command, "-o", str(program)], capture_output=True, text=True)
 
 
@@ -45,15 +70,57 @@ def corpus(target: str) -> dict[str, bytes]:
         return {name.removeprefix(f"{target}/"): archive.read(name) for name in names}
 
 
-def replay(program: Path, target: str, inputs: list[bytes], copies: int) -> subprocess.CompletedProcess[bytes]:
-    """Run a target over inputs and over changed copies of each."""
+def run_engine(program: Path, target: str, inputs: list[bytes], seconds: int, seed: int, found: Path) -> Counts:
+    """Run a target over inputs, and for some seconds over changed ones. Raises FaultError, and writes `found` then."""
     piped = b"".join(len(data).to_bytes(4, "little") + data for data in inputs)
+    command = [str(program), str(seconds), str(seed), str(found)]
+    environment = os.environ | {"FUZZ_TARGET": target, "ASAN_OPTIONS": "abort_on_error=1"}
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment
+    ) as engine:
+        try:
+            output, errors = engine.communicate(piped, timeout=seconds + _MARGIN_SECONDS)
+        except subprocess.TimeoutExpired:
+            engine.terminate()  # it writes the input that it is at
+            output, errors = engine.communicate()
+    if engine.returncode != 0:
+        raise FaultError(f"{target}, seed {seed}: exit {engine.returncode}, {found}\n{errors.decode(errors='replace')}")
+    ran, edges = map(int, re.findall(r"\d+", output.decode()))
+    return Counts(target, ran, seconds, edges)
+
+
+def run_libfuzzer(program: Path, target: str, seconds: int, folder: Path) -> Counts:
+    """Look for inputs with libFuzzer for some seconds, and keep those that reach new code. Raises FaultError."""
+    kept = folder / target
+    kept.mkdir(exist_ok=True)
+    for name, data in corpus(target).items():
+        (kept / name).write_bytes(data)
+    limits = [f"-max_total_time={seconds}", f"-timeout={_INPUT_SECONDS}", "-rss_limit_mb=4096"]
+    command = [str(program), *limits, f"-artifact_prefix={kept}-", "-print_final_stats=1", str(kept)]
     environment = os.environ | {"FUZZ_TARGET": target}
-    return subprocess.run([str(program), str(copies)], input=piped, capture_output=True, env=environment, timeout=300)
+    done = subprocess.run(command, capture_output=True, text=True, errors="replace", env=environment)
+    if done.returncode != 0:
+        raise FaultError(f"{target}: the input is beside {kept}\n{done.stderr[-4000:]}")
+    return libfuzzer_counts(target, done.stderr)
+
+
+def libfuzzer_counts(target: str, log: str) -> Counts:
+    """Return the counts at the end of libFuzzer's log."""
+    (inputs, seconds), *_ = re.findall(r"^Done (\d+) runs in (\d+) second", log, re.MULTILINE)
+    edges = re.findall(r" cov: (\d+) ", log)[-1]
+    return Counts(target, int(inputs), int(seconds), int(edges))
+
+
+def in_parallel(run: Callable[[str, int], Counts], targets: tuple[str, ...], seconds: int) -> list[Counts]:
+    """Run targets, as many at a time as there are processors, each for its share of the seconds that all take."""
+    processors = min(len(targets), os.cpu_count() or 1)
+    share = max(1, seconds * processors // len(targets))
+    with ThreadPoolExecutor(processors) as pool:
+        return list(pool.map(lambda target: run(target, share), targets))
 
 
 @click.command()
-@click.option("--seconds", default=60, show_default=True, help="Time for each target.")
+@click.option("--seconds", default=3600, show_default=True, help="Time for all targets together.")
 @click.argument("names", metavar="[TARGET]...", nargs=-1, type=click.Choice(TARGETS))
 def main(seconds: int, names: tuple[str, ...]) -> None:
     """Look for inputs that a target of the firmware does not take, all targets if none is named. Needs clang."""
@@ -66,20 +133,14 @@ def main(seconds: int, names: tuple[str, ...]) -> None:
         raise click.ClickException("libFuzzer comes with clang: install clang and its runtime libraries") from error
     if built.returncode != 0:
         raise click.ClickException(built.stderr)
-    for target in names or TARGETS:
-        found = folder / target
-        found.mkdir(exist_ok=True)
-        for name, data in corpus(target).items():
-            (found / name).write_bytes(data)
-        click.echo(f"{target}: {seconds} s")
-        command = [str(program), f"-max_total_time={seconds}", "-timeout=10", f"-artifact_prefix={found}-", str(found)]
-        done = subprocess.run(
-            [*command, "-verbosity=0", "-print_final_stats=1"], env=os.environ | {"FUZZ_TARGET": target}
+    try:
+        found = in_parallel(
+            lambda target, share: run_libfuzzer(program, target, share, folder), names or TARGETS, seconds
         )
-        if done.returncode != 0:
-            sys.exit(
-                f"{target} failed: the input is beside {found}; mend it and add it to tests/firmware/make_corpus.py"
-            )
+    except FaultError as error:
+        raise click.ClickException(f"{error}\nmend it, and add the input to tests/firmware/make_corpus.py") from error
+    for counts in found:
+        click.echo(f"{counts.target}: {counts.inputs} inputs in {counts.seconds} s, {counts.edges} edges")
 
 
 if __name__ == "__main__":

@@ -3,17 +3,19 @@
 import itertools
 import zipfile
 import zlib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 
-from tests.codec.eva_models import random_image
+from tests.codec.eva_models import random_image, with_extreme_weights
 from tests.codec.signals import RATE_HZ, texture
-from tests.firmware.fuzzing import CORPUS, TARGETS
-from vibrocast import codec
-from vibrocast.codec import Choice, Framing, Setting, SignalFormat, eva, mdct
+from tests.firmware.fuzzing import CODECS, CORPUS, TARGETS
+from vibrocast import codec, models
+from vibrocast.codec import Choice, Framing, Model, Setting, SignalFormat, eva, lapped, mdct
 from vibrocast.codec.eva_image import PRIOR_KINDS
 from vibrocast.device_protocol import messages
-from vibrocast.device_protocol.coded_stream import StreamHeader
+from vibrocast.device_protocol.coded_stream import PROFILE_UNIT, STREAM_UNITS, StreamHeader, unpack_file
 from vibrocast.device_protocol.encoding import pack_varint
 from vibrocast.device_protocol.frames import write_frame
 from vibrocast.device_protocol.messages import (
@@ -30,6 +32,7 @@ from vibrocast.device_protocol.messages import (
     Loop,
     Message,
     Pause,
+    Position,
     Resume,
     SlotState,
     Start,
@@ -38,8 +41,9 @@ from vibrocast.device_protocol.messages import (
     StreamData,
     Tap,
 )
-from vibrocast.device_protocol.model_image import ModelImage, sha256
+from vibrocast.device_protocol.model_image import ModelImage, sha256, with_signature
 
+GOLDEN = Path(__file__).parents[1] / "codec"
 HEADER = StreamHeader(
     1, RATE_HZ, 700, "m/s^2", (2.5, 1.0), mdct.configuration(16, 4, [700, 700], 3), b"\x01\x02\x03\x04"
 )
@@ -55,7 +59,7 @@ SETTINGS: tuple[tuple[str, Setting], ...] = (
 
 
 def record(data: bytes) -> bytes:
-    """Return a record of the targets streams, flash and controller."""
+    """Return a record of the targets whose inputs have several."""
     return len(data).to_bytes(2, "little") + data
 
 
@@ -78,41 +82,135 @@ def host_messages() -> list[Message]:
         FlashVerify(1),
         FlashActivate(1),
         FlashConfirm(1),
+        Position(1_000_000, -5_000_000),
         StreamData(7, 0, (b"\x01abc", b"\x02defg")),
         StreamData(7, 1 << 31, (b"\x01" * 200, b"")),
     ]
 
 
-def rate_controlled(name: str, setting: Setting) -> bytes:
-    """Return a short stream whose packets differ in their quality."""
-    turn = itertools.cycle([0, 0, 16, -3, 50])
+def stream(configuration: bytes, packets: Sequence[bytes], models: Sequence[bytes] = (), channels: int = 2) -> bytes:
+    """Return an input of a codec's target; `models`: the records of its model. The third packet is lost."""
+    kept = [packet if number != 2 else b"" for number, packet in enumerate(packets)]
+    return b"".join(map(record, [bytes([channels - 1]) + configuration, *models, *kept]))
+
+
+def coded(name: str, setting: Setting, model: Model | None = None, offsets: Sequence[int] = ()) -> tuple[bytes, ...]:
+    """Return the configuration and the packets of a short stream. `offsets`: of the packets' quantisers, in turn."""
+    turn = itertools.cycle(offsets)
     signal_format = SignalFormat(RATE_HZ, "um", (1.0, 1.0), (0.2, 0.2))
     known = codec.codec_by_name(name)
-    encoder = known.make_encoder(
-        known.complete(setting), signal_format, Framing(64, 4), None, lambda trial: Choice(next(turn), 12)
-    )
-    packets = encoder.encode(texture(600, 2))
-    header = StreamHeader(known.identifier, RATE_HZ, None, "um", signal_format.gains, encoder.configuration)
-    return b"".join(map(record, [b"", header.pack(), *packets]))
+    steered = (lambda trial: Choice(next(turn), 12)) if offsets else None
+    encoder = known.make_encoder(known.complete(setting), signal_format, Framing(64, 4), model, steered)
+    return (encoder.configuration, *encoder.encode(texture(400, 2)), *encoder.finish())
 
 
-def streams() -> list[bytes]:
-    """Return a short stream of every codec, one packet of it missing, and rate-controlled ones."""
-    inputs = []
+def differing(offsets: Sequence[int]) -> Iterator[tuple[str, Setting, Sequence[int]]]:
+    """Go through SETTINGS, then through those of codecs whose packets may differ in their quality."""
     for name, setting in SETTINGS:
-        coded = codec.encode(texture(300, 2), RATE_HZ, setting, codec=name, live=True)
-        identifier = codec.codec_by_name(name).identifier
-        header = StreamHeader(identifier, RATE_HZ, 300, "um", coded.gains, coded.configuration)
-        packets = [packet if number != 2 else b"" for number, packet in enumerate(coded.packets)]
-        inputs.append(b"".join(map(record, [b"", header.pack(), *packets])))
-    inputs += [rate_controlled(name, setting) for name, setting in SETTINGS if codec.codec_by_name(name).controls_rate]
+        yield name, setting, ()
+    for name, setting in SETTINGS:
+        if codec.codec_by_name(name).controls_rate:
+            yield name, setting, offsets
+
+
+def built_in_streams() -> Iterator[tuple[str, bytes]]:
+    """Yield the target and a stream of each of SETTINGS."""
+    for name, setting, offsets in differing((0, 0, 16, -3, 50)):
+        configuration, *packets = coded(name, setting, offsets=offsets)
+        yield name, stream(configuration, packets, [b""] * 3 if name == "mdct" else [])
+
+
+def learned_streams() -> Iterator[tuple[str, bytes]]:
+    """Yield the target and a stream of codecs with a network, windows, or a whole model."""
+    tables, image = mdct.built_in_tables(), models.find("lapped-textures").tables
+    windows, network = image[: lapped.WINDOWS_BYTES], image[lapped.WINDOWS_BYTES + len(tables) :]
+    for hop in ("16", "64"):
+        configuration, *packets = coded("mdct", {"step": 0.05, "hop": hop}, Model(tables + network))
+        yield "mdct", stream(configuration, packets, [b"", network, b""])
+        configuration, *packets = coded("lapped", {"step": 0.05, "hop": hop}, Model(windows + tables + network))
+        yield "lapped", stream(configuration, packets, [b"", network, windows])
+        configuration, *packets = coded("lapped", {"step": 0.05, "hop": hop}, Model(windows + tables), (0, 20, -9))
+        yield "lapped", stream(configuration, packets, [b"\0\1\xff", b"", windows])
     generator = np.random.default_rng(1)
-    for prior, is_rate_controlled in itertools.product(PRIOR_KINDS, (False, True)):
-        configuration = eva.configuration(3, [700], is_rate_controlled)
-        header = StreamHeader(4, RATE_HZ, None, "um", (1.0,), configuration, b"hash")
+    for prior, steered in itertools.product(PRIOR_KINDS, ("", "_steered")):
+        model = ModelImage.unpack((GOLDEN / f"golden_eva_{prior}.vcmi").read_bytes()).payload
+        header, packets = unpack_file((GOLDEN / f"golden_eva_{prior}{steered}.vct").read_bytes())
+        yield "eva", stream(header.configuration, packets[:8], [model], header.channels)
         noise = [pack_varint(2 * number + (number % 4 == 0)) + generator.bytes(30) for number in range(8)]
-        model = random_image(2, 2, 3, prior).pack()
-        inputs.append(b"".join(map(record, [model, header.pack(), *noise[:2], b"", *noise[3:]])))
+        configuration = eva.configuration(3, [700], bool(steered))
+        yield "eva", stream(configuration, noise, [random_image(2, 2, 3, prior).pack()], 1)
+    for width in (2, 5):
+        extreme = with_extreme_weights(random_image(3, width, 2), width).pack()
+        yield "eva", stream(eva.configuration(3, [700, 30000]), noise, [extreme])
+
+
+def headers(streams: Sequence[tuple[str, bytes]]) -> list[bytes]:
+    """Return a stream header of each unit, and of each codec with the configurations of its streams."""
+    made = [StreamHeader(1, RATE_HZ, None, unit, (1.0,), b"").pack() for unit in STREAM_UNITS]
+    for name, data in streams:
+        length = int.from_bytes(data[:2], "little")
+        gains, image_hash = (1.0,) * (data[2] + 1), b"hash" if name == "eva" else b""
+        identifier = codec.codec_by_name(name).identifier
+        header = StreamHeader(identifier, RATE_HZ, 1000, "um", gains, data[3 : 2 + length], image_hash)
+        made.append(header.pack())
+    return sorted(set(made))
+
+
+def little(*numbers: tuple[int, int]) -> bytes:
+    """Return numbers, each with its count of bytes, little-endian; negative ones in two's complement."""
+    return b"".join((number % 256**size).to_bytes(size, "little") for number, size in numbers)
+
+
+def outputs() -> list[bytes]:
+    """Return signals on their way to DACs: those of a texture and at every limit; gains, joints, Stops, restarts."""
+    samples, wave, gain, join, ramp, restart = range(6)
+    full, unity = 0x4280, np.float32(1).view(np.uint32).item()
+    quiet = np.round(3000 * texture(300, 2)).astype("<i2").tobytes()
+    loud = bytes([wave]) + little((2000, 2), (32767, 2), (32767, 2), (-32768, 2), (-32768, 2))
+    gains = [bytes([gain]) + np.float32(factor).tobytes() for factor in (0, 0.5, 1, 100, 1e30)]
+    doings = [
+        bytes([samples]) + quiet,
+        bytes([join]),
+        bytes([samples]) + quiet,
+        gains[1],
+        loud,
+        bytes([ramp]) + little((5, 2)),
+        bytes([samples]) + quiet,
+        bytes([ramp]) + little((65535, 2)),
+        *gains,
+        loud,
+        bytes([restart]),
+        loud,
+    ]
+    inputs = []
+    for actuator, compensation, unit, rate_hz in itertools.product(range(4), (0, 128), (0, 1, 2), (800, 3000, 8000)):
+        if (actuator + unit + rate_hz // 800 + compensation) % 3 == 0:
+            setting = little((actuator + compensation, 1), (unit, 1), (1, 1), (rate_hz, 3), (full, 2), (full, 2))
+            setting += little((unity, 4), (20, 2))
+            inputs.append(b"".join(map(record, [setting, *doings])))
+    limits = ((400, 0, 0, 1, 1000), (7000, 14, 30000, 65535, 2**29), (900, 8, 99, 9, 9))
+    for rate_hz, bits, limit, step, power in limits:
+        setting = little((4, 1), (0, 1), (0, 1), (2800, 3), (full, 2), (unity, 4), (20, 2))
+        setting += little((rate_hz, 3), (bits, 1), (limit, 2), (step, 2), (power, 4), (128, 1))
+        inputs.append(b"".join(map(record, [setting, *doings])))
+    return inputs
+
+
+def profiles() -> list[bytes]:
+    """Return profiles under hands that move evenly, at random, backwards, and far too fast."""
+    render, position, begin = range(3)
+    heights = np.round(20_000 * texture(400)).astype("<i2").tobytes()
+    generator = np.random.default_rng(1)
+    inputs = []
+    for channels, dac_rate_hz, pitch in ((1, 3000, 100_000), (2, 8000, 20_000), (4, 1000, 200_000)):
+        setting = little((channels - 1, 1), (dac_rate_hz - 500, 2), (pitch, 3), (300, 2))
+        for speed_mm_s in (50, -250, 900):
+            parts = [bytes([begin])]
+            for turn in range(12):
+                place_nm = turn * 10_000 * speed_mm_s + int(generator.integers(-9, 9))
+                parts += [bytes([position]) + little((turn * 10_000, 8), (place_nm, 8)), bytes([render, 30, 0])]
+            jump = bytes([position]) + little((130_000, 8), (-(2**40), 8))
+            inputs.append(b"".join(map(record, [setting, heights, *parts, jump, bytes([render, 200, 0])])))
     return inputs
 
 
@@ -141,7 +239,7 @@ def flashes() -> list[bytes]:
         (SlotState.VERIFIED, SlotState.CONFIRMED),
         (SlotState.WRITING, SlotState.EMPTY),
     ):
-        kept = b"VCFS\x05\0\0\0" + b"".join(bytes([state, 0]) + slot for state in states)
+        kept = b"VCSR\x05\0\0\0\0\0\0\0" + b"".join(bytes([state, 0]) + slot for state in states)
         inputs.append(b"".join(map(record, [kept, b"", image, image, *requests])))
     return inputs
 
@@ -160,15 +258,21 @@ def timed(*parts: Message | bytes | int) -> bytes:
 
 
 def controllers() -> list[bytes]:
-    """Return what hosts do with a controller: play a recording, read it back, play live with losses, flash an image."""
-    coded = codec.encode(texture(1000, 2), RATE_HZ, {"step": 0.1}, live=True)
-    header = StreamHeader(1, RATE_HZ, 1000, "um", (20.0, 10.0), coded.configuration)
-    all_packets = StreamData(7, 0, coded.packets)
-    recording = Configure(7, header.pack(), 280, len(coded.packets), loops=2)
-    live = Configure(7, StreamHeader(1, RATE_HZ, None, "m/s^2", header.gains, coded.configuration).pack(), 100)
-    with_holes = StreamData(
-        7, 0, tuple(packet for number, packet in enumerate(coded.packets) if number not in (1, 3, 4))
-    )
+    """Return what hosts do with a controller: play, read back, play live with losses, flash, follow a hand."""
+    made = codec.encode(texture(1000, 2), RATE_HZ, {"step": 0.1}, live=True)
+    header = StreamHeader(1, RATE_HZ, 1000, "um", (20.0, 10.0), made.configuration)
+    all_packets = StreamData(7, 0, made.packets)
+    recording = Configure(7, header.pack(), 280, len(made.packets), loops=2)
+    live = Configure(7, StreamHeader(1, RATE_HZ, None, "m/s^2", header.gains, made.configuration).pack(), 100)
+    some = [packet for number, packet in enumerate(made.packets) if number not in (1, 3, 4)]
+    with_holes = StreamData(7, 0, tuple(some))
+    surface = codec.encode(5 * texture(700, 2), 100_000, {"step": 0.1}, live=True)
+    heights = StreamHeader(1, 100_000, 700, PROFILE_UNIT, surface.gains, surface.configuration)
+    profile = Configure(9, heights.pack(), 0, len(surface.packets))
+    hand: list[Message | int] = []
+    for turn in range(10):
+        hand += [Position(0, turn * 500_000), 10]
+    loud: list[Message | int] = [Gain(1e6), 900, Gain(0.0), 30, Gain(1.0), 900, Stop(), 20]
     image = ModelImage(4, "oak", "1.0", "", random_image(1, 2, 2).pack()).pack()
     begin = FlashBegin(1, len(image), sha256(image), "board")
     pieces = [FlashData(1, offset, image[offset : offset + 400]) for offset in range(0, len(image), 400)]
@@ -176,6 +280,8 @@ def controllers() -> list[bytes]:
     noise = StreamData(8, 0, tuple(pack_varint(2 * number + (number == 0)) + bytes(range(20)) for number in range(8)))
     learned = StreamHeader(4, RATE_HZ, 600, "full scale", (1.0,), configuration, sha256(image)[:4])
     flashing = [begin, *pieces, FlashVerify(1), FlashActivate(1), Hello(), FlashConfirm(1)]
+    limited: list[Message | bytes | int] = [Hello(), recording, all_packets, Start(), *loud]
+    limited += [recording, all_packets, Start(), 30, b"\x05noise\0" * 40, 1100]
     return [
         timed(Hello(), recording, all_packets, Start(), 200, Pause(), 20, Resume(), Gain(0.5), 100, Loop(1), 600),
         timed(
@@ -183,6 +289,8 @@ def controllers() -> list[bytes]:
         ),
         timed(Hello(), CaptureRead(Tap.DAC, 0, 1), Pause(), Loop(2), EndStream(7, 1), FlashConfirm(0), FlashVerify(2)),
         timed(Hello(), live, with_holes, Start(50_000), 100, StatusRequest(), EndStream(7, 10), 300, Stop(), 50),
+        timed(*limited),
+        timed(Hello(), profile, StreamData(9, 0, surface.packets), Start(), 40, *hand, Pause(), 40, Resume(), *hand),
         timed(
             Hello(), *flashing, Configure(8, learned.pack(), 10, 8, loops=0), noise, Start(), 300, b"\x03garbage\0", 100
         ),
@@ -195,11 +303,20 @@ def main() -> None:
     wire = [write_frame(payload) for payload in payloads]
     tagged = payloads[0] + b"\xee\x02\x00ab"
     damaged_image = bytes([*IMAGE[:-4], *zlib.crc32(IMAGE).to_bytes(4, "little")])
+    streams = [*built_in_streams(), *learned_streams()]
     inputs = {
+        **{name: [data for target, data in streams if target == name] for name in CODECS},
         "frames": [b"\0" + b"".join(wire), b"".join(frame[:-3] + b"\0" for frame in wire), b"\x02" * 700 + wire[0]],
         "messages": [*payloads, tagged, b"\x3e\x34\x12", b""],
-        "images": [IMAGE, damaged_image, ModelImage(1, "é", "", "", mdct.built_in_tables()).pack()],
-        "streams": streams(),
+        "headers": headers(streams),
+        "images": [
+            IMAGE,
+            damaged_image,
+            with_signature(IMAGE, 3, bytes(64)),
+            ModelImage(1, "é", "", "", mdct.built_in_tables()).pack(),
+        ],
+        "output": outputs(),
+        "profile": profiles(),
         "flash": flashes(),
         "controller": controllers(),
     }
