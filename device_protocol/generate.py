@@ -90,8 +90,8 @@ def _in_c(field: WireField, struct: str) -> CField:
             size = layout.SHA256_BYTES
             read = [f"{place} = vc_take_piece(&fields, {size}).bytes;"]
             return CField([f"const uint8_t *{name};"], read, [f"write_sha256(writer, {place});"], [str(size)])
-        case Fixed() | Part(name="added"):
-            wire = field.wire.name if isinstance(field.wire, Fixed) else "u32"
+        case Fixed():
+            wire = field.wire.name
             kind, bits = _TYPES[wire], "_float_bits" * (wire == "f32")
             size = _NUMBERS[kind]
             cast = "" if kind == "uint64_t" else f"({kind})"
@@ -100,7 +100,7 @@ def _in_c(field: WireField, struct: str) -> CField:
             return CField([f"{kind} {name}{bits};"], read, write, [str(size)])
         case Flag():
             read = ["flags = (unsigned)vc_take_number(&fields, 1);", f"{place} = (uint8_t)flags;"]
-            return CField([f"uint8_t {name};"], read)
+            return CField([f"uint8_t {name};"], read, [f"vc_frame_write_number(writer, {place}, 1);"], ["1"])
         case Part(name="varint"):
             return CField([f"uint32_t {name};"], [f"{place} = (uint32_t)vc_take_varint(&fields, VC_VARINT_BITS);"])
         case Part(name="counted"):
@@ -232,8 +232,6 @@ def _cells(fields: list[WireField]) -> str:
                 cells.append("flags u8")
             case Part(name="varint"):
                 cells.append(f"{field.name} varint")
-            case Part(name="added"):
-                cells.append(f"from version 1.1 on {field.name} u32")
             case Part(name="counted"):
                 cells.append(f"{field.name}'s length u8, {field.name}")
             case Rest(description=description):

@@ -17,7 +17,6 @@ MAX_VARINT_BYTES = -(-VARINT_BITS // 7)
 SHA256_BYTES = 32
 TLV_HEAD = struct.Struct("<BH")
 """Tag, then the length of the value."""
-_U32 = struct.Struct("<I")
 
 
 class LayoutError(ValueError):
@@ -108,12 +107,6 @@ def _unpack_counted(data: bytes, position: int) -> tuple[str, int]:
     return _decode(str, _take(data, position + 1, length)), position + 1 + length
 
 
-def _unpack_added(data: bytes, position: int) -> tuple[int, int]:
-    if len(data) < position + _U32.size:
-        return 0, len(data)
-    return _U32.unpack_from(data, position)[0], position + _U32.size
-
-
 def _pack_items(items: tuple[bytes, ...]) -> bytes:
     pieces: list[bytes] = []
     for item in items:
@@ -164,8 +157,6 @@ VARINT = Annotated[int, Part("varint", _pack_varint, _unpack_varint)]
 """LEB128 of at most VARINT_BITS bits."""
 COUNTED_TEXT = Annotated[str, Part("counted", _pack_counted, _unpack_counted)]
 """A text after its length in a u8."""
-ADDED_U32 = Annotated[int, Part("added", _U32.pack, _unpack_added)]
-"""The last field of a class, which version 1.1 added: 0 where it is missing."""
 
 Wire = Fixed | Flag | Part | Tag
 

@@ -6,7 +6,6 @@ from enum import IntEnum
 from typing import Annotated, ClassVar, NamedTuple, Self
 
 from vibrocast.device_protocol.layout import (
-    ADDED_U32,
     COUNTED_TEXT,
     F32,
     FACTOR,
@@ -29,8 +28,8 @@ from vibrocast.device_protocol.layout import (
     rest_text,
 )
 
-PROTOCOL_MAJOR = 1
-PROTOCOL_MINOR = 1
+PROTOCOL_MAJOR = 2
+PROTOCOL_MINOR = 0
 
 NOTIFICATION = 0
 """The sequence number of a message that answers no request."""
@@ -43,6 +42,10 @@ STREAM_DATA_HEAD_BYTES = 1 + 1 + MAX_VARINT_BYTES
 """Bytes of a StreamData before its packets, at most: type, stream, iteration."""
 PACKET_OVERHEAD_BYTES = STREAM_DATA_HEAD_BYTES + MAX_VARINT_BYTES
 """Bytes of a StreamData in addition to its only packet, at most."""
+
+
+KEY_BYTES = 32
+"""Of a key of Ed25519."""
 
 
 class Described(IntEnum):
@@ -72,7 +75,7 @@ class ErrorCode(Described):
     BEYOND_LIMITS = 9, "a rate, a size or a number of channels exceeds the controller's limits"
     NO_SUCH_SLOT = 10, "the slot does not exist"
     WRONG_HARDWARE = 11, "the image is for other hardware"
-    IMAGE_REJECTED = 12, "the image's hash, CRC or contents are wrong"
+    IMAGE_REJECTED = 12, "the image's hash, CRC, contents, signature or number are wrong"
     FLASH_FAILED = 13, "the flash memory did not take the data"
 
 
@@ -349,7 +352,9 @@ class Position(Message):
 class Limits:
     """The controller's limits. `watchdog_ms`: longest silence of the host while armed, playing or paused.
 
-    `profile_samples`: of a height profile, all channels together; 0, or absent in protocol 1.0: no profiles.
+    `profile_samples`: of a height profile, all channels together; 0: no profiles. `packet_samples`: of the longest
+    packet, per channel. `decoding_kilocycles_per_s`: what a second of a stream may take to decode, in thousands of
+    Cortex-M4 cycles; 0: any stream is decoded in time.
     """
 
     max_payload_bytes: U16
@@ -360,7 +365,9 @@ class Limits:
     min_rate_hz: U32
     max_rate_hz: U32
     watchdog_ms: U16
-    profile_samples: ADDED_U32 = 0
+    profile_samples: U32 = 0
+    packet_samples: U32 = 0
+    decoding_kilocycles_per_s: U32 = 0
 
     @property
     def sendable_packet_bytes(self) -> int:
@@ -395,18 +402,24 @@ class CodecDescription(NamedTuple):
 
 @dataclass(frozen=True)
 class ImageDescription:
-    """A slot and the model image in it; `sha256` is of the whole image."""
+    """A slot and the model image in it. `sha256`: of the image without its number and signature. `number`: of a signed
+    image, 0 = unsigned.
+    """
 
     slot: U8
     state: SlotState
     sha256: SHA256 = bytes(SHA256_BYTES)
+    number: U32 = field(default=0, kw_only=True)
     name: COUNTED_TEXT = ""
     version: Annotated[str, rest_text("version")] = ""
 
 
 @dataclass
 class HelloResponse(Message):
-    """The controller's version, limits, actuator, codecs and model images."""
+    """The controller's version, limits, actuator, codecs and model images.
+
+    `public_key`: of Ed25519; model images need its signature. Empty: they need none.
+    """
 
     TYPE = 0x80
 
@@ -418,6 +431,12 @@ class HelloResponse(Message):
     actuator: Annotated[ActuatorDescription, Tag(0x04, "actuator")]
     codecs: Annotated[tuple[CodecDescription, ...], Tag(0x05, "codec, one for each")]
     images: Annotated[tuple[ImageDescription, ...], Tag(0x06, "model image, one for each slot")] = ()
+    public_key: Annotated[bytes, Tag(0x07, "public key, 32 bytes; empty or absent: images need no signature")] = b""
+
+    def check(self) -> None:
+        """Raise LayoutError for a public key of another length."""
+        if len(self.public_key) not in (0, KEY_BYTES):
+            raise LayoutError(f"a public key has {KEY_BYTES} bytes, not {len(self.public_key)}")
 
 
 @dataclass
@@ -426,7 +445,8 @@ class Status(Message):
 
     Positions and credit count samples per channel, over all iterations. `credit_until`: the controller takes packets
     that end at or before this position. `buffered_samples`: received and not yet played. `bad_frames` counts since the
-    controller started, the fields after it since Configure.
+    controller started, the fields after it since Configure. `output_gaps`: how often the DAC had no sample while it was
+    away from rest; `late_samples`: for how many of its samples. `signed_images`: model images need a signature.
     """
 
     TYPE = 0x81
@@ -444,6 +464,9 @@ class Status(Message):
     voltage_limited: U32
     slew_limited: U32
     power_limited: U32
+    output_gaps: U32 = 0
+    late_samples: U32 = 0
+    signed_images: FLAG = False
 
 
 @dataclass
