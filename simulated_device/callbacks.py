@@ -26,6 +26,11 @@ class Callbacks:
 
         return self._ffi.callback(kind, call)
 
+    @property
+    def raised(self) -> bool:
+        """Whether a callback has raised an exception."""
+        return bool(self._raised)
+
     def pass_on(self) -> None:
         """Raise the exception of a callback, if there is one."""
         if self._raised:

@@ -27,7 +27,8 @@ class Settings:
     which leave the choice; None = as the image says. `position_sensor`: returns the position of the hand, in nm, at the
     controller's time, in us; None = the host sends it. The other numbers are the limits in the response to Hello:
     `channels` at most 16; `buffer_samples`, `capture_samples` and `profile_samples` (of a height profile, of all
-    channels together) at most these.
+    channels together) at most these. `public_key`: of Ed25519, 32 bytes; model images need its signature, None = they
+    need none.
     """
 
     actuator: Actuator = PIEZO_STACK
@@ -40,6 +41,7 @@ class Settings:
     watchdog_ms: int = 2000
     profile_samples: int = 1 << 16
     position_sensor: Callable[[int], int] | None = None
+    public_key: bytes | None = None
 
 
 class Controller:
@@ -79,19 +81,25 @@ class Controller:
         flash_port = FlashPort(ffi, flash or FlashMemory(FLASH_BYTES), self._callbacks)
         fields = self._settings_fields(ffi)
         made = ffi.new("vc_controller_settings *", fields)
-        sink = self._callbacks.make("vc_dac_sink", _sink(ffi, on_dac))
-        self._kept = flash_port, fields, made, sink
-        self._library.vc_controller_init(self._controller, made, flash_port.pointer, sink, ffi.NULL, self._time_us)
+        play = self._callbacks.make("void(void *, const int16_t *, uint32_t, unsigned, uint64_t)", _play(ffi, on_dac))
+        dac = ffi.new("vc_dac_port *", {"play": play})
+        self._kept = flash_port, fields, made, play, dac
+        self._library.vc_controller_init(self._controller, made, flash_port.pointer, dac, self._time_us)
         self._callbacks.pass_on()
 
     def receive(self, data: bytes, now_us: int) -> None:
         """Take bytes from the host."""
-        self._library.vc_controller_receive(self._controller, data, len(data), self._clock(now_us))
-        self._callbacks.pass_on()
+        behind = self._library.vc_controller_receive(self._controller, data, len(data), self._clock(now_us))
+        self._catch_up(behind)
 
     def advance(self, now_us: int) -> None:
         """Play the samples that are due, and run the watchdog."""
-        self._library.vc_controller_advance(self._controller, self._clock(now_us))
+        self._catch_up(self._library.vc_controller_advance(self._controller, self._clock(now_us)))
+
+    def _catch_up(self, behind: int) -> None:
+        """Let the controller take turns until no work is left, as its time does not pass meanwhile."""
+        while behind and not self._callbacks.raised:
+            behind = self._library.vc_controller_advance(self._controller, self._time_us)
         self._callbacks.pass_on()
 
     def transmit(self) -> bytes:
@@ -120,16 +128,18 @@ class Controller:
             "sizes": ffi.new("vc_sizes *", limits),
             "callbacks": self._decoders.pointer,
         }
+        if settings.public_key is not None:
+            fields["public_key"] = ffi.new("uint8_t[32]", settings.public_key)
         if settings.position_sensor is not None:
             read = settings.position_sensor
             fields["position"] = self._callbacks.make("vc_position_sensor", lambda context, now_us: read(now_us), 0)
         return fields
 
 
-def _sink(ffi: Any, on_dac: Callable[[Codes], None] | None) -> Callable[..., None]:
-    """Return the vc_dac_sink that passes codes to `on_dac`."""
+def _play(ffi: Any, on_dac: Callable[[Codes], None] | None) -> Callable[..., None]:
+    """Return the function of vc_dac_port that passes codes to `on_dac`."""
 
-    def hand_on(context: Any, codes: Any, samples: int, channels: int) -> None:
+    def hand_on(context: Any, codes: Any, samples: int, channels: int, due_us: int) -> None:
         if on_dac is not None:
             on_dac(np.frombuffer(ffi.buffer(codes, 2 * samples * channels), np.int16).reshape(-1, channels).copy())
 

@@ -30,19 +30,23 @@ _OUTPUT_SAMPLES = 0x8
 
 @dataclass(frozen=True)
 class _Board:
-    """An MPS2 board: its processor, and addresses as in firmware/ports/mps2/board.h."""
+    """An MPS2 board: its processor, and addresses as in firmware/ports/mps2/board.h.
+
+    `timer_mhz`: of the board's timer. `processor_mhz`: of a microcontroller with this processor.
+    """
 
     processor: int
+    processor_mhz: int
     uart: int = 0x4000_4000
     timer: int = 0x4000_2000
     output: int = 0x4002_4000
-    clock_mhz: int = 25
+    timer_mhz: int = 25
 
 
 _BOARDS = {
-    "cortex-m4": _Board(arm_const.UC_CPU_ARM_CORTEX_M4),
-    "cortex-m7": _Board(arm_const.UC_CPU_ARM_CORTEX_M7),
-    "cortex-m33": _Board(arm_const.UC_CPU_ARM_CORTEX_M33, 0x5020_0000, 0x5000_2000, 0x5030_1000, 20),
+    "cortex-m4": _Board(arm_const.UC_CPU_ARM_CORTEX_M4, 168),
+    "cortex-m7": _Board(arm_const.UC_CPU_ARM_CORTEX_M7, 480),
+    "cortex-m33": _Board(arm_const.UC_CPU_ARM_CORTEX_M33, 150, 0x5020_0000, 0x5000_2000, 0x5030_1000, 20),
 }
 CORES = tuple(_BOARDS)
 
@@ -52,9 +56,10 @@ class CortexM:
 
     `flash`: FLASH_BYTES bytes, in which images outlive this object; None = a blank one. A file behind it is not
     written. `on_dac`: called with each run of codes int16 (n, channels) as they go to the DAC. `drift_ppm`: how much
-    faster than true time the board's clock runs. `count_instructions`: as in Processor, which `processor` is.
+    faster than true time the board's clock runs.
 
-    The clock stands still while the image computes; each call runs its main loop until nothing is left to do. Raises
+    Each call runs the image's main loop until nothing is left to do. Its clock goes on meanwhile, by the cycles of a
+    processor at the rate of docs/benchmarks/firmware.md: while it is ahead of the host's, calls do nothing. Raises
     BuildError, and EmulationError if the image does something that stops a processor.
     """
 
@@ -64,27 +69,26 @@ class CortexM:
         flash: FlashMemory | None = None,
         on_dac: Callable[[Codes], None] | None = None,
         drift_ppm: int = 0,
-        count_instructions: bool = False,
     ) -> None:
         image, board = Elf(build(core)), _BOARDS[core]
         memories = {image.segments[0].address: _MEMORY_BYTES, image.sections[".stack"].address: _MEMORY_BYTES}
         model_flash = (image.sections[".model_flash"].address, flash or FlashMemory(FLASH_BYTES))
-        self.processor = Processor(image, board.processor, memories, model_flash, count_instructions)
+        self.processor = Processor(image, board.processor, memories, model_flash)
         self.processor.add_registers(board.uart, self._read_uart, self._write_uart)
         self.processor.add_registers(SYSTEM_SPACE, lambda offset: 0, lambda offset, value: None)
         self.processor.add_registers(board.timer, self._read_timer, lambda offset, value: None)
         self.processor.add_registers(board.output, lambda offset: 0, self._write_output)
         self._on_dac = on_dac
         self._drift_ppm = drift_ppm
-        self._clock_mhz = board.clock_mhz
+        self._board = board
         self._origin_us: int | None = None
-        self._board_us = 0
         self._incoming: deque[int] = deque()
         self._outgoing = bytearray()
         self._codes: list[Codes] = []
         self._output = [0, 0]
-        self._carried = True  # whether a byte has crossed the line since the image last looked at the clock
-        self._run()
+        self._ran_from = 0, 0  # the time in us, and the cycles, at which the processor was last started
+        self.processor.run()
+        self._boot_us = self._time_us()
 
     def receive(self, data: bytes, now_us: int) -> None:
         """Take bytes from the host."""
@@ -96,8 +100,15 @@ class CortexM:
         if self._origin_us is None:
             self._origin_us = now_us
         true_us = now_us - self._origin_us
-        self._board_us = max(self._board_us, true_us + true_us * self._drift_ppm // 1_000_000)
-        self._run()
+        board_us = self._boot_us + true_us + true_us * self._drift_ppm // 1_000_000
+        if board_us < self._time_us():
+            return
+        self._ran_from = board_us, self.processor.counter.cycles
+        self.processor.run()
+        codes, self._codes = self._codes, []
+        if self._on_dac is not None:
+            for run in codes:
+                self._on_dac(run)
 
     def transmit(self) -> bytes:
         """Return the bytes to send to the host, once."""
@@ -105,18 +116,12 @@ class CortexM:
         self._outgoing.clear()
         return data
 
-    def _run(self) -> None:
-        """Run the image until its loop, which reads the clock once a turn, has gone round without work."""
-        self._carried = True
-        self.processor.run()
-        codes, self._codes = self._codes, []
-        if self._on_dac is not None:
-            for run in codes:
-                self._on_dac(run)
+    def _time_us(self) -> int:
+        at_us, cycles = self._ran_from
+        return at_us + (self.processor.counter.cycles - cycles) // self._board.processor_mhz
 
     def _read_uart(self, offset: int) -> int:
         if offset == _UART_DATA:
-            self._carried = True
             return self._incoming.popleft() if self._incoming else 0
         if offset != _UART_STATE:
             return 0
@@ -125,15 +130,11 @@ class CortexM:
     def _write_uart(self, offset: int, value: int) -> None:
         if offset == _UART_DATA:
             self._outgoing.append(value & 0xFF)
-            self._carried = True
 
     def _read_timer(self, offset: int) -> int:
         if offset != _TIMER_VALUE:
             return 0
-        if not self._carried:
-            self.processor.stop()
-        self._carried = False
-        return -(self._board_us * self._clock_mhz // _TIMER_DIVIDER) & 0xFFFF_FFFF
+        return -(self._time_us() * self._board.timer_mhz // _TIMER_DIVIDER) & 0xFFFF_FFFF
 
     def _write_output(self, offset: int, value: int) -> None:
         if offset < _OUTPUT_SAMPLES:

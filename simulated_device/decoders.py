@@ -19,6 +19,7 @@ class PythonDecoders:
     def __init__(self, ffi: Any, library: Any, runtime: str | None, callbacks: Callbacks) -> None:
         self._ffi, self._library, self._runtime = ffi, library, runtime
         self._decoder: Decoder | None = None
+        self._decoded: codec.Decoded | None = None
         names = {known.identifier: known.name.encode() for known in codec.CODECS.values()}
         texts = [ffi.new("uint8_t[]", name) for name in names.values()]
         named = [(number, (text, len(names[number]))) for number, text in zip(names, texts, strict=True)]
@@ -28,8 +29,8 @@ class PythonDecoders:
             ),
             "check": callbacks.make("int(void *, vc_coding *, vc_rejection *)", self._check, -1),
             "init": callbacks.make("void(void *, const vc_coding *)", self._init),
-            "decode": callbacks.make("int(void *, const uint8_t *, size_t, int16_t *)", self._decode, 0),
-            "conceal": callbacks.make("void(void *, int16_t *)", self._conceal),
+            "feed": callbacks.make("int(void *, const uint8_t *, size_t)", self._feed, 0),
+            "poll": callbacks.make("uint32_t(void *, int16_t *)", self._poll, 0),
         }
         codecs = ffi.new("vc_codec_description[]", named)
         self._kept = (texts, functions, codecs)
@@ -61,21 +62,20 @@ class PythonDecoders:
     def _init(self, context: Any, coding: Any) -> None:
         self._decoder = self._make(coding)
 
-    def _decode(self, context: Any, packet: Any, length: int, samples: Any) -> int:
+    def _feed(self, context: Any, packet: Any, length: int) -> int:
         assert self._decoder is not None, "a stream has begun"
         try:
-            decoded = self._decoder.decode(bytes(self._ffi.buffer(packet, length)))
+            self._decoded = self._decoder.decode(bytes(self._ffi.buffer(packet, length))) if packet else None
         except CodecError:
             return 0
-        self._write(samples, decoded)
         return 1
 
-    def _conceal(self, context: Any, samples: Any) -> None:
+    def _poll(self, context: Any, samples: Any) -> int:
+        """Write the whole packet at once: these decoders cannot stop within one."""
         assert self._decoder is not None, "a stream has begun"
-        self._write(samples, self._decoder.conceal())
-
-    def _write(self, samples: Any, decoded: codec.Decoded) -> None:
+        decoded = self._decoder.conceal() if self._decoded is None else self._decoded
         np.frombuffer(self._ffi.buffer(samples, decoded.nbytes), np.int16)[:] = decoded.ravel()
+        return len(decoded)
 
     def _make(self, coding: Any) -> Decoder:
         configuration, tables = self._configuration(coding), self._tables(coding)

@@ -8,6 +8,7 @@ import unicorn
 from unicorn import arm_const
 
 from vibrocast.firmware.elf import Elf
+from vibrocast.simulated_device.cycles import NEVER, CycleCounter
 from vibrocast.simulated_device.flash import FlashMemory
 
 PAGE_BYTES = 4096
@@ -17,7 +18,10 @@ SYSTEM_SPACE = 0xE000_E000
 _PAINT = b"\xa5"
 # The processor never fetches instructions from there.
 _NOWHERE = 0xFFFF_FFFE
+_IN_CONDITION = 0x0600_FC00  # of xPSR: the conditions of the instructions behind an IT
 _FRAME_BYTES = 104
+# ARM DDI 0439, 3.9: 12 cycles of latency, and as many to return.
+_ENTRY_AND_EXIT_CYCLES = 24
 
 
 class EmulationError(Exception):
@@ -29,8 +33,7 @@ class Processor:
 
     `processor`: one of unicorn.arm_const.UC_CPU_ARM_CORTEX_M.... `memories`: address and size of each memory except
     `flash`. That is mapped, not copied, so writes of the image stay there. `on_flash_write`: called with offset, size
-    and value before each of these writes. `count_instructions`: whether `instructions` counts the executed ones, which
-    makes emulation several times slower.
+    and value before each of these writes. `counter`: what the code takes.
     """
 
     def __init__(
@@ -39,15 +42,12 @@ class Processor:
         processor: int,
         memories: dict[int, int],
         flash: tuple[int, FlashMemory],
-        count_instructions: bool = False,
         on_flash_write: Callable[[int, int, int], None] | None = None,
     ) -> None:
-        self.instructions = 0
         self._image = image
         self._flash_address, self._flash = flash  # keeps the mapped bytes alive
         self._on_flash_write = on_flash_write
         self._failure = ""
-        self._block_instructions: dict[int, int] = {}
         self.unicorn: Any = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS)
         self.unicorn.ctl_set_cpu_model(processor)
         for address, size_bytes in memories.items():
@@ -64,8 +64,7 @@ class Processor:
         self.unicorn.mem_write(self._stack.address, _PAINT * self._stack.size_bytes)
         self.unicorn.hook_add(unicorn.UC_HOOK_INTR, self._stop_at_exception)
         self.unicorn.hook_add(unicorn.UC_HOOK_MEM_UNMAPPED, self._stop_at_no_memory)
-        if count_instructions:
-            self.unicorn.hook_add(unicorn.UC_HOOK_BLOCK, self._count)
+        self.counter = CycleCounter(self.unicorn)
         vectors = image.segments[0].load_address
         self._return_address = vectors  # there is no instruction
         stack_top, reset = (int.from_bytes(self.unicorn.mem_read(vectors + 4 * index, 4), "little") for index in (0, 1))
@@ -85,9 +84,18 @@ class Processor:
             None,
         )
 
-    def run(self) -> None:
-        """Run until `stop`, or until the image waits for an interrupt. Raises EmulationError."""
+    def run(self, deadline_cycles: int = NEVER) -> None:
+        """Run until `stop`, until the image waits for an interrupt, or until the counter has reached these cycles.
+
+        Raises EmulationError.
+        """
+        self.counter.stop_at(deadline_cycles)
         self._go_on(self.unicorn.reg_read(arm_const.UC_ARM_REG_PC), _NOWHERE)
+
+    @property
+    def masks_interrupts(self) -> bool:
+        """Whether the image has interrupts switched off."""
+        return bool(self.unicorn.reg_read(arm_const.UC_ARM_REG_PRIMASK))
 
     def _go_on(self, where: int, until: int) -> None:
         try:
@@ -114,8 +122,12 @@ class Processor:
         The stack keeps room for a frame with the FPU's registers (DDI 0403, B1.5.6), and all registers come back.
         """
         before = self.unicorn.context_save()
+        self.counter.add_cycles(_ENTRY_AND_EXIT_CYCLES)
+        self.counter.stop_at(NEVER)
         self.unicorn.reg_write(arm_const.UC_ARM_REG_SP, self.unicorn.reg_read(arm_const.UC_ARM_REG_SP) - _FRAME_BYTES)
         self.unicorn.reg_write(arm_const.UC_ARM_REG_LR, self._return_address | 1)
+        status = self.unicorn.reg_read(arm_const.UC_ARM_REG_XPSR)
+        self.unicorn.reg_write(arm_const.UC_ARM_REG_XPSR, status & ~_IN_CONDITION)
         self._go_on(handler, self._return_address)
         self.unicorn.context_restore(before)
 
@@ -135,19 +147,3 @@ class Processor:
     ) -> bool:
         self._failure = f"there is nothing at 0x{address:08x}"
         return False
-
-    def _count(self, emulator: Any, address: int, size_bytes: int, context: object) -> None:
-        count = self._block_instructions.get(address)
-        if count is None:
-            count = _instructions(bytes(emulator.mem_read(address, size_bytes)))
-            self._block_instructions[address] = count
-        self.instructions += count
-
-
-def _instructions(code: bytes) -> int:
-    """Return the number of Thumb instructions; the first five bits mark those of 32 bits (DDI 0403, A5.1)."""
-    count = offset = 0
-    while offset < len(code):
-        offset += 4 if code[offset + 1] >> 3 in (0b11101, 0b11110, 0b11111) else 2
-        count += 1
-    return count

@@ -10,14 +10,18 @@ from vibrocast.firmware.build import build
 class HostProcess(Closing):
     """Runs the firmware built for `host`; a context manager. `name`: the serial port that a host program opens.
 
-    `options`: of the program firmware/ports/host/main.c. Raises BuildError, and TransportError if the program does not
-    start.
+    `options`: of the program firmware/ports/host/main.c. `public_key`: as for `build`. Raises BuildError, and
+    TransportError if the program does not start.
     """
 
-    def __init__(self, *options: str | Path) -> None:
+    def __init__(self, *options: str | Path, public_key: bytes | None = None) -> None:
         # The process ends with its input, so nothing outlives a host program that is killed.
         self._process = subprocess.Popen(
-            [build("host"), *options], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            [build("host", public_key=public_key), *options],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
         )
         assert self._process.stdout is not None
         self.name = self._process.stdout.readline().rstrip("\n")

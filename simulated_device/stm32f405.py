@@ -9,7 +9,7 @@ from unicorn import arm_const
 from vibrocast.firmware.build import build
 from vibrocast.firmware.elf import Elf
 from vibrocast.output.actuator import Codes
-from vibrocast.simulated_device.emulator import SYSTEM_SPACE, Processor
+from vibrocast.simulated_device.emulator import SYSTEM_SPACE, EmulationError, Processor
 from vibrocast.simulated_device.flash import FlashMemory
 
 FLASH_BYTES = 1 << 20
@@ -23,9 +23,15 @@ _MIDDLE = 2048  # of the DAC's range
 # Time is counted in ticks of the timers' clock, 84 MHz; SysTick's goes twice as fast.
 _TICKS_PER_US = 84
 _TICKS_PER_MS = 1000 * _TICKS_PER_US
+_CYCLES_PER_TICK = 2
+# While interrupts are switched off, the processor runs in steps of this length.
+_MASKED_TICKS = 50
+# The least time after which the chip's independent watchdog resets it (board.h).
+_WATCHDOG_TICKS = 2700 * _TICKS_PER_MS
 
 # Registers, by their offset from _PERIPHERALS; names and bits as in firmware/ports/stm32f405/registers.h.
 _TIM6_CR1, _TIM6_ARR = 0x1000, 0x102C
+_IWDG_KR = 0x3000
 _USART_SR, _USART_DR, _USART_CR1 = 0x4800, 0x4804, 0x480C
 _RXNE, _TXE, _RXNEIE, _TXEIE = 1 << 5, 1 << 7, 1 << 5, 1 << 7
 _DHR12RD = 0x7420
@@ -39,21 +45,22 @@ _PGPERR, _PGSERR = 1 << 6, 1 << 7
 _SYSTICK_VALUE, _ENABLE, _VECTOR_TABLE = 0x18, 0x100, 0xD08
 _SYSTICK, _USART3, _TIM6 = 15, 16 + 39, 16 + 54
 
-# Bytes that the line carries at once: each calls a handler, then the main loop runs.
-_BURST_BYTES = 256
 _LINE_BYTES = 65_536
+# Bytes from the host come together, as an adapter on USB has them: each takes ten bits of 921 600 baud.
+_TOGETHER_BYTES = 64
+_TOGETHER_TICKS = _TOGETHER_BYTES * 1000 * _TICKS_PER_MS * 10 // 921_600
 
 
 class Stm32F405:
     """A controller (simulated_device.device.Device): the firmware built for `stm32f405` on an emulated board.
 
     `flash`: FLASH_BYTES bytes, in which images outlive this object; None = a blank one. A file behind it is not
-    written. `on_dac`: called with each run of the DAC's output, int16 (n, 2), 0 = the middle of its range. `drift_ppm`,
-    `count_instructions`: as in simulated_device.cortex_m.CortexM.
+    written. `on_dac`: called with each run of the DAC's output, int16 (n, 2), 0 = the middle of its range. `drift_ppm`:
+    how much faster than true time its clock runs.
 
-    It emulates processor, memory, SysTick, interrupts, USART3, TIM6, the DAC's register, the flash interface, and
-    clocks that are ready at once. Interrupts come only where the image waits for one. All other registers of the chip
-    keep the values written to them. Raises as CortexM does.
+    It emulates processor, memory, SysTick, interrupts, USART3 with the time that bytes to it take, TIM6, the DAC's
+    register, the flash interface, and clocks that are ready at once. Interrupts come only where the image waits for
+    one. All other registers of the chip keep the values written to them. Raises as CortexM does.
     """
 
     def __init__(
@@ -61,7 +68,6 @@ class Stm32F405:
         flash: FlashMemory | None = None,
         on_dac: Callable[[Codes], None] | None = None,
         drift_ppm: int = 0,
-        count_instructions: bool = False,
     ) -> None:
         self._flash = flash or FlashMemory(FLASH_BYTES, sector_bytes=1 << 14)
         self.processor = Processor(
@@ -69,7 +75,6 @@ class Stm32F405:
             arm_const.UC_CPU_ARM_CORTEX_M4,
             _MEMORIES,
             (_FLASH, self._flash),
-            count_instructions,
             self._write_flash,
         )
         self.processor.add_registers(_PERIPHERALS, self._read, self._write, _PERIPHERALS_BYTES)
@@ -82,18 +87,22 @@ class Stm32F405:
         self._keys: tuple[int, ...] = ()
         self._programmed: list[tuple[int, int]] = []  # offset and byte of unfinished writes
         self._origin_us: int | None = None
-        self._now = self._next_conversion = 0
+        self._now = self._next_conversion = self._next_bytes = self._ready_bytes = 0
         self._next_millisecond = _TICKS_PER_MS
         self._incoming: deque[int] = deque()
         self._outgoing = bytearray()
         self._codes: list[tuple[int, int]] = []
-        self.processor.run()
+        self._fed_at = self._fed_cycles = self._longest_turn_cycles = 0
+        self._ran_from = 0, 0  # the time, and the cycles, at which the processor was last started
+        self.processor.run()  # until it first waits for an interrupt: starting takes no time
+        self._sleeping = True
+        self._ran_from = 0, self.processor.counter.cycles
+        self._now = 0
 
     def receive(self, data: bytes, now_us: int) -> None:
         """Take bytes from the host."""
         self.advance(now_us)
         self._incoming.extend(data)
-        self._serve()
 
     def advance(self, now_us: int) -> None:
         """Let the board's time pass; call it every few milliseconds."""
@@ -101,19 +110,62 @@ class Stm32F405:
             self._origin_us = now_us
         true_us = now_us - self._origin_us
         end = (true_us + true_us * self._drift_ppm // 1_000_000) * _TICKS_PER_US
-        while (event := min(self._next_millisecond, self._next_conversion)) <= end:
-            self._now = event
-            if event == self._next_conversion:
-                self._next_conversion += self._registers[_TIM6_ARR] + 1
-                self._interrupt(_TIM6)
+        while True:
+            self._take_interrupts()
+            if self._now >= end:
+                break
+            event = min(self._next_millisecond, self._next_conversion, end)
+            if self._incoming and self._registers[_USART_CR1] & _RXNEIE:
+                event = min(event, max(self._next_bytes, self._now))
+            if self._sleeping:
+                self._now = event
             else:
-                self._next_millisecond += _TICKS_PER_MS
-                self._interrupt(_SYSTICK)
-                self._serve()
-        self._now = max(self._now, end)
+                self._run(max(event, self._now + _MASKED_TICKS))
+        if self._now - self._fed_at > _WATCHDOG_TICKS:
+            raise EmulationError("the watchdog has reset the board: its loop stood still for 2.7 s")
         codes, self._codes = self._codes, []
         if codes and self._on_dac is not None:
             self._on_dac(np.array(codes, np.int16))
+
+    def longest_turn_us(self) -> float:
+        """Return the longest time that the processor worked between two turns of the loop, and begin again.
+
+        Each turn feeds the watchdog. Interrupts are part of the time, waiting for them is not.
+        """
+        longest, self._longest_turn_cycles = self._longest_turn_cycles, 0
+        return longest / (_CYCLES_PER_TICK * _TICKS_PER_US)
+
+    @property
+    def now_us(self) -> float:
+        """The time since the board's start, also while it works."""
+        return self._time() / _TICKS_PER_US
+
+    def _run(self, until: int) -> None:
+        """Run the processor up to a time, or until it waits for an interrupt."""
+        deadline = self.processor.counter.cycles + _CYCLES_PER_TICK * (until - self._now)
+        self._ran_from = self._now, self.processor.counter.cycles
+        self.processor.run(deadline)
+        self._sleeping = self.processor.counter.cycles < deadline
+        self._now = self._time()
+
+    def _time(self) -> int:
+        """Return the time, also while the processor runs."""
+        at, cycles = self._ran_from
+        return max(self._now, at + (self.processor.counter.cycles - cycles) // _CYCLES_PER_TICK)
+
+    def _take_interrupts(self) -> None:
+        """Run the handlers of all that is due, unless the image has switched interrupts off."""
+        while self._sleeping or not self.processor.masks_interrupts:
+            if self._next_conversion <= self._now:
+                self._next_conversion += self._registers[_TIM6_ARR] + 1
+                self._interrupt(_TIM6)
+            elif self._next_millisecond <= self._now:
+                self._next_millisecond += _TICKS_PER_MS
+                self._interrupt(_SYSTICK)
+            elif self._receives() or self._sends():
+                self._interrupt(_USART3)
+            else:
+                return
 
     def transmit(self) -> bytes:
         """Return the bytes to send to the host, once."""
@@ -121,21 +173,20 @@ class Stm32F405:
         self._outgoing.clear()
         return data
 
-    def _serve(self) -> None:
-        """Run the main loop until it waits and the line is empty in both directions."""
-        while True:
-            self.processor.run()
-            busy = False
-            for _ in range(_BURST_BYTES):
-                if not (self._receives() or self._sends()):
-                    break
-                self._interrupt(_USART3)
-                busy = True
-            if not busy:
-                return
-
     def _receives(self) -> bool:
-        return bool(self._incoming) and bool(self._registers[_USART_CR1] & _RXNEIE)
+        return self._has_byte() and bool(self._registers[_USART_CR1] & _RXNEIE)
+
+    def _next_byte(self) -> int:
+        if not self._incoming:
+            return 0
+        if self._ready_bytes == 0:
+            self._ready_bytes = _TOGETHER_BYTES
+            self._next_bytes = self._now + _TOGETHER_TICKS
+        self._ready_bytes -= 1
+        return self._incoming.popleft()
+
+    def _has_byte(self) -> bool:
+        return bool(self._incoming) and (self._ready_bytes > 0 or self._next_bytes <= self._now)
 
     def _sends(self) -> bool:
         return len(self._outgoing) < _LINE_BYTES and bool(self._registers[_USART_CR1] & _TXEIE)
@@ -143,13 +194,16 @@ class Stm32F405:
     def _interrupt(self, exception: int) -> None:
         if exception == _SYSTICK or exception - 16 in self._enabled:
             entry = self._system[_VECTOR_TABLE] + 4 * exception
+            self._ran_from = self._now, self.processor.counter.cycles
             self.processor.interrupt(int.from_bytes(self.processor.unicorn.mem_read(entry, 4), "little"))
+            self._now = self._time()
+            self._sleeping = False
 
     def _read(self, offset: int) -> int:
         if offset == _USART_SR:
-            return (_RXNE if self._incoming else 0) | (_TXE if len(self._outgoing) < _LINE_BYTES else 0)
+            return (_RXNE if self._has_byte() else 0) | (_TXE if len(self._outgoing) < _LINE_BYTES else 0)
         if offset == _USART_DR:
-            return self._incoming.popleft() if self._incoming else 0
+            return self._next_byte()
         if offset == _FLASH_SR:
             self._finish_programming()
         value = self._registers[offset]
@@ -162,6 +216,10 @@ class Stm32F405:
     def _write(self, offset: int, value: int) -> None:
         if offset == _USART_DR:
             self._outgoing.append(value & 0xFF)
+        elif offset == _IWDG_KR:
+            cycles = self.processor.counter.cycles
+            self._longest_turn_cycles = max(self._longest_turn_cycles, cycles - self._fed_cycles)
+            self._fed_cycles, self._fed_at = cycles, self._time()
         elif offset == _FLASH_KEYR:
             self._keys = (*self._keys, value)[-2:]
             if self._keys == _KEYS:
@@ -201,7 +259,8 @@ class Stm32F405:
 
     def _read_system(self, offset: int) -> int:
         if offset == _SYSTICK_VALUE:
-            return 2 * (self._next_millisecond - self._now) - 1
+            left = self._next_millisecond - self._time()
+            return (_CYCLES_PER_TICK * left - 1) % (_CYCLES_PER_TICK * _TICKS_PER_MS)
         return self._system[offset]
 
     def _write_system(self, offset: int, value: int) -> None:
