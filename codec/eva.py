@@ -9,7 +9,15 @@ from numpy.typing import NDArray
 from vibrocast import extras
 from vibrocast.codec.core import UNIT, CoreDecoder, CoreEncoder
 from vibrocast.codec.eva_image import EvaImage, learned_transform, with_runtime
-from vibrocast.codec.graphs import LATENTS, SIGNAL, Transform, transform
+from vibrocast.codec.graphs import (
+    CONTEXT_COLUMNS,
+    HOP,
+    LATENTS,
+    MAX_PACKET_COLUMNS,
+    SIGNAL,
+    Transform,
+    transform,
+)
 from vibrocast.codec.interface import (
     Codec,
     CodecError,
@@ -31,9 +39,6 @@ from vibrocast.firmware.native_core import ffi, library
 
 NAME = "eva"
 IDENTIFIER = 4
-HOP = 16
-"""Samples of each column of latents."""
-MAX_PACKET_COLUMNS = 4095
 MIN_LEVEL, MAX_LEVEL = 2.0**-10, 2.0**10
 MIN_SEARCHED_LEVEL = 2.0**-1
 """The integers hold signals four times as loud as those of calibration (export/quantise.py), peaks included."""
@@ -45,8 +50,6 @@ _LOOK_AHEAD = _REACH + 1 - HOP
 _COLUMNS_BEFORE, _COLUMNS_AFTER = 2, 1
 """Columns around a packet that the analysis also takes, so that edge effects stay out of the packet."""
 _HISTORY = HOP * _COLUMNS_BEFORE + _LOOK_AHEAD
-_CONTEXT_COLUMNS = 4
-"""Columns before a packet that ONNX Runtime synthesises again: the first sample depends on three of them."""
 _MAX_LATENT = 32767
 """Largest magnitude of a latent, in the unit of the integers."""
 _QUANTISER_OFFSETS_OF_OCTAVE = 16
@@ -165,12 +168,12 @@ class OnnxDecoder(EvaDecoder):
         level_codes = np.frombuffer(configuration, "<u2", channels, head_bytes)
         self._levels = [32768 * level_of(int(code)) for code in level_codes]
         # For each channel the latents of the last columns, then those of the packet.
-        columns = _CONTEXT_COLUMNS + self.packet_samples // HOP
+        columns = CONTEXT_COLUMNS + self.packet_samples // HOP
         self._latents = np.zeros((channels, columns, image.latents), dtype=np.int16)
 
     def decode(self, packet: bytes) -> Decoded:
         """Decode the next packet. Raises CodecError when it is malformed, or the model's graph fails."""
-        fresh = np.empty_like(self._latents[:, _CONTEXT_COLUMNS:])
+        fresh = np.empty_like(self._latents[:, CONTEXT_COLUMNS:])
         pointer = ffi.cast("int16_t *", fresh.ctypes.data)
         if library().vc_eva_decode_latents(self._state.pointer, packet, len(packet), pointer) < 0:
             raise CodecError("a packet is damaged, or another codec made it; copy or encode the stream again")
@@ -178,14 +181,14 @@ class OnnxDecoder(EvaDecoder):
 
     def conceal(self) -> Decoded:
         """Replace one missing packet: the last latents faded out, then silence."""
-        fresh = np.empty_like(self._latents[:, _CONTEXT_COLUMNS:])
-        library().vc_eva_conceal_latents(self._state.pointer, ffi.cast("int16_t *", fresh.ctypes.data))
+        fresh = np.empty_like(self._latents[:, CONTEXT_COLUMNS:])
+        library().vc_eva_decode_latents(self._state.pointer, ffi.NULL, 0, ffi.cast("int16_t *", fresh.ctypes.data))
         return self._synthesise(fresh)
 
     def _synthesise(self, fresh: NDArray[np.int16]) -> Decoded:
-        self._latents = np.concatenate([self._latents[:, -_CONTEXT_COLUMNS:], fresh], axis=1)
+        self._latents = np.concatenate([self._latents[:, -CONTEXT_COLUMNS:], fresh], axis=1)
         samples = np.empty((self.packet_samples, self.channels), dtype=np.int16)
-        start = _CONTEXT_COLUMNS * HOP - _REACH
+        start = CONTEXT_COLUMNS * HOP - _REACH
         for channel, (latents, level) in enumerate(zip(self._latents, self._levels, strict=True)):
             values = latents.T[None].astype(np.float32) * self._units
             signal = run(self._synthesis, values, (1, 1, len(latents) * HOP))[0, 0, start : start + len(samples)]

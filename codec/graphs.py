@@ -1,7 +1,6 @@
 """Runs transforms of learned codecs in ONNX Runtime: checks graphs from elsewhere, uses one thread, reuses graphs."""
 
 import os
-import re
 from functools import cache, lru_cache
 from typing import Any
 
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 
 from vibrocast import extras
 from vibrocast.codec.interface import CodecError
+from vibrocast.codec.onnx_check import ADVICE, End, check_graph
 
 SIGNAL = "signal"
 """Name of a graph's samples, float32 (batch, 1, 16 n)."""
@@ -17,9 +17,14 @@ LATENTS = "latents"
 """Name of a graph's latents, float32 (batch, latents, n)."""
 MAX_MEMORY_BYTES = 2**30
 """Memory limit of all graphs together."""
-# Operators that may run for ever, as a serialised graph names them: after the last byte of the name's length.
-_LOOPS = re.compile(rb"[\x00\x04](Loop|Scan)")
-_ADVICE = "give a graph that `vibrocast export` wrote"
+HOP = 16
+"""Samples of each column of latents."""
+MAX_PACKET_COLUMNS = 4095
+"""Columns of the longest packet."""
+CONTEXT_COLUMNS = 4
+"""Columns before a packet that ONNX Runtime synthesises again: the first sample depends on three of them."""
+_MAX_COLUMNS = CONTEXT_COLUMNS + MAX_PACKET_COLUMNS
+_MAX_SAMPLES = {SIGNAL: HOP * _MAX_COLUMNS, LATENTS: _MAX_COLUMNS}
 
 
 class Transform:
@@ -30,8 +35,8 @@ class Transform:
 
         Raises CodecError when the bytes are no such graph.
         """
-        if _LOOPS.search(graph):
-            raise CodecError(f"this ONNX graph has a loop, which need not end; {_ADVICE}")
+        ends = (End(name, _MAX_SAMPLES[name]) for name in (source, result))
+        self.source_channels, self.result_channels = check_graph(graph, *ends)
         onnxruntime = _runtime()
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
@@ -44,22 +49,15 @@ class Transform:
             self._session = onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
         except Exception as error:
             # ONNX Runtime's exceptions have no common class of their own.
-            raise CodecError(f"this is no ONNX graph that can be run; {_ADVICE}") from error
-        ends = [*self._session.get_inputs(), *self._session.get_outputs()]
-        if [(end.name, end.type, len(end.shape)) for end in ends] != [
-            (name, "tensor(float)", 3) for name in (source, result)
-        ]:
-            found = ", ".join(f"{end.name} {end.type} {end.shape}" for end in ends)
-            raise CodecError(f"this ONNX graph has {found} instead of {source} and {result} with three axes; {_ADVICE}")
+            raise CodecError(f"this is no ONNX graph that can be run; {ADVICE}") from error
         self._source, self._result = source, result
-        self.source_channels, self.result_channels = ends[0].shape[1], ends[1].shape[1]
 
     def __call__(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
         """Run on (batch, channels, time). Raises CodecError when the graph fails."""
         try:
             (result,) = self._session.run([self._result], {self._source: values})
         except Exception as error:
-            raise CodecError(f"the ONNX graph fails on an array of shape {values.shape}; {_ADVICE}") from error
+            raise CodecError(f"the ONNX graph fails on an array of shape {values.shape}; {ADVICE}") from error
         return np.asarray(result)
 
 

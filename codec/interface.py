@@ -1,7 +1,7 @@
 """The interface that every codec implements: its setting, an encoder and a decoder of packets, each with its state."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, TypeAlias
 
@@ -300,6 +300,9 @@ class Codec:
         with_runtime: Returns a payload that one of RUNTIMES decodes. Raises CodecError; None where there is no
             choice.
         runtime_of: Returns which of RUNTIMES decodes a payload. Raises CodecError; None where there is no choice.
+        repack: Called with the configuration, the number of channels, the tables, the packets and the most samples of
+            a packet. Returns the configuration and the packets of the same signal with such packets. Raises CodecError,
+            and StreamError for a malformed packet; None where the layout does not allow it.
         learned_transform: Describes the transform of a model; None where there is none.
         physical_rate_point_sets: The curves that need a signal in a physical unit.
         needs_model: Whether there are no built-in tables.
@@ -329,6 +332,7 @@ class Codec:
     built_in_tables: Callable[[], bytes] | None = None
     with_runtime: Callable[[bytes, str], bytes] | None = None
     runtime_of: Callable[[bytes], str] | None = None
+    repack: Callable[[bytes, int, bytes | None, Sequence[bytes], int], tuple[bytes, list[bytes]]] | None = None
     learned_transform: Callable[[bytes], LearnedTransform] | None = None
     physical_rate_point_sets: frozenset[str] = frozenset()
     needs_model: bool = False

@@ -1,5 +1,6 @@
 """The codec `lapped`: `mdct` with learned windows of four hops; layout in docs/reference/bitstream.md."""
 
+from collections.abc import Sequence
 from functools import cache, partial
 
 import numpy as np
@@ -89,6 +90,13 @@ def make_encoder(
     return mdct.make_encoder(setting, signal_format, framing, Model(tables), rate_control, analysis)
 
 
+def repack(
+    configuration: bytes, channels: int, tables: bytes | None, packets: Sequence[bytes], packet_samples: int
+) -> tuple[bytes, list[bytes]]:
+    """Code the levels of packets again as `mdct` does; see codec.interface.Codec."""
+    return mdct.repack(configuration, channels, parts(tables)[1], packets, packet_samples)
+
+
 CODEC = Codec(
     name=NAME,
     identifier=IDENTIFIER,
@@ -99,6 +107,7 @@ CODEC = Codec(
     make_decoder=LappedDecoder,
     resolve=resolve,
     check_tables=check_tables,
+    repack=repack,
     needs_model=True,
     controls_rate=True,
     step_parameter=mdct.CODEC.step_parameter,

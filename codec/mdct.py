@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.codec.core import UNIT, CoreDecoder, CoreEncoder
+from vibrocast.codec.core import UNIT, CoreDecoder, CoreEncoder, damaged_packet
 from vibrocast.codec.interface import (
     AUTO,
     Codec,
@@ -25,7 +25,8 @@ from vibrocast.codec.interface import (
     word,
 )
 from vibrocast.codec.packetwise import PacketwiseEncoder
-from vibrocast.device_protocol.encoding import pack_varint
+from vibrocast.device_protocol.coded_stream import packet_sequence
+from vibrocast.device_protocol.encoding import pack_varint, unpack_varint
 from vibrocast.firmware.native_core import ffi, library
 
 NAME = "mdct"
@@ -281,6 +282,66 @@ def make_encoder(
     )
 
 
+class _LevelWriter(CoreEncoder):
+    """Codes packets from levels, silent blocks, the quantiser offset, and whether the packet is a refresh."""
+
+    def __init__(self, configuration: bytes, channels: int, *table_arguments: Any) -> None:
+        super().__init__(NAME, configuration, channels, *table_arguments, 0, 0)
+        self._encode = library().vc_mdct_write_levels
+
+
+def repack(
+    configuration: bytes, channels: int, tables: bytes | None, packets: Sequence[bytes], packet_samples: int
+) -> tuple[bytes, list[bytes]]:
+    """Code the levels of packets again in shorter packets; see codec.interface.Codec.
+
+    Blocks keep their levels, refreshes and quantiser offsets. The signs of noise filling differ, because the number of
+    a packet seeds them. Silent blocks fill the last packet.
+    """
+    core = library()
+    _memory, table_arguments = _tables_arguments(tables)
+    reader = CoreEncoder(NAME, configuration, channels, *table_arguments, 0, 0)
+    head, head_bytes = unpack_varint(configuration, 0, 14)
+    blocks, hop = head >> 2, HOPS[head & 3]
+    refreshes = [packet_sequence(packet)[1] for packet in packets]
+    # A packet must begin wherever a refresh or another quantiser offset does.
+    rate_controlled = len(configuration) > head_bytes + 2 * channels
+    starts = math.gcd(blocks * rate_controlled, *(blocks * before for before, each in enumerate(refreshes) if each))
+    longest = min(packet_samples // hop, MAX_PACKET_BLOCKS)
+    length = max((count for count in range(1, longest + 1) if starts % count == 0), default=0)
+    if length == 0:
+        raise CodecError(
+            f"packets of {packet_samples} samples hold no block of {hop}; encode with a shorter hop or at a lower rate"
+        )
+    configuration = pack_varint(length << 2 | HOPS.index(hop)) + configuration[head_bytes:]
+    writer = _LevelWriter(configuration, channels, *table_arguments)
+    read_levels, read_silent = np.empty((blocks, channels, hop), np.int32), np.empty((blocks, channels), np.uint8)
+    read_offset = ffi.new("int32_t *")
+    into = (
+        ffi.cast("int32_t *", read_levels.ctypes.data),
+        ffi.cast("uint8_t *", read_silent.ctypes.data),
+        read_offset,
+    )
+    levels, silent = read_levels[:0], read_silent[:0]
+    offsets: list[int] = []
+    written: list[bytes] = []
+    for done, packet in enumerate(packets, 1):
+        if core.vc_mdct_read_levels(reader.pointer, packet, len(packet), *into) != core.VC_OK:
+            raise damaged_packet()
+        offsets.append(read_offset[0])
+        levels, silent = np.concatenate([levels, read_levels]), np.concatenate([silent, read_silent])
+        if done == len(packets):
+            lack = -len(levels) % length
+            levels = np.pad(levels, ((0, lack), (0, 0), (0, 0)))
+            silent = np.pad(silent, ((0, lack), (0, 0)), constant_values=1)
+        while len(levels) >= length:
+            source, block = divmod(len(written) * length, blocks)
+            refresh = refreshes[source] and block == 0
+            written.append(writer.packet(length * hop, levels[:length], silent[:length], offsets[source], refresh))
+            levels, silent = levels[length:], silent[length:]
+    return configuration, written
+
+
 CODEC = Codec(
     name=NAME,
     identifier=IDENTIFIER,
@@ -309,6 +370,7 @@ CODEC = Codec(
     resolve=resolve,
     check_tables=check_tables,
     built_in_tables=built_in_tables,
+    repack=repack,
     controls_rate=True,
     step_parameter="step",
     step_range=lambda signal_format: (MIN_STEP, MAX_STEP / min(signal_format.rms)),

@@ -263,6 +263,45 @@ class Stream:
             raise beyond from error
         return replace(self, header=replace(self.header, gains=gains))
 
+    def repacked(self, packet_samples: int, packet_bytes: int = coded_stream.MAX_PACKET_BYTES) -> "Stream":
+        """Return the stream in shorter packets, without quantising it again.
+
+        The spectra stay the same. Only the signs of noise filling differ, which the number of a packet seeds.
+
+        Args:
+            packet_samples: Most samples per channel in a packet.
+            packet_bytes: Most bytes in a packet.
+
+        Returns:
+            The stream itself where its packets are no longer.
+
+        Raises:
+            CodecError: The codec cannot split its packets, or not so far.
+            StreamError: The packets are damaged.
+        """
+        stream = self
+        longest = min(packet_samples, self.decoder().packet_samples)
+        while stream.decoder().packet_samples > longest or max(map(len, stream.packets)) > packet_bytes:
+            if stream is not self:
+                longest = stream.decoder().packet_samples // 2
+            stream = self._split(longest)
+        return stream
+
+    def _split(self, packet_samples: int) -> "Stream":
+        """Return the stream in packets of at most `packet_samples` per channel. Raises as `repacked`."""
+        chosen = codec.codec_by_identifier(self.header.codec_identifier, self.header.configuration)
+        if chosen.repack is None:
+            raise codec.CodecError(
+                f"the packets of the codec {chosen.name} cannot be split; encode the recording again"
+            )
+        configuration, packets = chosen.repack(
+            self.header.configuration, self.header.channels, self.tables, self.packets, packet_samples
+        )
+        header = replace(self.header, configuration=configuration)
+        decoder = codec.decoder(header.codec_identifier, configuration, header.channels, self.tables)
+        end = None if header.samples is None else -(-(header.samples + decoder.delay_samples) // decoder.packet_samples)
+        return replace(self, header=header, packets=tuple(packets[:end]))
+
     def facts(self) -> dict[str, Any]:
         """Return properties of the stream as a dictionary, ready for JSON: codec, sizes, rates, packets, model.
 

@@ -18,7 +18,7 @@ import soundfile
 from msgspec import Meta, structs
 from numpy.typing import NDArray
 
-from vibrocast.toml_tables import Table, convert, located, read_toml
+from vibrocast.toml_tables import Table, check_programs, convert, located, read_toml
 
 PEAK = 0.8
 """Peak of the WAV file that a program is given: many codecs clip or saturate nearer to full scale."""
@@ -87,13 +87,16 @@ class Run(NamedTuple):
     decode_s: float
 
 
-def read_programs(path: Path) -> list[Program]:
+def read_programs(path: Path, allow_programs: bool = False) -> list[Program]:
     """Read the list of programs: a table for each, named as its curve, with the fields of `Program` as keys.
 
-    Raises ProgramError where it is no such file, OSError where it cannot be read.
+    `allow_programs`: whether they may be started. Raises ProgramError where they may not, and where it is no such
+    file; OSError where it cannot be read.
     """
     with located(path, ProgramError):
-        return [_program(path, name, table) for name, table in read_toml(path, "list of programs").items()]
+        programs = [_program(path, name, table) for name, table in read_toml(path, "list of programs").items()]
+        check_programs({f"[{each.name}]": each.encoder[0][0] for each in programs}, allow_programs)
+        return programs
 
 
 def run(program: Program, setting: str, samples: NDArray[np.float64], rate_hz: int) -> Run:

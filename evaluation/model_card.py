@@ -14,13 +14,13 @@ import numpy as np
 from vibrocast import codec, pages, textures
 from vibrocast.codec.encoding import Encoding, encode_recording
 from vibrocast.codec.eva_image import EvaImage
+from vibrocast.codec.onnx_check import OPSET
 from vibrocast.codec.stream import as_stream
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.evaluation.cost import time_coding
 from vibrocast.evaluation.speed import cpu_name
 from vibrocast.export import configuration
 from vibrocast.export.checkpoint import Checkpoint
-from vibrocast.export.graphs import OPSET
 from vibrocast.export.package import Package
 from vibrocast.export.training_data import Trace
 from vibrocast.models import Model

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from vibrocast.codec.graphs import LATENTS, SIGNAL, Transform
+from vibrocast.codec.onnx_check import OPSET
 from vibrocast.export.eva import HOP_SAMPLES, Eva, Gdn
 
-OPSET = 17
 PARITY = 1e-5
 """Largest difference between torch and ONNX Runtime, relative to the full scale of the compared values."""
 PARITY_LENGTHS = (1, 7, 15, 16, 17, 31, 100, 333, 1000, 2801, 4096, 9999, 10_000)

@@ -2,8 +2,6 @@
 
 import math
 import re
-import zipfile
-import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +11,7 @@ from numpy.typing import NDArray
 
 from vibrocast import textures
 from vibrocast.export.configuration import ArchiveSource, Augmentation, FolderSource, GeneratorSource, HeldBack, Source
-from vibrocast.textures import Recording, TextureError, dataset
+from vibrocast.textures import Recording, TextureError, arrays, dataset
 from vibrocast.textures.recording import Signal
 
 _MARGIN_SAMPLES = 128
@@ -42,29 +40,19 @@ def archive_recordings(archive: Path, drop_s: float, high_pass_hz: float, rate_h
     """
     if not archive.is_file():
         raise TextureError(f"{archive}: no such file; give the folder where its path starts as --data")
+    held = arrays.read_archive(archive)
+    if "rate_hz" not in held:
+        raise TextureError(f"{archive} holds no array `rate_hz`; save it with the recordings")
     try:
-        loaded = np.load(archive, allow_pickle=False)
-    except (ValueError, OSError, zipfile.BadZipFile) as error:
-        raise TextureError(f"{archive} is no NPZ archive that can be read; save one with numpy.savez") from error
-    if not isinstance(loaded, np.lib.npyio.NpzFile):
-        raise TextureError(f"{archive} holds one array; save an archive of recordings with numpy.savez")
-    with loaded as arrays:
-        if "rate_hz" not in arrays:
-            raise TextureError(f"{archive} holds no array `rate_hz`; save it with the recordings")
-        try:
-            own_rate_hz = float(arrays["rate_hz"])
-            held = {name: arrays[name].astype(np.float64, casting="same_kind") for name in arrays.files}
-        except (ValueError, TypeError, OSError, zipfile.BadZipFile, zlib.error) as error:
-            raise TextureError(f"{archive}: damaged, or not of numbers ({error}); save it again") from error
-        for name, samples in held.items():
-            if samples.ndim == 1 and len(samples) > 2 * drop_s * own_rate_hz:
-                steady = _high_passed(samples[int(drop_s * own_rate_hz) :], own_rate_hz, high_pass_hz)
-                yield (
-                    name,
-                    textures.resample(Recording(steady[:, None], own_rate_hz, "full scale", name), rate_hz).samples[
-                        :, 0
-                    ],
-                )
+        own_rate_hz = float(held["rate_hz"])
+        signals = {name: samples.astype(np.float64, casting="same_kind") for name, samples in held.items()}
+    except (ValueError, TypeError) as error:
+        raise TextureError(f"{archive}: damaged, or not of numbers ({error}); save it again") from error
+    for name, samples in signals.items():
+        if samples.ndim == 1 and len(samples) > 2 * drop_s * own_rate_hz:
+            steady = _high_passed(samples[int(drop_s * own_rate_hz) :], own_rate_hz, high_pass_hz)
+            recording = Recording(steady[:, None], own_rate_hz, "full scale", name)
+            yield name, textures.resample(recording, rate_hz).samples[:, 0]
 
 
 def load(sources: Sequence[Source], folder: Path, rate_hz: int) -> list[Trace]:

@@ -10,7 +10,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.textures.memory import shortage
+from vibrocast.textures.memory import excess, shortage
 from vibrocast.textures.recording import Contents, TextureError
 from vibrocast.textures.text import known_unit
 
@@ -20,27 +20,29 @@ RATE_NAMES = (RATE_KEY, "fs", "sample_rate", "sample_rate_hz", "sampling_rate")
 UNIT_NAMES = (UNIT_KEY, "units")
 MAX_CHARACTERS = 100  # of a unit
 
+_KIND = "an array of numbers in NumPy's format"
 _ZIP_MAGIC = b"PK"
 _MAX_LISTED = 10
 
 
 def read(path: Path, key: str | None, rate_hz: float | None) -> Contents:
     """Read an NPY or NPZ file; `key` and `rate_hz` as `textures.load` takes them. Raises TextureError, OSError."""
-    with parsing(path, "an array of numbers in NumPy's format"), path.open("rb") as file:
+    with parsing(path, _KIND), path.open("rb") as file:
         zipped = file.read(len(_ZIP_MAGIC)) == _ZIP_MAGIC
         file.seek(0)
         if not zipped:
-            return contents_of(_read_array(file, path), path)
+            return contents_of(_read_array(file, path, path.stat().st_size), path)
         with zipfile.ZipFile(file) as archive:
-            members = {name.removesuffix(".npy"): name for name in archive.namelist() if name.endswith(".npy")}
-            stated = {}
-            for name in members:
-                if states_something(name):
-                    with archive.open(members[name]) as member:
-                        stated[name] = _read_array(member, path)
+            members = _members(archive)
+            stated = {name: _read_member(archive, members[name], path) for name in members if states_something(name)}
             chosen = chosen_key([name for name in members if name not in stated], key, path)
-            with archive.open(members[chosen]) as member:
-                return contents_of(_read_array(member, path), path, stated, rate_hz)
+            return contents_of(_read_member(archive, members[chosen], path), path, stated, rate_hz)
+
+
+def read_archive(path: Path) -> dict[str, NDArray[Any]]:
+    """Return all arrays of an NPZ file by name. Raises TextureError, OSError."""
+    with parsing(path, "an NPZ archive"), zipfile.ZipFile(path) as archive:
+        return {name: _read_member(archive, info, path) for name, info in _members(archive).items()}
 
 
 @contextmanager
@@ -55,10 +57,16 @@ def parsing(path: Path, kind: str) -> Iterator[None]:
         raise TextureError(f"{path}: not {kind} that can be read; save it again ({reason})") from error
 
 
-def reject_too_large(shape: Sequence[int], dtype: np.dtype[Any], path: Path, besides_bytes: int = 0) -> None:
-    """Raise TextureError if memory cannot hold the array as in the file, `besides_bytes` and the float64 copy."""
+def reject_too_large(
+    shape: Sequence[int], dtype: np.dtype[Any], path: Path, stored_bytes: int, besides_bytes: int = 0
+) -> None:
+    """Raise TextureError if memory cannot hold the array as in the file, `besides_bytes` and the float64 copy.
+
+    Also if the file's `stored_bytes` cannot stand for so large an array.
+    """
     each_bytes = 8 if dtype == np.float64 else 8 + dtype.itemsize
-    if lack := shortage(prod(shape) * each_bytes + besides_bytes):
+    stated_bytes = prod(shape) * dtype.itemsize
+    if lack := shortage(prod(shape) * each_bytes + besides_bytes) or excess(stated_bytes, stored_bytes):
         raise TextureError(f"{path}: an array of shape {tuple(shape)} {lack}")
 
 
@@ -112,12 +120,26 @@ def contents_of(
     return Contents(columns, _only_rate(rates, rate_hz, path), unit, full_scale)
 
 
-def _read_array(file: IO[bytes], path: Path) -> NDArray[Any]:
+def _members(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
+    """Return the members of an NPZ file that are arrays, by name."""
+    named = {info.filename: info for info in archive.infolist()}
+    return {name.removesuffix(".npy"): info for name, info in named.items() if name.endswith(".npy")}
+
+
+def _read_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path) -> NDArray[Any]:
+    """Read a member of an NPZ file. Raises ValueError and all other errors of NumPy and zipfile."""
+    if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise ValueError(f"{info.filename} is packed in a way that NumPy does not write")
+    with archive.open(info) as member:
+        return _read_array(member, path, info.compress_size)
+
+
+def _read_array(file: IO[bytes], path: Path, stored_bytes: int) -> NDArray[Any]:
     """Read an array in NPY format, unless it is too large. Raises ValueError and all other errors of NumPy."""
     version = np.lib.format.read_magic(file)
     header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
     shape, _, dtype = header(file)
-    reject_too_large(shape, dtype, path)
+    reject_too_large(shape, dtype, path, stored_bytes)
     file.seek(0)
     array: NDArray[Any] = np.lib.format.read_array(file, allow_pickle=False)
     return array

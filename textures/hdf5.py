@@ -45,7 +45,7 @@ def read(path: Path, key: str | None, rate_hz: float | None) -> Contents:
         if dataset.external or dataset.is_virtual:
             raise TextureError(f"{path}: {chosen} has its numbers in other files; save them in this one")
         chunk_bytes = prod(dataset.chunks) * dataset.dtype.itemsize if dataset.chunks else 0
-        arrays.reject_too_large(dataset.shape, dataset.dtype, path, chunk_bytes)
+        arrays.reject_too_large(dataset.shape, dataset.dtype, path, dataset.id.get_storage_size(), chunk_bytes)
         group = chosen.rpartition("/")[0]
         places = [
             dataset.attrs,

@@ -36,7 +36,7 @@ def read(path: Path, key: str | None, rate_hz: float | None) -> Contents:
         others = {name: kind for name, (_, kind) in variables.items() if name not in signals + stated}
         chosen = arrays.chosen_key(signals, key, path, others)
         shape, kind = variables[chosen]
-        arrays.reject_too_large(shape, np.dtype(kind), path)
+        arrays.reject_too_large(shape, np.dtype(kind), path, path.stat().st_size)
         loaded = loadmat(str(path), appendmat=False, variable_names=[chosen, *stated])
         array = loaded[chosen]
         if array.dtype.kind in "iuf":  # MATLAB stores whole-number doubles as integers

@@ -5,6 +5,9 @@ from pathlib import Path
 
 CONTROL_GROUPS = Path("/sys/fs/cgroup")
 GROUPS_OF_PROCESS = Path("/proc/self/cgroup")
+MAX_EXPANSION = 1100
+"""Most bytes that one byte of a file stands for. Deflate reaches 1032 ("zlib Technical Details", zlib.net)."""
+_SMALL_BYTES = 2**20
 _GIB = 2**30
 
 
@@ -24,6 +27,13 @@ def shortage(needed_bytes: int) -> str | None:
         f"needs {needed_bytes / _GIB:.3g} GiB of memory, and only {free_bytes / _GIB:.3g} GiB are free; cut it into "
         "parts"
     )
+
+
+def excess(stated_bytes: int, stored_bytes: int) -> str | None:
+    """Return the end of an error whose subject, by the file, has more bytes than the stored ones can stand for."""
+    if stated_bytes <= _SMALL_BYTES + MAX_EXPANSION * stored_bytes:
+        return None
+    return f"stands for {stated_bytes / _GIB:.3g} GiB, and the file holds {stored_bytes} bytes of it; save it again"
 
 
 def _left_in_control_groups() -> Iterator[int]:

@@ -6,6 +6,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+_partial: set[Path] = set()
+"""Files and folders that are being written."""
+
+
+def remove_partial() -> None:
+    """Remove all that is written in part: before a process ends without leaving its blocks."""
+    for path in list(_partial):
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
+
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
@@ -20,12 +32,14 @@ def atomic_write(path: Path) -> Iterator[Path]:
             yield target
             return
         partial = target.with_name(f".{target.stem}.{os.getpid()}.partial{target.suffix}")
+        _partial.add(partial)
         try:
             partial.touch()
             yield partial
             os.replace(partial, target)
         finally:
             partial.unlink(missing_ok=True)
+            _partial.discard(partial)
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(path)) from error
 
@@ -38,6 +52,7 @@ def atomic_folder(path: Path) -> Iterator[Path]:
     """
     target = Path(os.path.realpath(path))
     partial, before = (target.with_name(f".{target.name}.{os.getpid()}.{state}") for state in ("partial", "before"))
+    _partial.add(partial)
     try:
         partial.mkdir()
         yield partial
@@ -51,6 +66,7 @@ def atomic_folder(path: Path) -> Iterator[Path]:
             before.rename(target)
         for folder in (partial, before):
             shutil.rmtree(folder, ignore_errors=True)
+        _partial.discard(partial)
 
 
 class InputFileError(ValueError):

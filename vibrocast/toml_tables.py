@@ -2,7 +2,7 @@
 
 import re
 import tomllib
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
@@ -55,6 +55,18 @@ def read_toml(path: Path, name: str) -> dict[str, Any]:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as reason:
         raise ValueError(f"not a TOML file: {reason}") from reason
+
+
+def check_programs(programs: Mapping[str, str], allowed: bool) -> None:
+    """Check that a file may start programs; `programs`: each by the name of the table that has it.
+
+    Raises ValueError, which names the first one, unless they are `allowed`.
+    """
+    for name, program in programs.items():
+        if not allowed:
+            raise ValueError(
+                f"{name} starts the program {program!r}; read the file, and pass --allow-programs if you trust it"
+            )
 
 
 def convert(values: object, kind: type[Kind]) -> Kind:

@@ -10,9 +10,8 @@ from unittest.mock import patch
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.codec.eva import HOP
 from vibrocast.codec.eva_image import EvaImage
-from vibrocast.codec.graphs import LATENTS, SIGNAL
+from vibrocast.codec.graphs import HOP, LATENTS, SIGNAL
 from vibrocast.evaluation.stability.maps import (
     Group,
     Map,
