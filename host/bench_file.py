@@ -20,7 +20,18 @@ from vibrocast.host.end_to_end import actuator_model
 from vibrocast.output.actuator import Actuator
 from vibrocast.output.actuator_files import ActuatorTable
 from vibrocast.textures import Recording
-from vibrocast.toml_tables import Table, Text, check_names, convert, located, one_of, read_each, read_toml, within
+from vibrocast.toml_tables import (
+    Table,
+    Text,
+    check_names,
+    check_programs,
+    convert,
+    located,
+    one_of,
+    read_each,
+    read_toml,
+    within,
+)
 
 SENSOR_KINDS = ("accelerometer", "laser")
 _INPUT = "audio:CARD:CHANNEL or serial:PORT"
@@ -196,8 +207,11 @@ class Bench:
         return tuple(load() for load in self.textures)
 
 
-def read_bench(path: Path) -> Bench:
-    """Read a bench file. Raises BenchFileError, and OSError where it cannot be read."""
+def read_bench(path: Path, allow_programs: bool = False) -> Bench:
+    """Read a bench file. `allow_programs`: whether its sensors may be programs.
+
+    Raises BenchFileError, and OSError where it cannot be read.
+    """
     with located(path, BenchFileError):
         file = convert(read_toml(path, "bench file"), _BenchFile)
         names = [each.name for each in file.controllers]
@@ -207,6 +221,7 @@ def read_bench(path: Path) -> Bench:
             "sensors", file.sensors, lambda each: structs.replace(each, controller=one_named(each.controller, names))
         )
         check_places("sensors", sensors)
+        check_programs({f"sensor {each.name}": each.program for each in sensors if each.program}, allow_programs)
         loaders = read_each("textures", file.textures, partial(_loader, path.parent))
         located_loaders = (
             partial(_loaded, f"{path}: [[textures]] {number}", load) for number, load in enumerate(loaders, 1)

@@ -12,13 +12,16 @@ from vibrocast.device_protocol.messages import (
     NOTIFICATION,
     PROTOCOL_MAJOR,
     PROTOCOL_MINOR,
+    Configure,
     Error,
     ErrorCode,
     Hello,
     HelloResponse,
     Message,
     MessageError,
+    Pause,
     Position,
+    Resume,
     Status,
     StatusRequest,
     Stop,
@@ -28,7 +31,7 @@ from vibrocast.device_protocol.messages import (
 )
 from vibrocast.device_protocol.transports import Closing, DeviceGone, Transport, TransportError, selectable
 from vibrocast.host import event_loop
-from vibrocast.host.event_loop import Pause, Steps
+from vibrocast.host.event_loop import Steps
 
 if TYPE_CHECKING:
     from vibrocast.output.sound_card import CardUse
@@ -75,7 +78,8 @@ class _PendingRequest:
 class Controller(Closing):
     """A session with the controller behind a transport.
 
-    `description`: what it said in its last hello. `status`: the last Status that came, asked for or not.
+    `description`: what it said in its last hello. `status`: the last Status that came, asked for or not. `may_pause`:
+    whether this host has asked it to pause, and not yet to go on.
     `bytes_sent`, `bytes_received`: all that crossed the transport. Every wait is a read of the transport, measured by
     `clock`, so that a simulated transport can run in simulated time.
     """
@@ -90,6 +94,7 @@ class Controller(Closing):
     ) -> None:
         """Say hello. Raises ControllerError (also for another protocol version) and TransportError."""
         self.status: Status | None = None
+        self.may_pause = False
         self.bytes_sent = 0
         self.bytes_received = 0
         self.clock = clock
@@ -247,7 +252,7 @@ class Controller(Closing):
             except (TransportError, ConnectionLost) as error:
                 if isinstance(error, DeviceGone) or self.clock() >= deadline_s:
                     raise
-            yield Pause(_RECONNECT_PAUSE_S)
+            yield event_loop.Pause(_RECONNECT_PAUSE_S)
 
     def reconnect(self, within_s: float) -> None:
         """Open the transport and a session again, and wait for it. Raises as `reconnect_steps`."""
@@ -306,6 +311,8 @@ class Controller(Closing):
 
     def _next_request(self, message: Message) -> bytes:
         """Return the frame of a new request."""
+        if isinstance(message, (Pause, Resume, Configure, Stop)):
+            self.may_pause = isinstance(message, Pause)
         self._sequence = self._sequence % MAX_SEQUENCE + 1
         return write_frame(pack(message, self._sequence))
 

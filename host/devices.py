@@ -258,8 +258,8 @@ def _firmware(address: str) -> Iterator[str]:
         yield port.name
 
 
-def emulated(address: str, count_instructions: bool = False) -> "CortexM | Stm32F405":
-    """Return one of EMULATED; `count_instructions`: as simulated_device.emulator.Processor. Raises TransportError."""
+def emulated(address: str) -> "CortexM | Stm32F405":
+    """Return one of EMULATED. Raises TransportError."""
     from vibrocast.firmware.build import BuildError
 
     extras.require("firmware", "unicorn", "ziglang")
@@ -268,8 +268,8 @@ def emulated(address: str, count_instructions: bool = False) -> "CortexM | Stm32
 
     try:
         if address == "stm32f405":
-            return Stm32F405(count_instructions=count_instructions)
-        return CortexM(address, count_instructions=count_instructions)
+            return Stm32F405()
+        return CortexM(address)
     except BuildError as error:
         raise TransportError(str(error)) from error
 
@@ -309,6 +309,7 @@ def model_images(hello: HelloResponse) -> list[str]:
     """Return one line for each slot that holds a model image."""
     return [
         f"slot {image.slot}: {image.name} {image.version}, {image.state.name.lower()}, {image.sha256.hex()[:16]}"
+        + (f", number {image.number}" if image.number else "")
         for image in hello.images
         if image.state != SlotState.EMPTY
     ]
@@ -337,6 +338,7 @@ def described(hello: HelloResponse) -> dict[str, Any]:
         "protocol": f"{hello.major}.{hello.minor}",
         "codecs": [name for _, name in hello.codecs],
         "model_images": model_images(hello),
+        "public_key": hello.public_key.hex() or "none: model images need no signature",
         "actuator": actuator,
         "limits": asdict(hello.limits),
     }

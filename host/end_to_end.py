@@ -20,6 +20,7 @@ from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import devices, player, uploader
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.event_loop import run_all
+from vibrocast.host.limits import fitted
 from vibrocast.host.picture import Trace
 from vibrocast.host.report import ActuatorUse, DeviceDescription, Latency, Report, Touch
 from vibrocast.output.actuator import ACTUATORS, Actuator, Codes
@@ -39,9 +40,10 @@ SKIN_OVERSAMPLING = 4
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result of playing: the report, and the signals that the picture shows, with their origin."""
+    """The result of playing: the report, the stream as it was sent, the signals of the picture and their origin."""
 
     report: Report
+    stream: Stream
     caption: str
     traces: tuple[Trace, ...]
 
@@ -101,42 +103,58 @@ def play_together(
 ) -> dict[_Key, Outcome | Exception]:
     """Play a stream to its end on all controllers at once; return by key what each did, or why it failed.
 
-    The decoded samples and the DAC codes are compared with those computed here. Both are read back from the
-    controller, unless it captures nothing or there would be more than MAX_COMPARED_SAMPLES: then nothing is compared,
-    and the skin is computed from one pass. A simulated controller of this session gets the stream's model first.
+    Packets that are too long for a controller are split (`limits.fitted`). The decoded samples and the DAC codes are
+    compared with those computed here. Both are read back from the controller, unless it captures nothing or there would
+    be more than MAX_COMPARED_SAMPLES: then nothing is compared, and the skin is computed from one pass. Nor is a
+    capture compared that the controller overwrites before it is read. A simulated controller of this session gets the
+    stream's model first.
     `encoding`: how the stream was made from a recording, None for a file that was coded before; the stream may have
     another level (`Stream.with_gain`). `file_name` is for the report. Raises CodecError.
     """
-    offline, packet_samples = stream.decode_integers(), stream.decoder().packet_samples
     outcomes: dict[_Key, Outcome | Exception] = {}
     works = {}
+    sent: dict[_Key, Stream] = {}
     underruns_before = {}
     for key, member in members.items():
         try:
             if stream.image is not None:
                 uploader.provide(member.controller, member.address, stream.image)
             _drive_s(stream.header, member.actuator or actuator_model(member.controller.description.actuator))
-        except (ControllerError, TransportError) as error:
+            sent[key] = fitted(member.controller, stream)
+        except (ControllerError, TransportError, StreamError) as error:
             outcomes[key] = error
             continue
         if member.controller.sound_card is not None:
             underruns_before[key] = member.controller.sound_card.underruns
-        captures = member.controller.description.limits.capture_samples > 0
         settings = player.PlaybackSettings(
             loops=loops,
-            capture=captures and loops * offline.size <= MAX_COMPARED_SAMPLES,
+            capture=_unread_reason(member.controller, sent[key], loops) is None,
             progress=progress and partial(progress, key),
         )
         works[key] = (
             member.controller,
-            player.play_steps(member.controller, stream.header, stream.packets, packet_samples, settings),
+            player.play_steps(
+                member.controller,
+                sent[key].header,
+                sent[key].packets,
+                sent[key].decoder().packet_samples,
+                settings,
+            ),
         )
+    offline = {each: each.decode_integers() for each in set(sent.values())}
     for key, result in run_all(works).items():
         outcomes[key] = (
             result
             if isinstance(result, Exception)
             else _compared(
-                members[key], file_name, stream, encoding, loops, offline, result, underruns_before.get(key, 0)
+                members[key],
+                file_name,
+                sent[key],
+                encoding,
+                loops,
+                offline[sent[key]],
+                result,
+                underruns_before.get(key, 0),
             )
         )
     return {key: outcomes[key] for key in members}
@@ -160,7 +178,7 @@ def _compared(
     actuator = member.actuator or actuator_model(hello.actuator)
     skin_model = member.skin_model or actuator
     drive_s = _drive_s(header, actuator)
-    codes, _ = render(header, offline, decoder.delay_samples, actuator, loops=1 if result.decoded is None else loops)
+    codes, _ = render(header, offline, decoder.delay_samples, actuator, loops=1 if result.dac_codes is None else loops)
     # After a lost connection the controller begins in the middle; what it plays then has no simple counterpart here.
     comparable = result.captured_from == 0
     played = result.decoded if result.decoded is not None else offline
@@ -218,6 +236,7 @@ def _compared(
         touch=touch_of(skin_model, played_codes),
         decoded_equals_offline=_equal(result.decoded, offline, loops) if comparable else None,
         dac_equals_offline=_equal(result.dac_codes, codes) if comparable else None,
+        comparison_note=_comparison_note(member.controller, stream, loops, result),
     )
     missed_s = result.captured_from * decoder.packet_samples / header.rate_hz
     delay_s = decoder.delay_samples / header.rate_hz
@@ -242,7 +261,29 @@ def _compared(
     ]
     traces.append(Trace("skin", skin, skin_rate_hz, "um", skin, skin_rate_hz))
     caption = f"skin: the DAC's codes, {source}, through the model of the actuator {skin_model.name}"
-    return Outcome(report, caption, tuple(traces))
+    return Outcome(report, stream, caption, tuple(traces))
+
+
+def _unread_reason(controller: Controller, stream: Stream, loops: int) -> str | None:
+    """Return why nothing of a playback is read back; None if everything is."""
+    if not controller.description.limits.capture_samples:
+        return "the controller keeps no captures"
+    decoder = stream.decoder()
+    if loops * len(stream.packets) * decoder.packet_samples * decoder.channels > MAX_COMPARED_SAMPLES:
+        return f"a comparison takes at most {MAX_COMPARED_SAMPLES} samples"
+    return None
+
+
+def _comparison_note(controller: Controller, stream: Stream, loops: int, result: player.PlaybackResult) -> str | None:
+    """Return why not everything was compared; None if it was."""
+    if result.captured_from:
+        return "the connection was lost, and the controller began again in the middle"
+    if result.decoded is not None and result.dac_codes is not None:
+        return None
+    keeps = controller.description.limits.capture_samples
+    return _unread_reason(controller, stream, loops) or (
+        f"the controller keeps {keeps} samples of each capture, and overwrote some before they were read"
+    )
 
 
 def at_the_skin(stream: Stream, actuator: Actuator) -> Recording:

@@ -16,9 +16,10 @@ from vibrocast.device_protocol.coded_stream import StreamHeader, renumbered
 from vibrocast.device_protocol.messages import EndStream, Start, State, Status
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host.controller import ANSWER_TIMEOUT_S, ConnectionLost, Controller, ControllerError
+from vibrocast.host.limits import check_limits, check_packet
 from vibrocast.host.link import STATUS_INTERVAL_S, Link, frame_bytes
 from vibrocast.host.player import RECONNECT_S
-from vibrocast.host.stream_session import check_limits, check_packet, configure_steps, stopped_on_error
+from vibrocast.host.stream_session import configure_steps, stopped_on_error
 
 # How long a packet lies on the controller before it is needed: sending may be late by this. All of it is delay.
 PLAYOUT_DELAY_S = 0.01
@@ -30,7 +31,8 @@ LINK_SHARE = 0.9
 # side, or by _MAX_GROWTH_S on the other, for _OUT_OF_STEP_S.
 _MAX_GROWTH_S = 0.02
 _OUT_OF_STEP_S = 0.25
-_END_S = 5.0
+# How long the end is waited for: until all that was sent should have been played, or for _MAX_LEFT_S, and _END_S more.
+_MAX_LEFT_S, _END_S = 30.0, 5.0
 # A live source may deliver its backlog at once. A source that floods _MAX_FLOODS streams in a row is not live.
 _FLOOD_FACTOR = 1.5
 _MAX_FLOODS = 4
@@ -417,7 +419,7 @@ class LiveStream:
 
     def _wait_for_the_end(self) -> None:
         left_samples = self.packets_sent * self.packet_samples - self.status.position
-        deadline_s = self.controller.clock() + left_samples / self.format.rate_hz + _END_S
+        deadline_s = self.controller.clock() + min(left_samples / self.format.rate_hz, _MAX_LEFT_S) + _END_S
         ask_s = 0.0
         while self.controller.clock() < deadline_s:
             if self.status.state in (State.FINISHED, State.STOPPED, State.WATCHDOG):

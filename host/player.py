@@ -13,11 +13,12 @@ from vibrocast.device_protocol.messages import CaptureData, State, Status, Statu
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host.controller import ANSWER_TIMEOUT_S, ConnectionLost, Controller, ControllerError
 from vibrocast.host.event_loop import Steps
+from vibrocast.host.limits import check_limits, check_packet
 from vibrocast.host.stream_session import (
+    READ_BACK_S,
     Capture,
+    CaptureOverwritten,
     StreamSession,
-    check_limits,
-    check_packet,
     configure_steps,
 )
 
@@ -30,7 +31,11 @@ _MAX_FRAME_PACKETS = 8
 _MAX_STATUS_INTERVAL_S = 0.25
 _MIN_WAIT_S = 0.001
 _SILENCE_S = 2.0
-_STALL_S = 5.0
+# A playback lasts at most its duration, times 1 + 2 _SLOWNESS, and _STALL_S and _MAX_OUTAGES_S more.
+_STALL_S, _MAX_OUTAGES_S = 5.0, 60.0
+_SLOWNESS = 0.1
+# From the end of an outage until the controller plays again.
+_RESTART_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -50,7 +55,8 @@ class PlaybackResult:
     `state`: FINISHED, or STOPPED if someone stopped it. `seconds`: from start to end. `buffered_s`: mean time that
     data waited in the controller. `wire_bytes_*`: all bytes of this playback on the transport. `underruns`,
     `lost_packets` and `reconnects` count over all of it; `status` is the last one. `decoded` (int16, stream rate) and
-    `dac_codes` (int16, DAC rate), both (samples, channels), are the controller's capture, None if not required.
+    `dac_codes` (int16, DAC rate), both (samples, channels), are the controller's capture; None if not required, or if
+    the controller overwrote samples before they could be read.
     `captured_from`: its first packet, counted over all loops; 0 unless the controller started again after a loss.
     """
 
@@ -124,8 +130,9 @@ def play_steps(
     sent_before, received_before = controller.bytes_sent, controller.bytes_received
     started_s = controller.clock()
     reconnects, came_back_at = 0, -1
+    pace = _Pace(controller)
     try:
-        senders = [(yield from _begin_steps(controller, source, settings, 0))]
+        senders = [(yield from _begin_steps(controller, source, settings, 0, pace))]
         while True:
             last = senders[-1]
             try:
@@ -134,12 +141,13 @@ def play_steps(
             except (TransportError, ConnectionLost) as cause:
                 if last.position <= came_back_at:
                     raise  # nothing was gained by coming back
-                came_back_at = last.position
+                came_back_at, lost_s = last.position, last.heard_s
                 yield from controller.reconnect_steps(settings.reconnect_s)
                 reconnects += 1
                 if not (yield from last.goes_on_steps()):
                     first = last.refresh_to_go_on_from(cause)
-                    senders.append((yield from _begin_steps(controller, source, settings, first)))
+                    senders.append((yield from _begin_steps(controller, source, settings, first, pace)))
+                pace.note_outage(lost_s)
         if settings.capture:
             yield from last.read_captures_to_their_end_steps()
     except GeneratorExit:
@@ -161,8 +169,8 @@ def play_steps(
         lost_packets=sum(sender.status.lost_packets for sender in senders),
         reconnects=reconnects,
         captured_from=last.first,
-        decoded=last.captures[Tap.DECODED].samples() if settings.capture else None,
-        dac_codes=last.captures[Tap.DAC].samples() if settings.capture else None,
+        decoded=last.captured(Tap.DECODED),
+        dac_codes=last.captured(Tap.DAC),
     )
 
 
@@ -223,7 +231,43 @@ class _Source:
         return refresh if self.end is None or refresh < self.end else None
 
 
-def _begin_steps(controller: Controller, source: _Source, settings: PlaybackSettings, first: int) -> Steps["_Sender"]:
+class _Pace:
+    """Checks that a playback comes on, so that waiting for its end ends, whatever the controller reports.
+
+    The controller may be behind the clock by _STALL_S, its outages, and a part _SLOWNESS of the time played. The
+    time in which it rests does not count while this host wants it to pause.
+    """
+
+    def __init__(self, controller: Controller) -> None:
+        self._controller = controller
+        self._heard_s, self._counted_s = controller.clock(), 0.0
+        self._played_s = self._outages_s = 0.0
+
+    def check(self, played_s: float, rests: bool) -> None:
+        """Take in how much has been played by now. Raises ControllerError if it should be more."""
+        now_s = self._controller.clock()
+        if not (rests and self._controller.may_pause):
+            self._counted_s += now_s - self._heard_s
+        self._heard_s = now_s
+        self._played_s = max(self._played_s, played_s)
+        if self._counted_s > _STALL_S + self._outages_s + (1 + _SLOWNESS) * self._played_s:
+            raise ControllerError(
+                f"the controller has played only {self._played_s:.1f} s of the stream in {self._counted_s:.1f} s; "
+                "restart it"
+            )
+
+    def note_outage(self, began_s: float) -> None:
+        """Take in that the controller was out of reach until now. Raises ControllerError if it was so for too long."""
+        self._outages_s += self._controller.clock() - began_s + _RESTART_S
+        if self._outages_s > _MAX_OUTAGES_S + _SLOWNESS * self._played_s:
+            raise ControllerError(
+                f"the controller has been out of reach for {self._outages_s:.0f} s in all; check its cable"
+            )
+
+
+def _begin_steps(
+    controller: Controller, source: _Source, settings: PlaybackSettings, first: int, pace: _Pace
+) -> Steps["_Sender"]:
     """Set up and start the stream from packet `first` on, a random-access packet; return who sends it."""
     limits = controller.description.limits
     # The current packet and the next, however long, where the controller has room. One more where the last packet of an
@@ -243,14 +287,14 @@ def _begin_steps(controller: Controller, source: _Source, settings: PlaybackSett
         gain=settings.gain,
     )
     yield from session.start_steps()
-    return _Sender(session, source, settings, first, ahead_packets, buffer_packets)
+    return _Sender(session, source, settings, first, ahead_packets, buffer_packets, pace)
 
 
 class _Sender:
     """Sends what is played under one Configure, from packet `first` on.
 
     `reports_playing`, `buffered_s_sum`: how many Status came while it played, and the sum of the time that data waited
-    in the controller then. `captures`: what has been read back.
+    in the controller then. `heard_s`: when the last Status came.
     """
 
     def __init__(
@@ -261,6 +305,7 @@ class _Sender:
         first: int,
         ahead_packets: int,
         buffer_packets: int,
+        pace: _Pace,
     ) -> None:
         """`ahead_packets`: how many the controller is to hold; `buffer_packets`: as many of them as it has room for."""
         self._session = session
@@ -277,11 +322,12 @@ class _Sender:
         self._ask_s = self._free_s = self._sent_s = 0.0
         self._pending_tap: Tap | None = None
         self.reports_playing, self.buffered_s_sum = 0, 0.0
-        self.captures = {tap: Capture(controller, tap, source.header.channels) for tap in Tap}
+        # Those of which everything could be read so far.
+        self._captures = {tap: Capture(controller, tap, source.header.channels) for tap in Tap if settings.capture}
         self._base = first - first % len(source.packets)  # where the controller's positions begin
         self.first = self._next = first
-        self._furthest = self.status.position
-        self._noted_s = self._moved_s = controller.clock()
+        self._pace = pace
+        self.heard_s = controller.clock()
 
     @property
     def status(self) -> Status:
@@ -297,10 +343,9 @@ class _Sender:
         """Send as far as the credit reaches, and receive, until the playback has ended."""
         while self.status.state not in (State.FINISHED, State.STOPPED):
             now_s = self._controller.clock()
-            if now_s - self._noted_s > _SILENCE_S:
+            if now_s - self.heard_s > _SILENCE_S:
                 raise ConnectionLost(f"the controller has not answered for {_SILENCE_S:g} s; check that it has power")
-            if now_s - self._moved_s > _STALL_S:
-                raise ControllerError(f"the controller's position has not moved for {_STALL_S:g} s; restart it")
+            self._pace.check(self._source.seconds(self.position), rests=self.status.state == State.PAUSED)
             has_sent = self._send_frame()
             if now_s >= self._free_s:
                 self._ask(now_s)
@@ -309,13 +354,13 @@ class _Sender:
                 self._free_s = now_s = self._controller.clock()
             if isinstance(answer, CaptureData) and self._pending_tap is not None:
                 tap, self._pending_tap = self._pending_tap, None  # a second copy may follow
-                self.captures[tap].take(answer)
+                self._take(tap, answer)
                 if not answer.data:
                     self._free_s = self._ask_s  # nothing new, as far as is known, before the next status
             if self._session.news() is not None:
                 self._note()
                 if not self._settings.capture:
-                    self._ask_s = min(self._noted_s + self._status_interval_s, self._sent_s + self._max_silence_s)
+                    self._ask_s = min(self.heard_s + self._status_interval_s, self._sent_s + self._max_silence_s)
                 if self._settings.progress is not None:
                     self._settings.progress(self._progress())
 
@@ -344,13 +389,31 @@ class _Sender:
             ) from cause
         return refresh
 
+    def captured(self, tap: Tap) -> NDArray[np.int16] | None:
+        """Return what a tap captured, int16 (samples, channels); None if not all of it could be read."""
+        return self._captures[tap].samples() if tap in self._captures else None
+
     def read_captures_to_their_end_steps(self) -> Steps[None]:
-        """Read back what is left of the captures."""
+        """Read back what is left of the captures. Raises ControllerError if that takes longer than READ_BACK_S."""
+        until_s = self._controller.clock() + READ_BACK_S
         for tap, captured_by_now, rate_hz in self._taps():
             # The output comes to rest within a second; a longer capture is none of this stream.
-            while self.captures[tap].samples_read < captured_by_now + rate_hz:
-                if not (yield from self.captures[tap].read_steps()):
-                    break
+            more = True
+            while more and tap in self._captures and self._captures[tap].samples_read < captured_by_now + rate_hz:
+                try:
+                    more = yield from self._captures[tap].read_steps(until_s)
+                except CaptureOverwritten:
+                    more = False
+                    del self._captures[tap]
+
+    def _take(self, tap: Tap, answer: CaptureData) -> None:
+        """Take in a frame of a capture. Give up a capture that was overwritten."""
+        if tap not in self._captures:
+            return
+        try:
+            self._captures[tap].take(answer)
+        except CaptureOverwritten:
+            del self._captures[tap]
 
     def _send_frame(self) -> bool:
         """Send the next packets that credit and one frame have room for, if it is time; return whether it did."""
@@ -379,7 +442,7 @@ class _Sender:
         """Return for how long there is nothing to send, unless something comes."""
         until_s = min(
             self._free_s if self._tap_to_read() is not None else max(self._free_s, self._ask_s),
-            self._noted_s + _SILENCE_S,
+            self.heard_s + _SILENCE_S,
         )
         if self.status.state == State.PLAYING and not self._controller.is_sending:
             packets = self._min_packets()
@@ -390,13 +453,13 @@ class _Sender:
 
     def _playing_at_s(self, packet: int) -> float:
         """Return when the controller, which plays, begins to play a packet, counted as in its positions."""
-        return self._noted_s + (packet - self.status.position / self._source.packet_samples) * self._source.packet_s
+        return self.heard_s + (packet - self.status.position / self._source.packet_samples) * self._source.packet_s
 
     def _playing(self) -> int:
         """Return the packet that the controller is playing by now, counted as in its positions."""
         packets = self.status.position / self._source.packet_samples
         if self.status.state == State.PLAYING:
-            packets += (self._controller.clock() - self._noted_s) / self._source.packet_s
+            packets += (self._controller.clock() - self.heard_s) / self._source.packet_s
         return int(packets)
 
     def _note(self) -> None:
@@ -406,10 +469,7 @@ class _Sender:
             raise ControllerError(
                 "the controller plays beyond the end of the stream, by a Loop sent to it or a fault; restart it"
             )
-        if status.state == State.PAUSED or status.position > self._furthest:
-            self._furthest = status.position
-            self._moved_s = self._controller.clock()
-        self._noted_s = self._controller.clock()
+        self.heard_s = self._controller.clock()
         if status.state == State.WATCHDOG:
             watchdog_ms = self._controller.description.limits.watchdog_ms
             raise ConnectionLost(
@@ -433,14 +493,15 @@ class _Sender:
         )
 
     def _taps(self) -> list[tuple[Tap, int, int]]:
-        """Return each tap, about how many samples it has captured by now, and how many it captures a second."""
+        """Return each tap to read, about how many samples it has captured by now, and how many it captures a second."""
         source = self._source
         positions = self.status.position - (self.first - self._base) * source.packet_samples
         dac_rate_hz = self._controller.description.actuator.dac_rate_hz
-        return [
+        taps = [
             (Tap.DECODED, positions, source.header.rate_hz),
             (Tap.DAC, int(source.seconds(positions) * dac_rate_hz), dac_rate_hz),
         ]
+        return [tap for tap in taps if tap[0] in self._captures]
 
     def _ask(self, now_s: float) -> None:
         """Ask for the status, or for a frame of a capture that the controller would soon overwrite.
@@ -454,12 +515,12 @@ class _Sender:
         elif (tap := self._tap_to_read()) is not None:
             self._pending_tap = tap
             self._free_s = now_s + ANSWER_TIMEOUT_S
-            self._controller.ask_once(self.captures[tap].request())
+            self._controller.ask_once(self._captures[tap].request())
 
     def _tap_to_read(self) -> Tap | None:
         """Return the tap whose capture the controller would soon overwrite; None if neither."""
-        if not self._settings.capture:
-            return None
-        unread = {tap: captured_by_now - self.captures[tap].samples_read for tap, captured_by_now, _ in self._taps()}
-        tap = max(unread, key=lambda tap: unread[tap])
-        return tap if unread[tap] > self._controller.description.limits.capture_samples // 4 else None
+        unread = {tap: captured_by_now - self._captures[tap].samples_read for tap, captured_by_now, _ in self._taps()}
+        tap = max(unread, key=lambda tap: unread[tap], default=None)
+        return (
+            tap if tap is not None and unread[tap] > self._controller.description.limits.capture_samples // 4 else None
+        )

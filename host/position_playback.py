@@ -25,7 +25,9 @@ _MAX_S = _MAX_POSITIONS / _POSITION_RATE_HZ
 _MAX_MM = 1e6
 # Between Start and the first DAC sample, so that its time is known; and until the last position has been rendered.
 _AHEAD_S, _BEHIND_S = 0.2, 0.05
-_LOADING_S = 5.0
+# Loading ends without progress for _LOADING_S, or at fewer bytes a second than any link carries.
+_LOADING_S, _MIN_LOADING_BYTES_PER_S = 5.0, 500
+_LATE_S = 5.0
 _READ_S, _MIN_READ_S = 0.02, 0.001
 # The controller's clock is at least at the time of the last Status, ten a second; the soonest of _HEARD counts. Sent
 # _SENT_AFTER_S later, no position comes before its time, even if that clock is slow by 1 %.
@@ -138,13 +140,14 @@ def load(controller: Controller, stream: Stream) -> StreamSession:
     if max(map(len, stream.packets)) > max_bytes:
         raise ControllerError(f"the controller takes packets of at most {max_bytes} bytes; encode at a lower quality")
     until_s = controller.clock() + _LOADING_S
+    end_s = until_s + sum(map(len, stream.packets)) / _MIN_LOADING_BYTES_PER_S
     while (loaded := session.status.position // packet_samples) < len(stream.packets):
         for packet in stream.packets[loaded : session.credit_until // packet_samples]:
             session.send((packet,))
         controller.request_status()
         session.news()
         if session.status.position // packet_samples > loaded:
-            until_s = controller.clock() + _LOADING_S
+            until_s = min(controller.clock() + _LOADING_S, end_s)
         elif controller.clock() > until_s:
             raise ControllerError("the profile does not get through to the controller; check the link")
     if session.status.lost_packets:
@@ -184,11 +187,14 @@ def play(
     sent = 1
     whole_s = movement.seconds + _BEHIND_S
     ask_s = controller.clock()
+    end_s = ask_s + _AHEAD_S + 1.1 * whole_s + _LATE_S
     try:
         while (passed_s := (now_s := controller.clock()) + max(heard) - start_us / 1e6) < whole_s:
             while sent < len(positions) and times_s[sent - 1] + _SENT_AFTER_S <= passed_s:
                 controller.send(Position(*positions[sent]))
                 sent += 1
+            if now_s > end_s:
+                raise ControllerError("the controller's clock is too slow, or stands still; restart it")
             if now_s >= ask_s:
                 ask_s = now_s + min(0.1, controller.description.limits.watchdog_ms / 4000)
                 controller.ask_status()

@@ -86,6 +86,7 @@ class Report:
     touch: Touch
     decoded_equals_offline: bool | None
     dac_equals_offline: bool | None
+    comparison_note: str | None
 
     @property
     def differs(self) -> bool:

@@ -1,12 +1,13 @@
 """One stream on a controller, for every sender: configure, note the credit, send packets, read status and captures."""
 
 import contextlib
+import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader
+from vibrocast.device_protocol.coded_stream import StreamHeader
 from vibrocast.device_protocol.layout import MAX_VARINT_BYTES
 from vibrocast.device_protocol.messages import (
     STREAM_DATA_HEAD_BYTES,
@@ -24,33 +25,17 @@ from vibrocast.device_protocol.messages import (
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.event_loop import Steps
+from vibrocast.host.limits import explained
+
+READ_BACK_S = 60.0
+"""For so long at most a capture is read back after playing."""
+_MIN_PART = 4
+"""A frame of a capture is at least this part full, unless the capture ends in it."""
 
 
 def next_number(stream: int) -> int:
     """Return the number of the stream after this one."""
     return (stream + 1) % 256
-
-
-def check_limits(controller: Controller, channels: int, rate_hz: int) -> None:
-    """Raise StreamError, with the limit, if the controller cannot play a stream of these channels and this rate."""
-    limits = controller.description.limits
-    if channels > limits.channels:
-        raise StreamError(f"{channels} channels, the controller has {limits.channels}; leave some out of the recording")
-    if not limits.min_rate_hz <= rate_hz <= limits.max_rate_hz:
-        raise StreamError(
-            f"a stream of {rate_hz} Hz, the controller takes {limits.min_rate_hz} to {limits.max_rate_hz} Hz; "
-            "encode with another `stream_rate_hz`"
-        )
-
-
-def check_packet(controller: Controller, packet_samples: int) -> None:
-    """Raise ControllerError if the controller's buffer does not hold a packet of this many samples."""
-    buffer_samples = controller.description.limits.buffer_samples
-    if packet_samples > buffer_samples:
-        raise ControllerError(
-            f"a packet has {packet_samples} samples, the controller's buffer {buffer_samples}; "
-            "encode with shorter packets"
-        )
 
 
 class StreamSession:
@@ -115,7 +100,7 @@ def configure_steps(
     compensation: bool = True,
     gain: float = 1.0,
 ) -> Steps[StreamSession]:
-    """Set a stream up, under the number after the last one. Raises as `Controller.request_steps`."""
+    """Set a stream up, under the number after the last one. Raises as `Controller.request_steps`, with advice."""
     status = yield from controller.request_steps(StatusRequest(), Status)
     configure = Configure(
         stream=next_number(status.stream),
@@ -127,7 +112,11 @@ def configure_steps(
         compensation=compensation,
         gain=gain,
     )
-    return StreamSession(controller, configure.stream, (yield from controller.request_steps(configure, Status)))
+    try:
+        accepted = yield from controller.request_steps(configure, Status)
+    except ControllerError as error:
+        raise explained(controller, header, error) from error
+    return StreamSession(controller, configure.stream, accepted)
 
 
 @contextlib.contextmanager
@@ -140,6 +129,10 @@ def stopped_on_error(controller: Controller) -> Iterator[None]:
         with contextlib.suppress(ControllerError, TransportError):
             controller.stop()
         raise
+
+
+class CaptureOverwritten(ControllerError):
+    """Samples that the controller no longer keeps: it captured others before these were read."""
 
 
 class Capture:
@@ -161,20 +154,38 @@ class Capture:
         return CaptureRead(self._tap, self.samples_read, self._frame_samples)
 
     def take(self, answer: CaptureData) -> bool:
-        """Take in a frame; return whether there is more. Raises ControllerError if it is not the next one."""
-        if (answer.tap, answer.channels, answer.offset) != (self._tap, self._channels, self.samples_read):
-            raise ControllerError(
-                f"the controller has no {self._tap.name.lower()} capture from sample {self.samples_read} of "
-                f"{self._channels} channels: it keeps the last {self._controller.description.limits.capture_samples} "
-                "samples; play without the read-back"
+        """Take in a frame; return whether there is more.
+
+        Raises CaptureOverwritten where samples before it are gone, ControllerError for a frame of another capture.
+        """
+        keeps = self._controller.description.limits.capture_samples
+        if (answer.tap, answer.channels) != (self._tap, self._channels) or answer.offset < self.samples_read:
+            raise ControllerError("the controller answers with another capture than asked for; update its firmware")
+        if answer.offset > self.samples_read:
+            raise CaptureOverwritten(
+                f"the controller keeps {keeps} samples of each capture, and overwrote some before they were read; use "
+                "a less busy machine"
             )
         piece = np.frombuffer(answer.data, "<i2").astype(np.int16).reshape(-1, self._channels)
         self._pieces.append(piece)
         self.samples_read += len(piece)
+        if 0 < len(piece) < self._frame_samples // _MIN_PART and self.samples_read < answer.end:
+            raise ControllerError(
+                f"the controller sends {len(piece)} captured samples in a frame for {self._frame_samples}, though it "
+                "has more; update its firmware"
+            )
         return len(piece) > 0 and self.samples_read < answer.end
 
-    def read_steps(self) -> Steps[bool]:
-        """Read the next frame; return whether there is more. Raises as `take` and `Controller.request_steps`."""
+    def read_steps(self, until_s: float = math.inf) -> Steps[bool]:
+        """Read the next frame; return whether there is more.
+
+        Raises as `take` and `Controller.request_steps`, and ControllerError after a time of the controller's clock.
+        """
+        if self._controller.clock() > until_s:
+            raise ControllerError(
+                f"reading the capture back has taken {READ_BACK_S:g} s, and the controller says that it has more; "
+                "restart it"
+            )
         return self.take((yield from self._controller.request_steps(self.request(), CaptureData)))
 
     def samples(self) -> NDArray[np.int16]:
@@ -194,6 +205,7 @@ def read_capture(controller: Controller, tap: Tap, channels: int) -> tuple[int, 
     """
     first = oldest_captured(controller, tap)
     capture = Capture(controller, tap, channels, first)
-    while controller.run(capture.read_steps()):
+    until_s = controller.clock() + READ_BACK_S
+    while controller.run(capture.read_steps(until_s)):
         pass
     return first, capture.samples()

@@ -18,6 +18,7 @@ from vibrocast.device_protocol.messages import (
 )
 from vibrocast.device_protocol.model_image import ModelImage, sha256
 from vibrocast.device_protocol.transports import TransportError
+from vibrocast.host import signatures
 from vibrocast.host.controller import ConnectionLost, Controller, ControllerError
 from vibrocast.host.devices import SIMULATED
 
@@ -25,6 +26,7 @@ RECONNECT_S = 10.0
 
 # docs/reference/protocol.md: erasing or reading a whole slot takes its time.
 _SLOT_TIMEOUT_S = 0.5
+_MAX_CUTS = 20
 _RESTART_S = 10.0
 _RESTART_PAUSE_S = 0.1
 _RUNNING = (SlotState.TESTING, SlotState.CONFIRMED)
@@ -41,14 +43,16 @@ def flash(
 
     `slot`: None = one that is not running. `progress` is called with the bytes that the slot has and the image's size.
     A cut connection is opened again for `reconnect_s`, and the transfer resumed; a later call resumes it as well.
-    An image that runs already is left alone. Raises ModelImageError, ControllerError, TransportError, MessageError.
+    An image that runs already is left alone. Raises ModelImageError, also for an image without the signature that the
+    controller needs, ControllerError, TransportError, MessageError.
     """
-    model = ModelImage.unpack(image)
+    public_key = controller.description.public_key
+    model = signatures.check(image, public_key) if public_key else ModelImage.unpack(image)
     identity = sha256(image)
 
     def described(slot: int, state: SlotState) -> ImageDescription:
         # A controller reads the name from the image itself: it shows that the image is whole, and so can run.
-        return ImageDescription(slot, state, identity, model.name, model.version)
+        return ImageDescription(slot, state, identity, model.name, model.version, number=model.number)
 
     for found in controller.description.images:
         if slot in (None, found.slot) and found == described(found.slot, SlotState.CONFIRMED):
@@ -58,7 +62,7 @@ def flash(
     if slot is None:
         slot = _free_slot(controller)
     begin = FlashBegin(slot, len(image), identity, model.hardware)
-    resumed_at = -1
+    resumed_at, cuts = -1, 0
     while True:
         received = 0
         try:
@@ -70,9 +74,9 @@ def flash(
             verified = controller.request(FlashVerify(slot), FlashStatus, _SLOT_TIMEOUT_S)
             break
         except (TransportError, ConnectionLost):
-            if received <= resumed_at:
-                raise  # nothing was gained since the last cut
-            resumed_at = received
+            if received <= resumed_at or cuts == _MAX_CUTS:
+                raise  # nothing was gained since the last cut, or too little
+            resumed_at, cuts = received, cuts + 1
             controller.reconnect(reconnect_s)
     if verified.sha256 != identity or verified.state != SlotState.VERIFIED:
         raise ControllerError(f"verification failed for slot {slot}: data differs; upload it again")

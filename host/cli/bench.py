@@ -18,6 +18,7 @@ from vibrocast.host.cli.option_types import FOLDER, INPUT, Whole
 from vibrocast.host.cli.options import (
     BadInput,
     RecordingOptions,
+    allow_programs_option,
     chosen_highpass_hz,
     command_run,
     grouped,
@@ -54,6 +55,7 @@ class CodecOptions:
     names: list[str]
     model_folders: tuple[Path, ...]
     program_list: Path | None
+    allow_programs: bool
 
 
 @dataclass(frozen=True)
@@ -104,6 +106,7 @@ class SignalOptions:
             metavar="FILE",
             help="Add codecs in programs of your own, from a TOML file.",
         ),
+        allow_programs_option,
     ),
     click.option(
         "--peers", type=INPUT, metavar="FILE", help="Add others' points on the same recordings, from a CSV file."
@@ -168,7 +171,9 @@ class SignalOptions:
             help="Take the median time of these runs; 0 measures no times.",
         ),
         click.option(
-            "--scheduler", metavar="ADDRESS", help="Measure on a Dask scheduler's workers. Default: on this machine."
+            "--scheduler",
+            metavar="ADDRESS",
+            help="Measure on workers of a Dask scheduler that you trust. Default: on this machine.",
         ),
         click.option("--fresh", is_flag=True, help="Measure again all that an earlier run has measured."),
     ),
@@ -198,7 +203,8 @@ def bench(
     The command codes each recording at every setting of every codec. If one fails, the others continue; the failures
     are listed at the end, and the exit code is 1.
 
-    A scheduler's ADDRESS is one such as tcp://host:8786.
+    A scheduler's ADDRESS is one such as tcp://host:8786. Trust it: whoever runs it, or its workers, can run any program
+    as you on this machine.
     """
     extras.require("bench")
     from vibrocast.evaluation import bench, cells, cost, external, kinds, results_page, speed, trained, workers
@@ -209,7 +215,7 @@ def bench(
 
     highpass_hz = chosen_highpass_hz(signal.keep_dc, recording.unit)
     try:
-        programs = external.read_programs(codecs.program_list) if codecs.program_list else []
+        programs = external.read_programs(codecs.program_list, codecs.allow_programs) if codecs.program_list else []
         chosen = cells.methods(codecs.names, programs, trained.known_models(codecs.model_folders))
         found = dataset.read(recordings, leave_out=out)
         traces = dataset.split(found.entries, split.part, split.seed, split.split_by)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, NoReturn
 import click
 
 from vibrocast import extras
-from vibrocast.host.cli.exit_codes import FAILED, INTERRUPTED
+from vibrocast.host.cli import exit_codes
 from vibrocast.host.printable import plain
 
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -44,6 +44,7 @@ SECTIONS: Mapping[str, Mapping[str, Subcommand]] = {
         "devices": Subcommand("devices", "list_devices", "List addresses: simulated, serial, USB and sound cards."),
         "status": Subcommand("devices", "status", "Show the properties and state of a controller."),
         "flash": Subcommand("devices", "flash", "Upload a trained model to a controller."),
+        "keys": Subcommand("keys", "keys", "Make keys, sign model images and check signatures."),
         "simulate": Subcommand("devices", "simulate", "Run a simulated controller until Ctrl-C."),
     },
     "Measure and compare": {
@@ -70,14 +71,14 @@ _LONGEST = max(map(len, SUBCOMMANDS))
 class DeviceFailure(click.ClickException):
     """The device, or this program, failed."""
 
-    exit_code = FAILED
+    exit_code = exit_codes.FAILED
 
 
 class VibrocastCommand(click.Group):
     """A group whose errors, expected or not, are one line on stderr and an exit code."""
 
     def main(self, *arguments: Any, **extra: Any) -> NoReturn:
-        """Run the command line and exit: 0, 1 device or other failure, 2 bad input, 130 interrupted."""
+        """Run the command line and exit: 0, 1 device or other failure, 2 bad input, 130 interrupted, 143 killed."""
         extra["standalone_mode"] = False
         try:
             sys.exit(super().main(*arguments, **extra))
@@ -87,7 +88,7 @@ class VibrocastCommand(click.Group):
         except click.ClickException as error:
             fail(error.format_message(), error.exit_code)
         except click.Abort:
-            fail("interrupted", INTERRUPTED)
+            fail("interrupted", exit_codes.interrupted_by(exit_codes.signalled))
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of the subcommands."""

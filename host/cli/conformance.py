@@ -35,7 +35,8 @@ def conformance(
     The requirements are those of docs/reference/protocol.md. The tests play textures, and write the spare slot for
     model images. The image that runs now runs again afterwards.
 
-    The exit code is 0 if the controller conforms, 1 if it does not, and 2 if it could not be tested.
+    The exit code is 0 if the controller conforms, 1 if it does not, and 2 if it could not be tested or this machine was
+    too busy to decide it.
     """
     extras.require("bench")
     from vibrocast.host.conformance import PAGE, NotTestable, TappedLink, run_suite
@@ -56,7 +57,7 @@ def conformance(
         report.write(out)
         click.echo(f"report: {out / PAGE}")
     if not report.conforming:
-        raise click.exceptions.Exit(1)
+        raise click.exceptions.Exit(2 if report.undecided else 1)
 
 
 def show(report: "Report") -> None:
@@ -69,8 +70,8 @@ def show(report: "Report") -> None:
         table.add_row(section, *(str(counts[outcome] or "") for outcome in Outcome))
     Console().print(table)
     for finding in report.findings:
-        if finding.outcome == Outcome.FAILED:
-            click.echo(f"FAIL  {finding.requirement.text}\n      {finding.reason}")
+        if finding.outcome in (Outcome.FAILED, Outcome.HOST_BUSY):
+            click.echo(f"{finding.outcome.value.upper()}  {finding.requirement.text}\n      {finding.reason}")
     for reason in {finding.reason for finding in report.findings if finding.outcome == Outcome.NOT_TESTED}:
         click.echo(f"{Outcome.NOT_TESTED.value}: {reason}")
     click.echo(f"{plain(report.hello.hardware)}, {plain(report.hello.build)}: {report.summary}")

@@ -9,7 +9,7 @@ import click
 from vibrocast import models, progress
 from vibrocast.host import devices, uploader
 from vibrocast.host.cli import planned
-from vibrocast.host.cli.option_types import OutputFile, Whole
+from vibrocast.host.cli.option_types import INPUT, OutputFile, Whole
 from vibrocast.host.cli.options import (
     BadInput,
     actuator_option,
@@ -62,7 +62,9 @@ def uploaded(model: models.Model, address: str) -> str:
     """Upload a model to the controller at an address; return the image that it runs then, in words."""
     with devices.connect(address) as controller, progress.bar("uploading") as update:
         slot = uploader.flash(controller, model.image, progress=lambda done, total: update(done / total))
-    return f"{slot.name} {slot.version} runs from slot {slot.slot}, confirmed"
+        checked = controller.description.public_key
+    signature = f"number {slot.number}, signature checked" if checked else "no signature checked"
+    return f"{slot.name} {slot.version} runs from slot {slot.slot}, confirmed; {signature}"
 
 
 @click.command()
@@ -92,13 +94,17 @@ def status(address: str, actuator_name: str | None, as_json: bool) -> None:
     help="Let the controller's clock run fast.",
 )
 @click.option("--flash-file", type=OutputFile(), help="Keep model images in this file. Default: lost at the end.")
+@click.option("--public-key", type=INPUT, metavar="FILE", help="Take only model images that this key signed.")
 @runtime_option
-def simulate(actuator: str, drift_ppm: int, flash_file: Path | None, runtime: str | None) -> None:
+def simulate(
+    actuator: str, drift_ppm: int, flash_file: Path | None, public_key: Path | None, runtime: str | None
+) -> None:
     """Run a simulated controller until Ctrl-C.
 
     The command prints the address of its serial port. Pass it to another program as --device. The port is a
     pseudo-terminal on Linux and macOS, and a socket on Windows.
     """
+    from vibrocast.firmware.keys import read_public_key
     from vibrocast.simulated_device.controller import FLASH_BYTES, Settings
     from vibrocast.simulated_device.controller import Controller as SimulatedController
     from vibrocast.simulated_device.flash import FlashMemory
@@ -107,7 +113,8 @@ def simulate(actuator: str, drift_ppm: int, flash_file: Path | None, runtime: st
     if flash_file and flash_file.exists() and not (flash_file.is_file() and flash_file.stat().st_size == FLASH_BYTES):
         raise BadInput(f"{flash_file}: no flash memory, which has {FLASH_BYTES} bytes; name a new file")
     flash_memory = FlashMemory(FLASH_BYTES, path=flash_file)
-    settings = Settings(actuator=ACTUATORS[actuator], drift_ppm=drift_ppm, runtime=runtime)
+    key = None if public_key is None else read_public_key(public_key)
+    settings = Settings(actuator=ACTUATORS[actuator], drift_ppm=drift_ppm, runtime=runtime, public_key=key)
     with serial_port(SimulatedController(settings, flash_memory)) as port:
         click.echo(f"serial:{port.name}")
         sys.stdout.flush()

@@ -4,15 +4,20 @@ import io
 import os
 import signal
 import sys
+import threading
 from types import FrameType
 from typing import NoReturn
 
-from vibrocast.host.cli.exit_codes import INTERRUPTED
+from vibrocast.host.cli import exit_codes
 
 # Windows has no SIGHUP.
 STOPPING_SIGNALS: tuple[signal.Signals, ...] = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 )
+HEED_S = 0.5
+"""How long a signal may wait for the main thread. Only a computation in a library keeps that thread from it."""
+
+_heeded = threading.Event()
 
 
 def main() -> None:
@@ -25,20 +30,45 @@ def main() -> None:
 
     for number in heeded:
         signal.signal(number, _interrupt)
+    read_end, write_end = os.pipe()
+    os.set_blocking(write_end, False)
+    signal.set_wakeup_fd(write_end, warn_on_full_buffer=False)
+    threading.Thread(target=_end_where_unheeded, args=(read_end,), daemon=True).start()
     if isinstance(sys.stdout, io.TextIOWrapper):
         # The names of files may be no text at all.
         sys.stdout.reconfigure(errors="backslashreplace")
     command_line()
 
 
-def _leave(_number: int, _frame: FrameType | None) -> NoReturn:
+def _leave(number: int, _frame: FrameType | None) -> NoReturn:
     """Leave at once: nothing is under way yet, and libraries that are being loaded may swallow an exception."""
     os.write(2, b"error: interrupted\n")
-    os._exit(INTERRUPTED)
+    os._exit(exit_codes.interrupted_by(number))
 
 
-def _interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
+def _interrupt(number: int, _frame: FrameType | None) -> NoReturn:
     """Interrupt what is under way. A closed terminal may signal twice; only Ctrl-C may cut the cleaning up short."""
-    for number in STOPPING_SIGNALS[1:]:
-        signal.signal(number, signal.SIG_IGN)
+    _heeded.set()
+    for other in STOPPING_SIGNALS[1:]:
+        signal.signal(other, signal.SIG_IGN)
+    exit_codes.signalled = number
     raise KeyboardInterrupt
+
+
+def _end_where_unheeded(read_end: int) -> None:
+    """End the process HEED_S after a signal that the main thread has not heeded; no file is left half written.
+
+    Python runs handlers of signals in the main thread only, between two of its own instructions. A library may compute
+    there for long. A controller that plays then rests by its watchdog.
+    """
+    (number,) = os.read(read_end, 1)  # Python writes the number of each signal
+    while signal.getsignal(number) is not _interrupt:  # the signal was for someone else
+        (number,) = os.read(read_end, 1)
+    if _heeded.wait(HEED_S):
+        return
+    from vibrocast.files import remove_partial
+
+    remove_partial()
+    show_cursor = b"\x1b[?25h\n" if os.isatty(2) else b""  # a progress bar hides it
+    os.write(2, show_cursor + b"error: interrupted\n")
+    os._exit(exit_codes.interrupted_by(number))

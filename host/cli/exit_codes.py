@@ -1,7 +1,15 @@
 """Exit codes of the `vibrocast` command."""
 
+import signal
+
 FAILED = 1
 """The device, or the command itself, failed."""
 BAD_INPUT = 2
-INTERRUPTED = 130
-"""As a shell gives for Ctrl-C."""
+
+signalled: int = signal.SIGINT
+"""The signal that has interrupted the command. At a prompt, the end of the input counts as Ctrl-C."""
+
+
+def interrupted_by(number: int) -> int:
+    """Return the exit code that a shell gives for a signal: 130 for Ctrl-C, 143 for SIGTERM, 129 for SIGHUP."""
+    return 128 + number

@@ -1,6 +1,8 @@
 """The subcommand `export`: a checkpoint becomes graphs, a model image and a card, in one folder."""
 
 import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +11,11 @@ import numpy as np
 
 from vibrocast import extras, models, progress
 from vibrocast.files import atomic_folder
+from vibrocast.firmware.keys import read_private_key
+from vibrocast.host import signatures
+from vibrocast.host.cli.keys import number_option
 from vibrocast.host.cli.option_types import FOLDER, INPUT
-from vibrocast.host.cli.options import BadInput, command_run
+from vibrocast.host.cli.options import BadInput, command_run, grouped
 from vibrocast.host.cli.sections import OUTPUT, SectionedCommand, section
 
 FILES = {models.CARD, "card.md", "curves.csv", "curves.png", models.ANALYSIS, "synthesis.onnx"}
@@ -29,6 +34,27 @@ def reject_replacing_others(folder: Path) -> None:
     held = {path.name for path in folder.iterdir() if path.suffix != models.IMAGE_SUFFIX} if folder.exists() else set()
     if held and (models.CARD not in held or held - FILES):
         raise BadInput(f"{folder} holds other files than a model's, and would be replaced; give another --out")
+
+
+@dataclass(frozen=True)
+class Signing:
+    """How to sign the image: the file of a private key and the number of the release, both or neither."""
+
+    key: Path | None
+    number: int | None
+
+    def signer(self) -> Callable[[bytes], bytes]:
+        """Return the function that signs a packed image; without a key, it leaves one alone.
+
+        Raises click.UsageError, and as `read_private_key`.
+        """
+        key, number = self.key, self.number
+        if key is not None and number is not None:
+            private_key, chosen = read_private_key(key), number
+            return lambda image: signatures.signed(image, private_key, chosen)
+        if key is not None or number is not None:
+            raise click.UsageError("--sign needs the --number of the release, and --number needs --sign; pass both")
+        return lambda image: image
 
 
 @click.command(cls=SectionedCommand)
@@ -78,6 +104,17 @@ def reject_replacing_others(folder: Path) -> None:
         help="State the command of the training. Default: `vibrocast train NAME.toml`.",
     ),
 )
+@section(
+    "Signature",
+    grouped(
+        "signing",
+        Signing,
+        click.option(
+            "--sign", "key", type=INPUT, metavar="FILE", help="Sign the image with the private key in this file."
+        ),
+        number_option(required=False),
+    ),
+)
 @section(OUTPUT, click.option("--out", type=FOLDER, help="Write the model into this folder. Default: ./NAME."))
 def export(
     checkpoint: Path,
@@ -88,6 +125,7 @@ def export(
     prior: Any,
     data_folder: Path,
     training_command: str | None,
+    signing: Signing,
 ) -> None:
     """Export a checkpoint: ONNX graphs, model image and card.
 
@@ -103,6 +141,7 @@ def export(
     from vibrocast.export.graphs import GraphError
     from vibrocast.export.lapped import Lapped
 
+    sign = signing.signer()
     try:
         loaded = load(checkpoint)
         try:
@@ -132,11 +171,12 @@ def export(
             if not isinstance(loaded.model, Lapped):
                 update(0, "integers")
                 made = package.make(loaded, name, model_version, runtime, signals, prior)
+                made = replace(made, image=sign(made.image))
                 image, files = made.image, made.files
                 card = model_card.made(loaded, made, trained, held_back, commands, update)
                 page = model_card.as_markdown(card)
         if isinstance(loaded.model, Lapped):
-            image = lapped_image.image(loaded.model, name, model_version, signals, trained_as.seed)
+            image = sign(lapped_image.image(loaded.model, name, model_version, signals, trained_as.seed))
             model = models.Model(name, Path(f"{name}{models.IMAGE_SUFFIX}"), image)
             files = {str(model.path): image}
             with progress.bar("measuring") as update:

@@ -8,7 +8,7 @@ import click
 
 from vibrocast import extras
 from vibrocast.host.cli.option_types import FOLDER, INPUT
-from vibrocast.host.cli.options import actuator_option, grouped, plan_option
+from vibrocast.host.cli.options import actuator_option, allow_programs_option, grouped, plan_option
 from vibrocast.host.cli.sensor_options import sensitivity_option, volts_option
 from vibrocast.host.harness import ACTUATOR, JSON, NAMES, PAGE
 from vibrocast.host.sensitivity import Sensitivity
@@ -84,6 +84,7 @@ def calibrated(bench: "Bench", given: CalibrationOptions) -> "Bench":
     metavar="FILE",
     help="Read controllers, actuators, sensors and textures from a TOML file.",
 )
+@allow_programs_option
 @plan_option
 @calibration_options
 @click.option(
@@ -110,6 +111,7 @@ def calibrated(bench: "Bench", given: CalibrationOptions) -> "Bench":
 def measure(
     device: str | None,
     bench_path: Path | None,
+    allow_programs: bool,
     plan_path: Path | None,
     calibration: CalibrationOptions,
     out: Path,
@@ -125,14 +127,14 @@ def measure(
     """
     extras.require("bench")
     from vibrocast.host.bench_file import choose_controller, read_bench
-    from vibrocast.host.harness import compare, described, figures, measure_bench, read_results
+    from vibrocast.host.harness import compare, described, figures, measure_bench, read_results, warnings
     from vibrocast.host.planner import read_plan
 
     if plan_path is not None and bench_path is not None:
         raise click.UsageError("--plan and --bench both name controllers and actuators; drop one of them")
     if (plan_path or bench_path) and calibration != CalibrationOptions(None, None, None, None):
         raise click.UsageError("--plan and --bench name actuators and sensors; drop them, or --actuator and --sensor")
-    bench = None if bench_path is None else read_bench(bench_path)
+    bench = None if bench_path is None else read_bench(bench_path, allow_programs)
     bench = choose_controller(bench if plan_path is None else read_plan(plan_path).bench(), device)
     bench = calibrated(bench, calibration)
     before = None if earlier is None else read_results(earlier)
@@ -142,6 +144,8 @@ def measure(
         click.echo(f"not measured: {name}: {why}", err=True)
     for name, value in figures(results.document()):
         click.echo(described(name, value))
+    for warning in warnings(results.document()):
+        click.echo(f"warning: {warning}", err=True)
     click.echo(f"{out / PAGE}")
     if worse := [change.name for change in changes if change.regressed]:
         raise click.ClickException(

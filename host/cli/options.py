@@ -160,6 +160,11 @@ plan_option = click.option(
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 
 
+allow_programs_option = click.option(
+    "--allow-programs", is_flag=True, help="Let the file start programs; they can do whatever you can."
+)
+
+
 @dataclass(frozen=True)
 class RecordingOptions:
     """Facts that the file of a recording may not state, as `textures.load` takes them; None = not given."""

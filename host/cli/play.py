@@ -14,7 +14,7 @@ from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ
 from vibrocast.codec.stream import MAX_GAIN_DB, Stream, read_stream
 from vibrocast.device_protocol.coded_stream import StreamError, packet_sequence
 from vibrocast.files import atomic_write
-from vibrocast.host import devices, player, profiles, stream_session
+from vibrocast.host import devices, player, profiles
 from vibrocast.host.cli import planned
 from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, positive
 from vibrocast.host.cli.options import (
@@ -42,6 +42,7 @@ from vibrocast.host.cli.steps import (
     warn_of_underruns,
 )
 from vibrocast.host.controller import ControllerError
+from vibrocast.host.limits import check_limits
 from vibrocast.host.report import Report, Touch
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import ACTUATORS, Actuator
@@ -202,9 +203,9 @@ def play(
         for name, controller in list(controllers.items()):
             try:
                 if isinstance(source, Stream):
-                    stream_session.check_limits(controller, source.header.channels, source.header.rate_hz)
+                    check_limits(controller, source.header.channels, source.header.rate_hz)
                 else:
-                    stream_session.check_limits(controller, source.channels, quality.stream_rate_hz)
+                    check_limits(controller, source.channels, quality.stream_rate_hz)
             except StreamError as error:
                 failures[name] = error
         members = {
@@ -234,7 +235,7 @@ def play(
         outcome.report.write(outputs.report_path)
     if outputs.plot_path:
         picture.draw(outputs.plot_path, f"{file.name} on {addresses[0]}", outcome.caption, outcome.traces)
-    show(summary(outcome.report, stream))
+    show(summary(outcome, stream))
     if outcome.report.touch.level_db <= 0:
         click.echo("warning: nobody would feel this; raise --gain-db, or check --unit and --full-scale", err=True)
     if outcome.report.sound_card:
@@ -378,23 +379,35 @@ def describe_touch(touch: Touch) -> str:
     return f"nothing exceeds the detection threshold ({level})"
 
 
-def describe_packets(stream: Stream) -> str:
-    """Return how long the packets of a stream are, and how often one can be decoded alone, in words."""
-    packet_s = stream.decoder().packet_samples / stream.header.rate_hz
+def describe_packets(stream: Stream, given: Stream) -> str:
+    """Return how long the packets of a stream are, and how often one can be decoded alone, in words.
+
+    `given`: the stream before its packets were split for the controller.
+    """
+    packet_samples = stream.decoder().packet_samples
+    packet_s = packet_samples / stream.header.rate_hz
     alone = [number for number, packet in enumerate(stream.packets) if packet_sequence(packet)[1]]
     often = f"one in {packet_s * (alone[1] - alone[0]):.2f} s" if len(alone) > 1 else "only the first"
-    return f"{1000 * packet_s:.1f} ms each, {often} can be decoded alone"
+    longer = given.decoder().packet_samples / packet_samples
+    split = f", split from {1000 * packet_s * longer:.1f} ms for this controller" if longer > 1 else ""
+    return f"{1000 * packet_s:.1f} ms each, {often} can be decoded alone{split}"
 
 
-def summary(report: Report, stream: Stream) -> dict[str, object]:
-    """Return the lines that `play` prints at its end."""
+def describe_comparison(equal: bool | None, report: Report) -> str:
+    """Return whether what was read back is as computed, or why that is not known."""
+    return f"{ANSWERS[equal]}: {report.comparison_note}" if equal is None and report.comparison_note else ANSWERS[equal]
+
+
+def summary(outcome: "end_to_end.Outcome", given: Stream) -> dict[str, object]:
+    """Return the lines that `play` prints at its end; `given`: the stream before it was fitted to the controller."""
+    report = outcome.report
     latency, limits = report.latency_ms, report.actuator
     return {
         "played": f"{report.file}, {report.seconds:.2f} s, {report.channels} channel(s), {report.loops} time(s)",
         "stream": f"{report.stream_bytes} bytes, {report.bits_per_second:.0f} bit/s, "
         f"{report.bits_per_sample:.2f} bit/sample, codec {report.codec}"
         + (f", model {report.model}" if report.model else ""),
-        "packets": describe_packets(stream),
+        "packets": describe_packets(outcome.stream, given),
         "quality": describe_quality(report),
         "wire": f"{report.wire_bytes} bytes sent, {report.wire_bytes_back} received",
         "latency": f"{latency.algorithmic:.1f} ms codec + {latency.buffered:.1f} ms buffer, "
@@ -404,6 +417,6 @@ def summary(report: Report, stream: Stream) -> dict[str, object]:
         "actuator": f"{limits.name}, clipped {limits.clipped_samples}, limited by voltage {limits.voltage_limited}, "
         f"slew {limits.slew_limited}, power {limits.power_limited} samples",
         "touch": describe_touch(report.touch),
-        "decoded as sent": ANSWERS[report.decoded_equals_offline],
-        "DAC as computed": ANSWERS[report.dac_equals_offline],
+        "decoded as sent": describe_comparison(report.decoded_equals_offline, report),
+        "DAC as computed": describe_comparison(report.dac_equals_offline, report),
     }

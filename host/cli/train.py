@@ -32,7 +32,9 @@ from vibrocast.host.cli.options import BadInput
 @click.option("--resume", is_flag=True, help="Continue a training that was cut.")
 @click.option("--threads", type=Whole("NUMBER", 1), help="Limit the threads of a single training. Default: one a core.")
 @click.option(
-    "--scheduler", metavar="ADDRESS", help="Run a sweep on a Dask scheduler's workers. Default: on this machine."
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Run a sweep on workers of a Dask scheduler that you trust. Default: on this machine.",
 )
 def train(
     config: Path, data_folder: Path | None, out: Path, resume: bool, threads: int | None, scheduler: str | None
@@ -42,6 +44,7 @@ def train(
     examples/eva.toml is such a CONFIG. Export the checkpoint, OUT/NAME/checkpoint.pt, with `vibrocast export`.
 
     A sweep runs its trainings in parallel, each on one core. A scheduler's ADDRESS is one such as tcp://host:8786.
+    Trust it: whoever runs it, or its workers, can run any program as you on this machine.
     """
     extras.require("train")
     from vibrocast.export import configuration, training

@@ -51,6 +51,7 @@ SECTIONS = (
     "Model upload: FlashActivate",
     "Model upload: Restarts and power failures",
     "Model upload: Model image",
+    "Model upload: Signatures",
 )
 """Headings of docs/reference/protocol.md that hold requirements, in its order: a section, or section: subsection."""
 

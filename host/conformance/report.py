@@ -29,6 +29,7 @@ class Outcome(Enum):
     FAILED = "fail"
     NOT_APPLICABLE = "not applicable"
     NOT_TESTED = "not tested"
+    HOST_BUSY = "host busy"
 
 
 @dataclass(frozen=True)
@@ -62,14 +63,25 @@ class Report:
     @property
     def conforming(self) -> bool:
         """Whether every requirement that was tested is met, and all that apply were tested."""
-        return not any(finding.outcome in (Outcome.FAILED, Outcome.NOT_TESTED) for finding in self.findings)
+        return not self._outcomes & {Outcome.FAILED, Outcome.NOT_TESTED, Outcome.HOST_BUSY}
+
+    @property
+    def undecided(self) -> bool:
+        """Whether nothing speaks against the controller but what this machine may have caused itself."""
+        return Outcome.HOST_BUSY in self._outcomes and not self._outcomes & {Outcome.FAILED, Outcome.NOT_TESTED}
 
     @property
     def verdict(self) -> str:
         """The verdict in words."""
+        if self.undecided:
+            return "not decided, because this machine was busy,"
         if not self.conforming:
             return "not conforming"
         return "conforming, as far as it was tested," if self.left_out else "conforming"
+
+    @property
+    def _outcomes(self) -> set[Outcome]:
+        return {finding.outcome for finding in self.findings}
 
     @property
     def summary(self) -> str:

@@ -27,6 +27,10 @@ _OPTIONS = (
 _ENVIRONMENT = {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "PYTEST_ADDOPTS": "", "PYTEST_PLUGINS": ""}
 
 
+BUSY_S = 0.05
+"""A machine that wakes up later than this from a wait may itself have caused what a test blames on the controller."""
+
+
 class NotTestable(Exception):
     """The controller does not answer Hello correctly, so nothing else can be tested."""
 
@@ -96,6 +100,8 @@ class _SuiteRun:
             self.requirements[item.nodeid] = _requirement(item)
 
     def pytest_runtest_logstart(self, nodeid: str) -> None:
+        if self._link is not None:
+            self._link.late_s = 0.0
         if self._progress is not None:
             self._progress(len(self.findings) / len(self.requirements), self.requirements[nodeid].section)
 
@@ -110,6 +116,10 @@ class _SuiteRun:
         elif call.excinfo is not None or call.when == "call":
             measured = dict(item.user_properties).get("measured", "")
             outcome, reason = _outcome(call.excinfo)
+            late_s = 0.0 if self._link is None else self._link.late_s
+            if outcome == Outcome.FAILED and late_s > BUSY_S:
+                outcome = Outcome.HOST_BUSY
+                reason = f"this machine woke up {1000 * late_s:.0f} ms late, so it may be to blame, for: {reason}"
             self.findings[item.nodeid] = Finding(self.requirements[item.nodeid], outcome, reason, str(measured))
             if outcome == Outcome.FAILED and item.get_closest_marker("prerequisite") is not None:
                 self._not_tested = f"a prerequisite is not met: {self.requirements[item.nodeid].text}"

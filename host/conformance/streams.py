@@ -23,6 +23,7 @@ SECONDS = 0.4
 # Moderate: no limit of the actuator acts. Of the displacement, or of the drive, from rest.
 STRENGTH = 0.1
 TONE_HZ = 150.0
+_LOUD_HZ = 25.0
 MODEL = "eva-16-4"
 # Codecs without a model image. A test that needs no special codec plays the first that the controller has.
 PLAIN_CODECS = tuple(known.name for known in codec.BUILT_IN.values() if known.keeps_waveform and not known.needs_model)
@@ -124,6 +125,12 @@ def constant(rate_hz: int, channels: int, unit: str, peak: float, seconds: float
     return textures.Recording(samples, float(rate_hz), unit, "conformance")
 
 
+def loud(rate_hz: int, channels: int, unit: str, peak: float, seconds: float) -> textures.Recording:
+    """Return a square wave of full scale: no signal has more power."""
+    tone = np.sign(np.sin(2 * np.pi * _LOUD_HZ * np.arange(round(seconds * rate_hz)) / rate_hz))
+    return textures.Recording(np.tile(tone[:, None], (1, channels)), float(rate_hz), unit, "conformance")
+
+
 def amplitude(actuator: ActuatorDescription, unit: str) -> float:
     """Return a moderate peak value in the unit, for this actuator."""
     if unit == "full scale":
@@ -140,6 +147,12 @@ def model(codec_name: str | None = None) -> models.Model:
     with_runtime = codec.codec_by_identifier(image.codec_identifier).with_runtime
     payload = with_runtime(image.payload, "core") if with_runtime else image.payload
     return replace(shipped, image=replace(image, name="conformance", payload=payload).pack())
+
+
+def need_no_signature(description: HelloResponse) -> None:
+    """Skip the test where a controller takes signed model images only: nobody signs the suite's."""
+    if description.public_key:
+        pytest.skip("the controller takes signed model images only, and nobody signs the suite's")
 
 
 def decoded(stream: Stream, first_packet: int = 0, missing: Collection[int] = ()) -> NDArray[np.int16]:
@@ -177,6 +190,11 @@ def held_samples(hello: HelloResponse, stream: Stream) -> int:
     """Return how many samples of a stream the buffer holds: whole packets, no more than credit may ever grant."""
     packet_samples = stream.decoder().packet_samples
     return min(_MAX_PACKETS, hello.limits.buffer_samples // packet_samples) * packet_samples
+
+
+def dac_samples(probe: Probe, channels: int = 1) -> int:
+    """Return how many DAC samples have been captured. Raises NotConforming, TransportError."""
+    return probe.read_capture(Tap.DAC, 0, 0, channels).end
 
 
 def need_capture(hello: HelloResponse) -> None:

@@ -16,7 +16,8 @@ class TappedLink(Closing):
     `clock`, `sleep`: the host's; for a transport in simulated time, its own. `restart`: takes the power from the
     controller and gives it back; None where nobody can. `may_flash`: whether slots for model images may be written.
     `messages`: names of the types of message that passed either way, whole. `error_codes`: those of the controller.
-    `to_controller`, `to_host`: the faults of each direction, None = none.
+    `to_controller`, `to_host`: the faults of each direction, None = none. `late_s`: the most by which this machine woke
+    up late from a wait, since somebody set it to 0.
     """
 
     def __init__(
@@ -28,7 +29,8 @@ class TappedLink(Closing):
         may_flash: bool = True,
     ) -> None:
         self.clock = clock
-        self.sleep = sleep
+        self._sleep = sleep
+        self.late_s = 0.0
         self.restart = restart
         self.may_flash = may_flash
         self.messages: set[str] = set()
@@ -38,6 +40,12 @@ class TappedLink(Closing):
         self._transport = transport
         self._is_cut = False
         self._sent, self._received = FrameReader(), FrameReader()
+
+    def sleep(self, seconds: float) -> None:
+        """Let time pass."""
+        due_s = self.clock() + seconds
+        self._sleep(seconds)
+        self.late_s = max(self.late_s, self.clock() - due_s)
 
     def cut(self) -> None:
         """Fail, as a pulled cable does, until the transport is opened again."""
@@ -59,7 +67,9 @@ class TappedLink(Closing):
     def read(self, timeout_s: float) -> bytes:
         """Return what has come, waiting for it at most `timeout_s`. Raises TransportError."""
         self._need_cable()
+        due_s = self.clock() + timeout_s
         data = self._transport.read(timeout_s)
+        self.late_s = max(self.late_s, self.clock() - due_s)
         for message in _messages(self._received, data):
             self.messages.add(type(message).__name__)
             if isinstance(message, Error):

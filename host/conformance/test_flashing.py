@@ -28,17 +28,32 @@ from vibrocast.device_protocol.messages import (
     Tap,
     pack,
 )
-from vibrocast.device_protocol.model_image import ModelImage, sha256
+from vibrocast.device_protocol.model_image import ModelImage, sha256, with_signature
 from vibrocast.host.conformance.fixtures import section
 from vibrocast.host.conformance.probe import NotConforming, Probe, an_error, describe, in_state, same_samples
-from vibrocast.host.conformance.streams import decoded, model, need_capture, stream_for
+from vibrocast.host.conformance.streams import (
+    decoded,
+    lasting_stream,
+    model,
+    need_capture,
+    need_no_signature,
+    stream_for,
+)
 
+_REQUESTS_OF_AN_UPLOAD = 5
 _NO_SLOTS = (0x7F, 0xFF)
 _NAME = 13  # where an image's name begins
 
 
 @pytest.fixture
-def image(hello: HelloResponse) -> ModelImage:
+def image(hello: HelloResponse, unsigned_image: ModelImage) -> ModelImage:
+    """A model image that the controller takes; skip the test where that needs a signature."""
+    need_no_signature(hello)
+    return unsigned_image
+
+
+@pytest.fixture
+def unsigned_image(hello: HelloResponse) -> ModelImage:
     """A model image for a codec of the controller; skip the test where no image is known for any."""
     learned = ModelImage.unpack(model().image)
     for number, name in hello.codecs:
@@ -217,23 +232,49 @@ def test_faulty_image_is_rejected(probe: Probe, slot: int, image: ModelImage, fa
     assert found.state == SlotState.EMPTY, f"expected an EMPTY slot, came {found}"
 
 
-@section("Model upload: FlashData")
-def test_transfer_while_playing(probe: Probe, slot: int, image: ModelImage) -> None:
-    """The controller carries out FlashData and FlashVerify while a stream plays, and does not disturb it."""
+@section("Model upload: Signatures")
+def test_signature_is_checked_where_hello_names_a_key(probe: Probe, slot: int, unsigned_image: ModelImage) -> None:
+    """A controller with a public key rejects images without its signature; one without ignores signatures."""
+    status = probe.expect(StatusRequest(), Status)
+    has_key = bool(probe.description.public_key)
+    assert status.signed_images == has_key, f"expected signed_images as in HelloResponse, came {describe(status)}"
+    data = new_image(probe, unsigned_image)
+    signed = with_signature(data, 7, b"\x01" * 64)
+    if not has_key:
+        verify(probe, slot, signed)
+        found = described(probe, slot)
+        assert (found.number, found.sha256) == (7, sha256(data)), f"expected the number 7 and the hash, came {found}"
+        return
+    for faulty in (data, signed):
+        begin(probe, slot, faulty)
+        write(probe, slot, faulty)
+        probe.expect_rejection(FlashVerify(slot), ErrorCode.IMAGE_REJECTED)
+
+
+@section("Model upload")
+def test_upload_waits_for_the_end_of_a_stream(probe: Probe, slot: int, image: ModelImage) -> None:
+    """The controller rejects the requests of an upload while a stream plays, and plays it undisturbed."""
     need_capture(probe.description)
     data = new_image(probe, image)
-    stream = stream_for(probe.description, seconds=1.0)
+    stream = lasting_stream(probe, _REQUESTS_OF_AN_UPLOAD + 2, 1.0)
     begin(probe, slot, data)
+    write(probe, slot, data[: len(data) // 2])
     number = probe.configure(stream).stream
     probe.feed(number, stream)
     probe.expect(Start(), Status)
-    write(probe, slot, data)
-    status = probe.expect(FlashVerify(slot), FlashStatus)
-    assert status.state == SlotState.VERIFIED, f"expected a VERIFIED slot, came {describe(status)}"
+    probe.wait_for_state(State.PLAYING)
+    for request in (
+        FlashBegin(slot, len(data), sha256(data), ""),
+        FlashData(slot, len(data) // 2, data[len(data) // 2 :][:1]),
+        FlashVerify(slot),
+        FlashActivate(slot),
+        FlashConfirm(slot),
+    ):
+        probe.expect_rejection(request, ErrorCode.WRONG_STATE)
     played = probe.wait_for_state(State.FINISHED, 2.0 + 2 * stream.seconds)
     assert (played.underruns, played.lost_packets) == (0, 0), f"expected no loss, came {describe(played)}"
     first, came = probe.captured(Tap.DECODED, 1)
-    same_samples(came, decoded(stream)[first:], "a stream during a transfer")
+    same_samples(came, decoded(stream)[first:], "a stream during an upload")
 
 
 @section("Model upload: FlashActivate")

@@ -13,7 +13,7 @@ from vibrocast.host.conformance.probe import Probe, describe, in_state
 from vibrocast.host.conformance.streams import stream_for
 
 # docs/reference/protocol.md, "An example": Hello under number 0x1234.
-_EXAMPLE = bytes.fromhex("05 01 34 12 01 03 77 43 00")
+_EXAMPLE = bytes.fromhex("05 01 34 12 02 03 24 16 00")
 _EXAMPLE_NUMBER = 0x1234
 _UNKNOWN_TAG = 0xEE
 _TLV_BYTES = 3

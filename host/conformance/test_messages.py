@@ -31,10 +31,13 @@ from vibrocast.device_protocol.messages import (
     Tap,
     pack,
 )
-from vibrocast.host.conformance.fixtures import section
+from vibrocast.host.conformance.fixtures import long, section
 from vibrocast.host.conformance.probe import Probe, an_error, describe, in_state
 from vibrocast.host.conformance.streams import lasting_stream, stream_for
 
+# docs/reference/protocol.md, "Status"
+_DRIFT = 0.01
+_CLOCK_S = 1.5
 _KNOWN = {request.TYPE for request in REQUESTS}
 _REQUEST_TYPES = range(0x01, 0x40)
 _STREAM_TYPES = range(0x40, 0x80)
@@ -204,3 +207,19 @@ def request_for(request_type: type[Message], probe: Probe) -> Message:
         FlashConfirm(_NO_SLOT),
     )
     return next(request for request in requests if type(request) is request_type)
+
+
+@long
+@section("Messages: From the controller")
+def test_the_clock_keeps_time(probe: Probe) -> None:
+    """The controller's device_time_us keeps time within 1 %."""
+    begun_s = probe.link.clock()
+    begin_us = probe.status().device_time_us
+    first_answer_s = probe.link.clock() - begun_s
+    probe.listen(_CLOCK_S)
+    asked_s = probe.link.clock()
+    passed_s = (probe.status().device_time_us - begin_us) / 1e6
+    least_s, most_s = asked_s - begun_s - first_answer_s, probe.link.clock() - begun_s
+    assert (1 - _DRIFT) * least_s <= passed_s <= (1 + _DRIFT) * most_s, (
+        f"expected {least_s:.3f} to {most_s:.3f} s, came {passed_s:.3f} s"
+    )

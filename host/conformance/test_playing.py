@@ -26,6 +26,7 @@ from vibrocast.host.conformance.fixtures import long, section
 from vibrocast.host.conformance.probe import ANSWER_S, Probe, describe, in_state
 from vibrocast.host.conformance.streams import (
     constant,
+    dac_samples,
     decoded,
     decoded_as,
     held_samples,
@@ -41,6 +42,8 @@ _MAX_WAIT_S = 1.0
 # Behind a Start, of a test in which something happens in the middle.
 _REQUESTS = 4
 _ENDLESS_PACKETS = 60_000
+# Of the stream: the filters of the output may lead, and times are rounded.
+_SAMPLES_AHEAD = 32
 # Of a DAC code, to tell a ramp from a jump.
 _MIN_LEVEL = 8
 
@@ -227,6 +230,21 @@ def test_notifications_while_armed_and_playing(probe: Probe, stream: Stream) -> 
 
 
 @section("Playing: Positions")
+def test_position_keeps_pace_with_the_clock(probe: Probe, longer: Stream) -> None:
+    """The controller's position is no further than its clock allows since the start."""
+    number = probe.configure(longer).stream
+    probe.feed(number, longer)
+    start_us = soon_us(probe)
+    probe.expect(Start(start_us), Status)
+    probe.wait_for_state(State.PLAYING)
+    for _ in range(20):
+        status = probe.status()
+        allowed = (status.device_time_us - start_us) * longer.header.rate_hz / 1e6 + _SAMPLES_AHEAD
+        assert status.position <= allowed, f"expected a position of at most {allowed:.0f}, came {describe(status)}"
+        probe.listen(0.013)
+
+
+@section("Playing: Positions")
 def test_playing_begins_at_the_first_packet(probe: Probe, stream: Stream) -> None:
     """The controller begins position, decoding and capture at the refresh that Configure names."""
     refreshes = [number for number, packet in enumerate(stream.packets) if number and packet_sequence(packet)[1]]
@@ -304,8 +322,12 @@ def test_late_data_is_dropped(probe: Probe, stream: Stream) -> None:
     packets = len(stream.packets)
     number = probe.configure(stream).stream
     probe.expect(Start(), Status)
-    probe.wait_for(lambda status: status.position > 0, "to play without data", _MAX_WAIT_S + ANSWER_S)
-    probe.feed(number, stream, stream.packets[:1])
+    gone = min(4, packets - 2) * stream.decoder().packet_samples
+    probe.wait_for(lambda status: status.position > gone, "to play without data", _MAX_WAIT_S + ANSWER_S)
+    before = probe.status().buffered_samples
+    probe.send_packets(number, stream.packets[: min(4, packets - 2)])
+    buffered = probe.status().buffered_samples
+    assert buffered <= before + gone / 2, f"expected late packets to be dropped, came {buffered} samples buffered"
     status = finished(probe, stream)
     assert status.lost_packets == packets, f"expected {packets} lost packets, came {describe(status)}"
     decoded_as(probe, decoded(stream, missing=range(packets)), "without data in time")
@@ -321,11 +343,11 @@ def test_pause_holds_the_position(probe: Probe, longer: Stream) -> None:
     paused = in_state(probe.expect(Pause(), Status), State.PAUSED, "Pause")
     probe.listen(0.1)
     held = in_state(probe.status(), State.PAUSED, "Pause")
-    at_rest = dac_samples(probe, longer)
+    at_rest = dac_samples(probe, longer.header.channels)
     probe.listen(0.1)
     still = in_state(probe.status(), State.PAUSED, "Pause")
     assert paused.position == held.position == still.position, f"expected a held position, came {describe(still)}"
-    assert dac_samples(probe, longer) == at_rest, "expected an output at rest, came further DAC codes"
+    assert dac_samples(probe, longer.header.channels) == at_rest, "expected an output at rest, came further DAC codes"
     in_state(probe.expect(Resume(), Status), State.PLAYING, "Resume")
     without_loss(finished(probe, longer))
     decoded_as(probe, decoded(longer), "with a pause")
@@ -415,9 +437,9 @@ def test_stop_ramps_down_at_once(probe: Probe, longer: Stream) -> None:
     status = probe.stop()
     assert status.buffered_samples == 0, f"expected nothing buffered, came {describe(status)}"
     ends_at_rest(probe, longer)
-    captured = dac_samples(probe, longer)
+    captured = dac_samples(probe, longer.header.channels)
     probe.listen(0.1)
-    assert dac_samples(probe, longer) == captured, "expected an output at rest, came further DAC codes"
+    assert dac_samples(probe, longer.header.channels) == captured, "expected an output at rest, came further DAC codes"
     assert probe.stop().position == status.position, "expected the position to stay"
 
 
@@ -444,15 +466,10 @@ def test_output_never_jumps(probe: Probe) -> None:
     assert max_step <= level / 2, f"expected a ramp to and from DAC code {level}, came a step of {max_step}"
 
 
-def dac_samples(probe: Probe, stream: Stream) -> int:
-    """Return how many DAC samples have been captured."""
-    return probe.read_capture(Tap.DAC, 0, 0, stream.header.channels).end
-
-
 def ends_at_rest(probe: Probe, stream: Stream) -> None:
     """Check that the last DAC code of each channel is 0."""
     need_capture(probe.description)
-    end = dac_samples(probe, stream)
+    end = dac_samples(probe, stream.header.channels)
     answer = probe.read_capture(Tap.DAC, max(0, end - 1), 1, stream.header.channels)
     last = np.frombuffer(answer.data, "<i2")
     assert len(last) == stream.header.channels, f"expected the last DAC codes, came {describe(answer)}"

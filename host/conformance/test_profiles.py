@@ -10,7 +10,15 @@ from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
 from vibrocast.device_protocol.messages import ErrorCode, HelloResponse, Loop, Position, Start, State, Status, Tap, pack
 from vibrocast.host.conformance.fixtures import long, section
 from vibrocast.host.conformance.probe import Probe, describe, in_state, same_samples
-from vibrocast.host.conformance.streams import decoded, decoded_as, known_actuator, need_capture, stream_for
+from vibrocast.host.conformance.streams import (
+    RATE_HZ,
+    SECONDS,
+    decoded,
+    decoded_as,
+    known_actuator,
+    need_capture,
+    stream_for,
+)
 from vibrocast.output import profile as rendering
 
 _SAMPLES_PER_METRE, _FINEST_PER_METRE = 20_000, 200_000
@@ -18,15 +26,24 @@ _SAMPLES_PER_METRE, _FINEST_PER_METRE = 20_000, 200_000
 _SETTLED_S = 0.3
 _STILL_SAMPLES = 100
 _LATER_S = 0.01
+# A controller decodes a profile block by block.
+_LOADED_S = 0.3
+# Of the buffer, and somewhat more.
+_QUARTER = 0.35
 
 
 @pytest.fixture
 def profile(hello: HelloResponse) -> Stream:
     """A profile that can be rendered."""
+    return profile_for(hello, SECONDS)
+
+
+def profile_for(hello: HelloResponse, seconds: float) -> Stream:
+    """Return a texture of this length as a profile that can be rendered; skip the test where there is none."""
     limits, dac_rate_hz = hello.limits, hello.actuator.dac_rate_hz
     if not limits.profile_samples:
         pytest.skip("the controller takes no profiles")
-    coded = stream_for(hello)
+    coded = stream_for(hello, seconds=seconds)
     profile = replace(coded, header=replace(coded.header, unit=PROFILE_UNIT, rate_hz=_SAMPLES_PER_METRE))
     min_samples = rendering.min_samples(_SAMPLES_PER_METRE, dac_rate_hz)
     if not min_samples <= profile.samples <= limits.profile_samples:
@@ -58,9 +75,28 @@ def test_profile_is_loaded_without_gaps(probe: Probe, profile: Stream) -> None:
     number = probe.configure(profile).stream
     for sent, loaded in ((profile.packets[:1], 1), (profile.packets[2:], 1), (profile.packets, len(profile.packets))):
         probe.feed(number, profile, sent)
+        probe.listen(_LOADED_S)
         status = probe.status()
         assert status.position == loaded * packet_samples, f"expected {loaded} packets loaded, came {describe(status)}"
     decoded_as(probe, decoded(profile), "what was decoded of a profile")
+
+
+@section("Playing: Credit")
+def test_credit_that_has_grown_is_notified(probe: Probe, hello: HelloResponse) -> None:
+    """The controller sends Status when credit has grown by a quarter of the first credit, also before Start."""
+    profile = profile_for(hello, _QUARTER * hello.limits.buffer_samples / RATE_HZ)
+    packet_samples = profile.decoder().packet_samples
+    first = probe.configure(profile)
+    probe.notified.clear()
+    probe.send_packets(first.stream, profile.packets[: first.credit_until // packet_samples])
+    probe.listen(_LOADED_S)
+    told = [status.credit_until for status in probe.notified if isinstance(status, Status)]
+    grown = probe.status().credit_until
+    if grown < 1.25 * first.credit_until + packet_samples:
+        pytest.skip("no profile for this controller is long enough")
+    assert max(told, default=0) >= 1.25 * first.credit_until, (
+        f"expected a notification of credit that has grown from {first.credit_until} to {grown}, came {told or 'none'}"
+    )
 
 
 @long

@@ -1,7 +1,10 @@
 """Watchdog: the controller notices a silent host; any undamaged frame is a sign of life."""
 
+import random
+
 import pytest
 
+from vibrocast.device_protocol.frames import DELIMITER, write_frame
 from vibrocast.device_protocol.messages import ErrorCode, Pause, Resume, Start, State, Status, StreamData, pack
 from vibrocast.host.conformance.fixtures import long, section
 from vibrocast.host.conformance.probe import Probe, describe, in_state
@@ -52,6 +55,21 @@ def test_any_frame_is_a_sign_of_life(probe: Probe, kind: str) -> None:
         probe.link.sleep(watchdog_s / 4)
         probe.send(payload)
     in_state(probe.status(), State.ARMED, f"after {1.5 * watchdog_s:g} s with nothing but {kind}")
+
+
+@long
+@section("Session: Watchdog")
+def test_noise_is_no_sign_of_life(probe: Probe) -> None:
+    """The controller takes neither noise nor a damaged frame as a sign of life."""
+    watchdog_s = probe.description.limits.watchdog_ms / 1000
+    noise = random.Random(2)
+    damaged = bytearray(write_frame(pack(StreamData(0, 0, ()))))
+    damaged[-2] ^= 0x10  # in the CRC
+    armed(probe)
+    for _ in range(6):
+        probe.link.sleep(watchdog_s / 4)
+        probe.link.write(bytes(damaged) + noise.randbytes(100) + DELIMITER)
+    in_state(probe.status(), State.WATCHDOG, f"after {1.5 * watchdog_s:g} s with nothing but noise")
 
 
 @long

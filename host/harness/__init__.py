@@ -32,6 +32,7 @@ __all__ = [
     "measure_latency",
     "read_results",
     "subject",
+    "warnings",
 ]
 
 

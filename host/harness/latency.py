@@ -32,6 +32,8 @@ PARTS = {
 TRIAL_S = 1.5
 PLAYOUT_DELAYS_S = (0.064, 0.032, 0.016, 0.008, 0.004, 0.002, 0.001, 0.0005)
 HOPS = ("16", "32")
+MOST_LATE = 0.1
+"""Late packets and underruns, as a share of the measured packets, beyond which medians do not describe a stream."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,15 @@ class Latency:
     def stable(self) -> bool:
         """Whether every packet came in time."""
         return not self.underruns and not self.lost_packets
+
+    @property
+    def flaw(self) -> str | None:
+        """Why the delay is not what it seems to be; None where almost every packet came before it was needed."""
+        if self.lost_packets + self.underruns > MOST_LATE * self.blocks:
+            return f"{self.lost_packets} packets came too late, and {self.underruns} underruns moved the stream"
+        if self.parts["buffer"].median_ms < -self.clock.round_trip_ms / 2:  # the bound of the clock offset's error
+            return "packets seem to be played before they arrive, so the controller's clock is not known"
+        return None
 
 
 @dataclass(frozen=True)
@@ -174,6 +185,22 @@ def measure_latency(
     )
 
 
+def measure_credible_latency(
+    controller: Controller,
+    actuator: Actuator,
+    texture: Recording,
+    *,
+    seconds: float = 4.0,
+    progress: Callable[[float], None] | None = None,
+) -> Latency:
+    """Measure the latency, once more if it has a flaw. Raises ControllerError if it has one then too, and as before."""
+    for _ in range(2):
+        measured = measure_latency(controller, actuator, texture, seconds=seconds, progress=progress)
+        if measured.flaw is None:
+            return measured
+    raise ControllerError(f"{measured.flaw}; use a less busy machine or a faster link")
+
+
 def find_min_latency(
     controller: Controller,
     actuator: Actuator,
@@ -198,14 +225,16 @@ def find_min_latency(
                 "playout_delay_s": playout_delay_s,
             }
             once = measure_latency(controller, actuator, texture, seconds=TRIAL_S, **arguments)
-            if not once.stable:  # the computer may have been busy with something else
+            if not (once.stable and once.flaw is None):  # the computer may have been busy with something else
                 once = measure_latency(controller, actuator, texture, seconds=TRIAL_S, **arguments)
-            trials.append(Trial(hop, 1e3 * playout_delay_s, once.total_ms if once.stable else None))
+            trials.append(
+                Trial(hop, 1e3 * playout_delay_s, once.total_ms if once.stable and once.flaw is None else None)
+            )
             if progress is not None:
                 progress(
                     (HOPS.index(hop) + PLAYOUT_DELAYS_S.index(playout_delay_s) / len(PLAYOUT_DELAYS_S)) / len(HOPS)
                 )
-            if not once.stable:
+            if trials[-1].total_ms is None:
                 break
             stable.append((once.total_ms, hop, playout_delay_s))
     for _, hop, playout_delay_s in sorted(stable):
@@ -218,7 +247,7 @@ def find_min_latency(
             setting={"hop": hop},
             playout_delay_s=playout_delay_s,
         )
-        if found.stable:
+        if found.stable and found.flaw is None:
             return MinLatency(found, tuple(trials))
     return MinLatency(None, tuple(trials))
 

@@ -32,6 +32,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--vibrocast-bench", metavar="FILE.toml", help="bench file: controllers, actuators, sensors, textures"
     )
+    group.addoption(
+        "--vibrocast-allow-programs", action="store_true", help="let the bench file start programs as sensors"
+    )
     group.addoption("--vibrocast-plan", metavar="PLAN.toml", help="plan of `vibrocast plan`, in place of a bench file")
 
 
@@ -53,12 +56,12 @@ def _read(config: pytest.Config) -> Bench | None:
         if path is not None:
             from vibrocast.host.bench_file import read_bench
 
-            return read_bench(Path(path))
+            return read_bench(Path(path), config.getoption("vibrocast_allow_programs"))
         from vibrocast.host.planner import read_plan
 
         return read_plan(Path(plan_path)).bench()
     except (InputFileError, OSError) as error:
-        raise pytest.UsageError(str(error)) from error
+        raise pytest.UsageError(str(error).replace("--allow-programs", "--vibrocast-allow-programs")) from error
 
 
 @pytest.fixture(scope="session")

@@ -141,6 +141,16 @@ def figures(document: dict[str, Any]) -> Iterator[tuple[str, float]]:
         yield "controllers that played as computed", float(sum(each["as_computed"] is True for each in together))
 
 
+def warnings(document: dict[str, Any]) -> Iterator[str]:
+    """Yield in words what makes a figure of `figures` uncertain."""
+    latency = document["measured"].get("latency")
+    if latency and (latency["lost_packets"] or latency["underruns"]):
+        yield (
+            f"{latency['lost_packets']} packets came too late while the latency was measured, with "
+            f"{latency['underruns']} underruns; use a less busy machine"
+        )
+
+
 def described(name: str, value: float) -> str:
     """Return a figure of `figures` as a line for a person: its unit behind the value, yes or no in words."""
     title, _, unit = name.partition(", ")

@@ -123,9 +123,9 @@ def opened(address: str, actuator: Actuator | None) -> Iterator[CountingControll
     from vibrocast.simulated_device.faulty_link import MemoryLink
 
     if address in devices.EMULATED:
-        device = devices.emulated(address, count_instructions=True)
+        device = devices.emulated(address)
         link = MemoryLink(device)
-        yield CountingController(link, link.clock, link.sleep, lambda: device.processor.instructions)
+        yield CountingController(link, link.clock, link.sleep, lambda: device.processor.counter.instructions)
     else:
         link = MemoryLink(devices.simulated(actuator=actuator))
         yield CountingController(link, link.clock, link.sleep)

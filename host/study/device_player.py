@@ -15,7 +15,8 @@ from vibrocast.device_protocol.messages import State
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import player
 from vibrocast.host.controller import Controller, ControllerError
-from vibrocast.host.stream_session import check_limits, configure_steps
+from vibrocast.host.limits import check_limits, fitted
+from vibrocast.host.stream_session import configure_steps
 from vibrocast.host.study.stimuli import UNCODED_SNR_DB, stream_sha256
 from vibrocast.host.study.trials import Played, Stimulus, StimulusPlayer
 from vibrocast.output.actuator import Actuator, Codes
@@ -57,20 +58,24 @@ class ControllerPlayer(StimulusPlayer):
         self._carried: dict[str, Stream] = {}
 
     def prepare(self, stimuli: Sequence[Stimulus]) -> None:
-        """Offer each stream to the controller, and code those again that it rejects."""
+        """Offer each stream to the controller, split packets that are too long, code again what it rejects."""
         for stimulus in stimuli:
             stream = stimulus.stream
-            steps = configure_steps(self._controller, stream.header, 1, packets=len(stream.packets))
             try:
                 check_limits(self._controller, stream.header.channels, stream.header.rate_hz)
-                self._controller.run(steps)
-                self._controller.stop()
             except StreamError as error:
                 raise ControllerError(f"{stimulus.key}: {error}") from error
+            try:
+                carried = fitted(self._controller, stream)
+                self._controller.run(configure_steps(self._controller, carried.header, 1, packets=len(carried.packets)))
+                self._controller.stop()
+            except StreamError:
+                carried = _carried(stream)
             except ControllerError as error:
                 if error.code is None:
                     raise
-                self._carried[stream_sha256(stream)] = _carried(stream)
+                carried = _carried(stream)
+            self._carried[stream_sha256(stream)] = carried
 
     def start(self, stimulus: Stimulus) -> None:
         """Play from the beginning; the one before ramps down first. Raises ControllerError, TransportError."""

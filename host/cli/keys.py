@@ -1,0 +1,95 @@
+"""The subcommand `keys`: makes keys, signs model images, checks signatures."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from vibrocast import models
+from vibrocast.device_protocol.model_image import MAX_NUMBER
+from vibrocast.files import atomic_write
+from vibrocast.firmware import keys as key_files
+from vibrocast.host import signatures
+from vibrocast.host.cli.option_types import INPUT, OutputFile, Whole
+from vibrocast.host.cli.options import BadInput, chosen_model
+from vibrocast.host.cli.steps import files_of, reject_overwriting
+from vibrocast.host.printable import plain
+
+KEY_SUFFIX = ".pem"
+PUBLIC_SUFFIX = ".pub.pem"
+
+model_argument = click.argument("model", callback=chosen_model)
+
+
+def number_option(*, required: bool) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Return the option of a release's number."""
+    number = Whole("number", 1, MAX_NUMBER)
+    return click.option("--number", type=number, required=required, help="Number the release; no lower one runs later.")
+
+
+@click.group()
+def keys() -> None:
+    """Make keys, sign model images and check signatures.
+
+    Keys are of Ed25519, in PEM files as OpenSSL and MCUboot's imgtool write them.
+    """
+
+
+@keys.command()
+@click.argument("key", type=OutputFile(KEY_SUFFIX))
+def new(key: Path) -> None:
+    """Make a key pair.
+
+    The command writes the private key to KEY, such as vendor.pem, which only you can read. It writes the public key
+    next to it, to vendor.pub.pem. A lost private key cannot be made again.
+    """
+    private_key = key_files.new_private_key()
+    public_path = key.with_suffix(PUBLIC_SUFFIX)
+    for path in (key, public_path):
+        if path.exists():
+            raise BadInput(f"{path} exists, and a key cannot be made again; name another file")
+    key_files.write_private_key(key, private_key)
+    key_files.write_public_key(public_path, key_files.public_key(private_key))
+    click.echo(f"{public_path}: public key {key_files.public_key(private_key).hex()}")
+
+
+@keys.command()
+@click.argument("key", metavar="KEY", type=INPUT)
+def show(key: Path) -> None:
+    """Print the public key of a file in hexadecimal digits."""
+    click.echo(key_files.read_public_key(key).hex())
+
+
+@keys.command()
+@model_argument
+@click.option("--key", type=INPUT, metavar="FILE", required=True, help="Sign with the private key in this file.")
+@number_option(required=True)
+@click.option("--out", type=OutputFile(models.IMAGE_SUFFIX), required=True, help="Write the signed image here.")
+def sign(model: models.Model, key: Path, number: int, out: Path) -> None:
+    """Sign a model image.
+
+    MODEL is a name that `vibrocast models` lists, a folder of `vibrocast export`, or a model image. Streams of the
+    model play with the signed image as well.
+    """
+    reject_overwriting([out], [key, *files_of(model)])
+    private_key = key_files.read_private_key(key)
+    image = signatures.signed(model.image, private_key, number)
+    with atomic_write(out) as partial:
+        partial.write_bytes(image)
+    click.echo(plain(f"{out}: {model.name}, number {number}, by {key_files.public_key(private_key).hex()}"))
+
+
+@keys.command()
+@model_argument
+@click.option(
+    "--public-key", type=INPUT, metavar="FILE", required=True, help="Check against the public key in this file."
+)
+def verify(model: models.Model, public_key: Path) -> None:
+    """Check the signature of a model image.
+
+    MODEL is as for `sign`.
+    """
+    key = key_files.read_public_key(public_key)
+    image = signatures.check(model.image, key)
+    click.echo(plain(f"{model.path}: {image.name} {image.version}, number {image.number}, by {key.hex()}"))

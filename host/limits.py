@@ -1,0 +1,149 @@
+"""Fits streams to a controller's limits: splits packets that are too long, or says which option gives what fits."""
+
+import math
+from collections.abc import Iterator
+
+from vibrocast import codec, models
+from vibrocast.codec.core import decoding_cycles
+from vibrocast.codec.encoding import (
+    DEFAULT_SNR_DB,
+    DEFAULT_STREAM_RATE_HZ,
+    encoder_model,
+    families,
+    middle,
+)
+from vibrocast.codec.stream import Stream
+from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader
+from vibrocast.device_protocol.messages import ErrorCode, Limits
+from vibrocast.host.controller import Controller, ControllerError
+
+_MOST_BLOCK_SAMPLES = 128
+"""An encoder may make packets this much longer than asked for, because they hold whole blocks."""
+
+
+def packet_limit(limits: Limits) -> int:
+    """Return the samples per channel of the longest packet that a controller takes."""
+    return min(limits.packet_samples, limits.buffer_samples)
+
+
+def check_limits(controller: Controller, channels: int, rate_hz: int) -> None:
+    """Raise StreamError, with the limit, if the controller cannot play a stream of these channels and this rate."""
+    limits = controller.description.limits
+    if channels > limits.channels:
+        raise StreamError(
+            f"{channels} channels, the controller has {limits.channels}; take one with `axis`, combine three with "
+            "`reduce`, or play on another controller"
+        )
+    if not limits.min_rate_hz <= rate_hz <= limits.max_rate_hz:
+        nearest_hz = min(max(rate_hz, limits.min_rate_hz), limits.max_rate_hz)
+        raise StreamError(
+            f"a stream of {rate_hz} Hz, the controller takes {limits.min_rate_hz} to {limits.max_rate_hz} Hz; "
+            f"encode the recording with `stream_rate_hz` {nearest_hz}"
+        )
+
+
+def check_packet(controller: Controller, packet_samples: int) -> None:
+    """Raise ControllerError if the controller does not take a packet of this many samples."""
+    limit = packet_limit(controller.description.limits)
+    if packet_samples > limit:
+        raise ControllerError(
+            f"a packet has {packet_samples} samples, and the controller takes at most {limit}; choose shorter packets "
+            "with `packet_ms`"
+        )
+
+
+def fitted(controller: Controller, stream: Stream) -> Stream:
+    """Return the stream as the controller takes it: itself, or in shorter packets where the codec can split them.
+
+    Raises StreamError, with what to do, for a stream beyond the controller's limits or a damaged one, and CodecError as
+    `Stream.decoder`.
+    """
+    header, limits = stream.header, controller.description.limits
+    check_limits(controller, header.channels, header.rate_hz)
+    samples, size_bytes = packet_limit(limits), limits.sendable_packet_bytes
+    longest, largest = stream.decoder().packet_samples, max(map(len, stream.packets))
+    if longest <= samples and largest <= size_bytes:
+        return stream
+    problem = f"packets of {longest} samples and {largest} bytes, the controller takes {samples} and {size_bytes}"
+    chosen = codec.codec_by_name(stream.codec_name)
+    if chosen.repack is None:
+        wanted = min(samples, math.floor(longest * size_bytes / largest))
+        raise StreamError(f"{problem}; {_shorter_packets(stream, chosen, wanted)}")
+    try:
+        return stream.repacked(samples, size_bytes)
+    except codec.CodecError as error:
+        raise StreamError(f"{problem}: {error}") from error
+
+
+def _shorter_packets(stream: Stream, chosen: codec.Codec, packet_samples: int) -> str:
+    """Return how to code the recording of a stream in packets of at most `packet_samples`, which no host can split."""
+    rate_hz = stream.header.rate_hz
+    options = f"--codec {chosen.name}"
+    if stream.model_name is not None:
+        options += f" --model {stream.model_name}"
+    if rate_hz != DEFAULT_STREAM_RATE_HZ:
+        options += f" --stream-rate-hz {rate_hz}"
+    packet_ms = math.floor(1000 * (packet_samples - _MOST_BLOCK_SAMPLES) / rate_hz)
+    if not chosen.controls_rate or packet_ms < 1:
+        return f"play the recording itself, which is coded in short packets: `vibrocast play RECORDING {options}`"
+    return (
+        f"encode the recording again: `vibrocast encode RECORDING OUT.vct {options} --constant-quality --snr-db "
+        f"{DEFAULT_SNR_DB:g} --packet-ms {packet_ms}`"
+    )
+
+
+def explained(controller: Controller, header: StreamHeader, rejection: ControllerError) -> ControllerError:
+    """Return why the controller rejected a Configure of this stream, with what to do where decoding takes too long."""
+    limit = 1000 * controller.description.limits.decoding_kilocycles_per_s
+    if rejection.code != ErrorCode.BEYOND_LIMITS or limit == 0:
+        return rejection
+    model = models.by_hash(header.image_hash) if header.image_hash else None
+    tables = None if model is None else model.tables
+    cycles = decoding_cycles(header.codec_identifier, header.configuration, header.channels, tables)
+    if cycles * header.rate_hz <= limit:
+        return rejection
+    choices = list(_lighter(controller, header, limit))
+    if limit // cycles >= controller.description.limits.min_rate_hz:
+        choices.append(f"--stream-rate-hz {limit // cycles}")
+    advice = f"encode the recording with {' or '.join(choices)}" if choices else "use fewer channels"
+    return ControllerError(
+        f"decoding may take {cycles * header.rate_hz / 1e6:.3g} million cycles a second, and the controller has time "
+        f"for {limit / 1e6:.3g}; {advice}",
+        rejection.code,
+    )
+
+
+def _lighter(controller: Controller, header: StreamHeader, limit: int) -> Iterator[str]:
+    """Yield the options of codings that take at most `limit` cycles a second: another model, and another codec.
+
+    Of each, the one that takes the most of them.
+    """
+    once = (1.0,) * header.channels
+    signal_format = codec.SignalFormat(header.rate_hz, header.unit, header.gains, once)
+
+    def cycles_per_s(chosen: codec.Codec, model: models.Model | None) -> int:
+        setting, framing = chosen.complete(chosen.live_setting(header.rate_hz)), codec.live_framing(header.rate_hz)
+        encoder = chosen.make_encoder(setting, signal_format, framing, encoder_model(model), None)
+        tables = None if model is None else model.tables
+        return header.rate_hz * decoding_cycles(chosen.identifier, encoder.configuration, header.channels, tables)
+
+    same = codec.codec_by_identifier(header.codec_identifier, header.configuration)
+    decoded = [identifier for identifier, _ in controller.description.codecs]
+    # The codec itself is another coding where it also works without the model.
+    others = [
+        each
+        for each in codec.BUILT_IN.values()
+        if each.identifier in decoded and (each is not same or header.image_hash)
+    ]
+    costs = (
+        {f"--model {middle(members).name}": cycles_per_s(same, middle(members)) for members in families(same)},
+        {
+            f"--codec {other.name}": cycles_per_s(other, None)
+            for other in others
+            if other.keeps_waveform and not other.needs_model
+        },
+    )
+    for each in costs:
+        fits = [option for option, cycles in each.items() if cycles <= limit]
+        if fits:
+            yield max(fits, key=each.__getitem__)
