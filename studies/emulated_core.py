@@ -3,23 +3,20 @@
 import struct
 import subprocess
 import sys
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import capstone
 import numpy as np
 import unicorn
-from capstone import arm_const as arm
 from unicorn import arm_const as emulated
 
 from vibrocast import codec, extras
 from vibrocast.codec import CodedSignal, Decoded
 from vibrocast.firmware.build import CORTEX_M_FLAGS, FLAGS, M4F, M7, M33, ROOT, BuildError
 from vibrocast.firmware.elf import Elf
+from vibrocast.simulated_device.cycles import CycleCounter
 
 _FLASH, _RAM, _DATA = 0x0800_0000, 0x2000_0000, 0x6000_0000
 _MEMORY_BYTES = 1 << 20
@@ -29,16 +26,6 @@ _RETURN = _DATA + _MEMORY_BYTES - 2
 _PAINT = b"\xa5"
 _CONFIGURATION, _TABLES, _PACKET, _SAMPLES = (_DATA + offset for offset in (0, 0x100, 0x80000, 0x90000))
 _ARGUMENTS = [getattr(emulated, f"UC_ARM_REG_R{number}") for number in range(4)]
-
-_REFILL_CYCLES = 2
-_DIVISION_CYCLES = 12
-_LOADS = {arm.ARM_INS_LDR, arm.ARM_INS_LDRB, arm.ARM_INS_LDRH, arm.ARM_INS_LDRSB, arm.ARM_INS_LDRSH}
-_SINGLE = _LOADS | {arm.ARM_INS_STR, arm.ARM_INS_STRB, arm.ARM_INS_STRH}
-_PAIRS = {arm.ARM_INS_LDRD, arm.ARM_INS_STRD}
-_STACKED = {arm.ARM_INS_PUSH, arm.ARM_INS_POP}
-_MULTIPLE = {arm.ARM_INS_LDM, arm.ARM_INS_LDMDB, arm.ARM_INS_STM, arm.ARM_INS_STMDB}
-_DIVISIONS = {arm.ARM_INS_UDIV, arm.ARM_INS_SDIV}
-_TABLE_BRANCHES = {arm.ARM_INS_TBB, arm.ARM_INS_TBH}
 
 
 @dataclass(frozen=True)
@@ -92,17 +79,13 @@ class EmulatedCore:
             self._machine.mem_map(start, _MEMORY_BYTES)
         for segment in image.segments:
             self.write(segment.address, segment.data)
-        self._machine.hook_add(unicorn.UC_HOOK_BLOCK, self._enter)
-        self._disassembler = capstone.Cs(capstone.CS_ARCH_ARM, capstone.CS_MODE_THUMB | capstone.CS_MODE_MCLASS)
-        self._disassembler.detail = True
-        self._blocks: dict[tuple[int, int], tuple[int, int]] = {}
+        self._counter = CycleCounter(self._machine)
         self.clear()
 
     def clear(self) -> None:
         """Start the count again."""
         self.stack_bytes = 0
-        self._entered: Counter[tuple[int, int, int]] = Counter()
-        self._last = (0, 0)
+        self._before = self._counter.instructions, self._counter.cycles
 
     def write(self, address: int, data: bytes) -> None:
         """Put bytes into memory."""
@@ -123,7 +106,6 @@ class EmulatedCore:
         self._machine.reg_write(emulated.UC_ARM_REG_SP, stack)
         self._machine.reg_write(emulated.UC_ARM_REG_LR, _RETURN | 1)
         self._machine.emu_start(self._functions[function] | 1, _RETURN)
-        self._enter(self._machine, 0, 0, None)
         used = self.read(_TOP - _STACK_BYTES, _STACK_BYTES).lstrip(_PAINT)
         self.stack_bytes = max(self.stack_bytes, len(used))
         return int(np.int32(np.uint32(self._machine.reg_read(emulated.UC_ARM_REG_R0))))
@@ -131,55 +113,12 @@ class EmulatedCore:
     @property
     def instructions(self) -> int:
         """Instructions carried out since the last `clear`."""
-        return sum(self._timing(*place)[0] * times for place, times in self._visits())
+        return self._counter.instructions - self._before[0]
 
     @property
     def cycles(self) -> int:
         """Cycles that a Cortex-M4 would have needed since the last `clear`, by docs/benchmarks/firmware.md's model."""
-        jumps = sum(times for (start, size, to), times in self._entered.items() if size and to != start + size)
-        return sum(self._timing(*place)[1] * times for place, times in self._visits()) + _REFILL_CYCLES * jumps
-
-    def _visits(self) -> list[tuple[tuple[int, int], int]]:
-        return [((start, size), times) for (start, size, _), times in self._entered.items() if size]
-
-    def _enter(self, machine: Any, address: int, size_bytes: int, context: object) -> None:
-        self._entered[(*self._last, address)] += 1
-        self._last = (address, size_bytes)
-
-    def _timing(self, address: int, size_bytes: int) -> tuple[int, int]:
-        """Return the instructions of a block, and their cycles where it is not left by a jump."""
-        place = (address, size_bytes)
-        if place not in self._blocks:
-            block = list(self._disassembler.disasm(self.read(address, size_bytes), address))
-            behind = sum(_cycles(before, instruction) for before, instruction in pairwise([None, *block]))
-            self._blocks[place] = (len(block), behind)
-        return self._blocks[place]
-
-
-def _cycles(before: Any, instruction: Any) -> int:
-    """Return the cycles of an instruction behind another on a Cortex-M4, the refill of taken branches not included.
-
-    ARM DDI 0439 (Cortex-M4 Technical Reference Manual), 3.3.1 and 3.3.3.
-    """
-    kind = instruction.id
-    if kind in _SINGLE:
-        memory = next(operand.mem for operand in instruction.operands if operand.type == capstone.CS_OP_MEM)
-        address = {memory.base, memory.index} - {0}
-        written = set(before.regs_access()[1]) if before is not None else set()
-        pipelined = before is not None and before.id in _LOADS and before.operands[0].reg not in address
-        stalled = before is not None and before.id not in _SINGLE and bool(written & address)
-        alone = 2 if kind in _LOADS or memory.index else 1
-        return max(1, alone - pipelined) + stalled
-    registers: int = sum(operand.type == capstone.CS_OP_REG for operand in instruction.operands)
-    if kind in _PAIRS:
-        return 3
-    if kind in _STACKED:
-        return 1 + registers
-    if kind in _MULTIPLE:
-        return registers  # one of them is the base
-    if kind in _DIVISIONS:
-        return _DIVISION_CYCLES
-    return 2 if kind in _TABLE_BRANCHES else 1
+        return self._counter.cycles - self._before[1]
 
 
 @dataclass(frozen=True)
@@ -196,14 +135,7 @@ def decode(program: Path, core: Core, coded: CodedSignal, tables: bytes | None =
     """Decode a stream on an emulated processor. Raises ValueError where the decoder does not take it."""
     emulated_core = EmulatedCore(program, core)
     name = coded.codec
-    arguments = [_RAM, _CONFIGURATION, len(coded.configuration), coded.channels]
-    if codec.CODECS[name].takes_model:
-        arguments += [_TABLES, len(tables)] if tables else [0, 0]
-    emulated_core.write(_CONFIGURATION, coded.configuration)
-    emulated_core.write(_TABLES, tables or b"")
-    if emulated_core.call(f"vc_{name}_decoder_init", *arguments) != 0:
-        raise ValueError(f"{name}: the decoder does not take the configuration or the model")
-    packet_samples = emulated_core.call(f"vc_{name}_decoder_packet_samples", _RAM)
+    packet_samples = _start(emulated_core, coded, tables)
     samples = packet_samples * len(coded.packets)
     emulated_core.clear()
     decoded = b""
@@ -218,6 +150,59 @@ def decode(program: Path, core: Core, coded: CodedSignal, tables: bytes | None =
         emulated_core.cycles / samples,
         emulated_core.stack_bytes,
     )
+
+
+@dataclass(frozen=True)
+class Costs:
+    """Cycles of decoding block by block: the most to take a packet, the most of a block, and all for each sample."""
+
+    feed_cycles: int
+    block_cycles: int
+    sample_cycles: float
+
+    def most(self, other: "Costs") -> "Costs":
+        """Return the greater of each."""
+        return Costs(
+            max(self.feed_cycles, other.feed_cycles),
+            max(self.block_cycles, other.block_cycles),
+            max(self.sample_cycles, other.sample_cycles),
+        )
+
+
+def decode_in_blocks(
+    emulated_core: EmulatedCore, coded: CodedSignal, tables: bytes | None, packets: Sequence[bytes]
+) -> Costs:
+    """Decode packets, damaged ones as well, as those of a stream, and a block a call as controllers do.
+
+    Raises ValueError where the decoder does not take the stream.
+    """
+    name = coded.codec
+    packet_samples = _start(emulated_core, coded, tables)
+    feed = block = whole = 0
+    for packet in packets:
+        emulated_core.write(_PACKET, packet)
+        emulated_core.clear()
+        status = emulated_core.call(f"vc_{name}_feed", _RAM, _PACKET, len(packet))
+        feed, whole = max(feed, emulated_core.cycles), whole + emulated_core.cycles
+        done = 0 if status >= 0 else packet_samples
+        while done < packet_samples:
+            emulated_core.clear()
+            done = emulated_core.call(f"vc_{name}_poll", _RAM, _SAMPLES)
+            block, whole = max(block, emulated_core.cycles), whole + emulated_core.cycles
+    return Costs(feed, block, whole / (packet_samples * len(packets)))
+
+
+def _start(emulated_core: EmulatedCore, coded: CodedSignal, tables: bytes | None) -> int:
+    """Start a decoder of a stream; return the samples of its packets. Raises ValueError."""
+    name = coded.codec
+    arguments = [_RAM, _CONFIGURATION, len(coded.configuration), coded.channels]
+    if codec.CODECS[name].takes_model:
+        arguments += [_TABLES, len(tables)] if tables else [0, 0]
+    emulated_core.write(_CONFIGURATION, coded.configuration)
+    emulated_core.write(_TABLES, tables or b"")
+    if emulated_core.call(f"vc_{name}_decoder_init", *arguments) != 0:
+        raise ValueError(f"{name}: the decoder does not take the configuration or the model")
+    return emulated_core.call(f"vc_{name}_decoder_packet_samples", _RAM)
 
 
 def state_bytes(emulated_core: EmulatedCore, name: str) -> int:

@@ -76,7 +76,7 @@ SMALL = {
 _PORTABLE = {"DSP instructions": {}, "portable C": {"VC_PORTABLE": 1}}
 _KERNELS = tuple(reversed(_PORTABLE))
 """As the page has them: the portable ones first."""
-_FUNCTIONS = ("decoder_size", "decoder_init", "decoder_packet_samples", "decode", "conceal")
+_FUNCTIONS = ("decoder_size", "decoder_init", "decoder_packet_samples", "decode")
 
 
 @dataclass(frozen=True)
