@@ -396,7 +396,7 @@ def check_syntax(command: Command) -> None:
 
 def parse(words: Sequence[str]) -> None:
     """Parse the arguments of `vibrocast`, without looking at files. Raises click.UsageError."""
-    with click.Context(main, info_name="vibrocast") as context:
+    with click.Context(main, info_name="vibrocast", **main.context_settings) as context:
         group: click.Command = main
         words = [word for word in words if word != "--debug"]
         while isinstance(group, click.Group) and words and not words[0].startswith("-"):
@@ -404,7 +404,7 @@ def parse(words: Sequence[str]) -> None:
             if found is None:
                 raise click.UsageError(f"no command {words[0]!r}")
             group, words = found, words[1:]
-    with click.Context(group, info_name=group.name) as context:
+    with click.Context(group, info_name=group.name, **main.context_settings) as context:
         values, rest, _ = group.make_parser(context).parse_args(list(words))
         if rest:
             raise click.UsageError(f"unexpected arguments: {' '.join(rest)}")

@@ -81,6 +81,11 @@ class SoundServer:
             self.stop()
             raise
 
+    @property
+    def has_ended(self) -> bool:
+        """Whether the server runs no more."""
+        return self._process.poll() is not None
+
     def add(self, sink: str) -> None:
         """Plug a sink in, as soon as the server answers."""
         arguments = [*_SINKS[sink].split(), f"sink_properties=device.description={sink}"]
@@ -116,7 +121,7 @@ def sound_servers() -> Iterator[Callable[[str], SoundServer]]:
     running: dict[str, SoundServer] = {}
 
     def server(kind: str) -> SoundServer:
-        if kind not in running:
+        if kind not in running or running[kind].has_ended:  # under load, a server may end by itself
             running[kind] = SoundServer(kind)
         return running[kind]
 

@@ -124,7 +124,8 @@ def tracked(*patterns: str) -> list[str]:
 
 def test_every_file_opens_with_its_purpose() -> None:
     silent = [name for name in tracked("*.py") if ast.get_docstring(ast.parse((ROOT / name).read_text())) is None]
-    silent += [name for name in tracked("*.c", "*.h") if not (ROOT / name).read_text().startswith("/* ")]
+    in_c = [name for name in tracked("*.c", "*.h") if not name.startswith("firmware/monocypher/")]  # of others
+    silent += [name for name in in_c if not (ROOT / name).read_text().startswith("/* ")]
     assert silent == []
 
 

@@ -9,7 +9,7 @@ from tests.documented_commands import ROOT, PageError
 
 PAGES = sorted(
     str(path.relative_to(ROOT))
-    for pattern in ("README.md", "CONTRIBUTING.md", "docs/**/*.md", "*/README.md")
+    for pattern in ("README.md", "CONTRIBUTING.md", "SECURITY.md", "docs/**/*.md", "*/README.md")
     for path in ROOT.glob(pattern)
     if path.parent != ROOT / "docs/benchmarks/results"  # parts of generated pages
 )

@@ -495,7 +495,15 @@ def subject_findings(subjects: Iterable[str]) -> list[Finding]:
 
 def pages() -> list[str]:
     """Return the paths of all pages, relative to the checkout."""
-    patterns = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/**/*.md", "[!.]*/README.md", "models/*/*.md")
+    patterns = (
+        "README.md",
+        "CONTRIBUTING.md",
+        "SECURITY.md",
+        "CHANGELOG.md",
+        "docs/**/*.md",
+        "[!.]*/README.md",
+        "models/*/*.md",
+    )
     found = {path for pattern in patterns for path in ROOT.glob(pattern)}
     return sorted(
         path.relative_to(ROOT).as_posix() for path in found if "vibrocast" not in path.relative_to(ROOT).parts
@@ -514,8 +522,12 @@ def _git(*arguments: str) -> list[str]:
 
 
 def sources() -> list[str]:
-    """Return the paths of the Python and C sources that git knows or would add, relative to the checkout."""
-    listed = _git("ls-files", "--cached", "--others", "--exclude-standard", "*.py", "firmware/*.c", "firmware/*.h")
+    """Return the paths of the Python and C sources that git knows or would add, relative to the checkout.
+
+    Monocypher's are not among them: others wrote those.
+    """
+    own = "*.py", "firmware/*.c", "firmware/*.h", ":!firmware/monocypher"
+    listed = _git("ls-files", "--cached", "--others", "--exclude-standard", *own)
     return sorted({path for path in listed if (ROOT / path).is_file()})
 
 

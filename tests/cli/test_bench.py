@@ -121,9 +121,10 @@ def test_peers_and_programs_join(folder: Path, tmp_path: Path) -> None:
         '[copy]\nencoder = ["cp", "{input}", "{output}"]\ndecoder = ["cp", "{input}", "{output}"]\n'
         '[lost]\nencoder = ["no-such-program"]\ndecoder = ["no-such-program"]\n'
     )
-    said = fails(
-        1, folder, "--codecs", "g726", "--out", tmp_path / "out", "--peers", peers, "--programs", tmp_path / "copy.toml"
-    )
+    arguments = ("--codecs", "g726", "--out", tmp_path / "out", "--peers", peers, "--programs", tmp_path / "copy.toml")
+    said = fails(2, folder, *arguments)
+    assert "copy.toml: [copy] starts the program 'cp'; read the file, and pass --allow-programs" in said
+    said = fails(1, folder, *arguments, "--allow-programs")
     assert "lost: rough and 1 more: lost: no-such-program not found" in said
     points = read_rows(tmp_path / "out" / "results" / "points.csv", Point)
     assert [(point.trace, point.codec) for point in points if point.source == "imported"] == [("wood", "other")]

@@ -37,7 +37,71 @@ def run(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_interrupted_while_loading(number: signal.Signals) -> None:
     result = run(INTERRUPTED_IMPORT.format(number=int(number)))
-    assert (result.returncode, result.stdout, result.stderr) == (130, "", "error: interrupted\n")
+    assert (result.returncode, result.stdout, result.stderr) == (128 + number, "", "error: interrupted\n")
+
+
+# A command line that a library's computation keeps from heeding signals; each signal starts such a computation again.
+COMPUTING = """
+import hashlib, os, pathlib, signal, sys, threading
+from vibrocast import files
+from vibrocast.host.cli import command_line, entry
+
+def compute():
+    folder = pathlib.Path(sys.argv[1])
+    with files.atomic_write(folder / "a.wav") as file, files.atomic_folder(folder / "b") as into:
+        file.write_text("half")
+        (into / "c").write_text("half")
+        threading.Timer(0.2, os.kill, (os.getpid(), {number})).start()
+        hashlib.pbkdf2_hmac("sha256", b"", b"", 2**31 - 1)  # takes half an hour
+
+for number in entry.STOPPING_SIGNALS:
+    signal.signal(number, signal.default_int_handler)
+command_line.main = compute
+entry.main()
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_interrupted_while_a_library_computes(number: signal.Signals, tmp_path: Path) -> None:
+    result = run(COMPUTING.format(number=int(number)), str(tmp_path))
+    assert (result.returncode, result.stdout, result.stderr) == (128 + number, "", "error: interrupted\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_signal_for_someone_else_does_not_end_the_command() -> None:
+    code = """
+import os, signal, time
+from vibrocast.host.cli import command_line, entry
+
+def serve():
+    heard = []
+    signal.signal(signal.SIGTERM, lambda number, _: heard.append(number))
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(3 * entry.HEED_S)
+    print(heard == [signal.SIGTERM])
+
+command_line.main = serve
+entry.main()
+"""
+    assert run(code).stdout == "True\n"
+
+
+def test_cleaning_up_may_take_its_time() -> None:
+    code = """
+import os, signal, time
+from vibrocast.host.cli import command_line, entry
+
+def work():
+    try:
+        os.kill(os.getpid(), signal.SIGTERM)
+    except KeyboardInterrupt:
+        time.sleep(3 * entry.HEED_S)
+        print("at rest")
+
+command_line.main = work
+entry.main()
+"""
+    assert run(code).stdout == "at rest\n"
 
 
 def test_a_hangup_that_is_to_be_ignored_is() -> None:

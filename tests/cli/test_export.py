@@ -14,7 +14,10 @@ from tests.export import tiny
 from vibrocast import codec, models, textures
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.eva_image import EvaImage
+from vibrocast.device_protocol.model_image import sha256
 from vibrocast.evaluation import model_card
+from vibrocast.firmware.keys import read_public_key
+from vibrocast.host import signatures
 
 
 @pytest.fixture(scope="session")
@@ -47,6 +50,19 @@ def test_the_folder_holds_a_model(exported: Path) -> None:
     assert image.graph == (exported / "synthesis.onnx").read_bytes()
     for file in ("analysis.onnx", "synthesis.onnx"):
         onnx.checker.check_model(onnx.load(exported / file), full_check=True)
+
+
+def test_a_signed_export_is_a_whole_model_with_the_identity_of_the_unsigned_one(
+    trained: Path, exported: Path, tmp_path: Path
+) -> None:
+    key, out = tmp_path / "key.pem", tmp_path / "signed"
+    succeeds("keys", "new", key)
+    succeeds("export", trained, "--out", out, "--runtime", "both", "--sign", key, "--number", 4)
+    signed, plain = models.load(out).image, models.load(exported).image
+    assert signatures.check(signed, read_public_key(key)).number == 4
+    assert sha256(signed) == sha256(plain)
+    for half in (("--sign", key), ("--number", 4)):
+        assert "pass both" in fails(2, "export", trained, "--out", tmp_path / "none", *half)
 
 
 def test_the_card_says_what_the_model_is_and_does(exported: Path) -> None:

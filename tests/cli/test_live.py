@@ -102,7 +102,7 @@ def test_a_rate_is_streamed_and_reported(tmp_path: Path) -> None:
     [
         (["--constant-rate-bps", "300", "--packet-ms", "20"], 2, "cannot be held"),
         (["--constant-rate-bps", "20"], 2, "choose 272 bit/s or more"),
-        (["--constant-rate-bps", "50", "--packet-ms", "20000"], 1, "encode with shorter packets"),
+        (["--constant-rate-bps", "50", "--packet-ms", "20000"], 1, "choose shorter packets with --packet-ms"),
     ],
 )
 def test_a_rate_out_of_reach_is_rejected(arguments: list[str], exit_code: int, told: str) -> None:

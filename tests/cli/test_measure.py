@@ -101,15 +101,24 @@ def test_what_was_measured_before_the_cable_was_pulled_is_kept(tmp_path: Path, m
 @pytest.mark.slow
 def test_a_sensor_that_fails_leaves_the_other_measurements(tmp_path: Path) -> None:
     bench = str(bench_file(tmp_path, "raise SystemExit('no microphone')"))
-    result = run("--bench", bench, "--only", "throughput,fidelity", "--out", str(tmp_path / "out"))
+    result = run("--bench", bench, "--allow-programs", "--only", "throughput,fidelity", "--out", str(tmp_path / "out"))
     assert result.exit_code == 1
     assert "not measured: fidelity: sensor laser: " in result.output and "no microphone" in result.output
     assert "throughput to the host: " in result.output
 
 
+def test_a_bench_file_starts_no_program_unasked(tmp_path: Path) -> None:
+    bench = str(bench_file(tmp_path, "open('started', 'w')"))
+    result = run("--bench", bench, "--only", "fidelity", "--out", str(tmp_path / "out"))
+    assert result.exit_code == 2
+    assert f"sensor laser starts the program {sys.executable!r}" in result.output
+    assert "pass --allow-programs if you trust it" in result.output
+    assert not (tmp_path / "out").exists()
+
+
 def test_an_undecodable_complaint_of_a_sensor_is_reported(tmp_path: Path) -> None:
     bench = str(bench_file(tmp_path, "import os; os.write(2, bytes([255])); raise SystemExit(1)"))
-    result = run("--bench", bench, "--only", "fidelity", "--out", str(tmp_path / "out"))
+    result = run("--bench", bench, "--allow-programs", "--only", "fidelity", "--out", str(tmp_path / "out"))
     assert "not measured: fidelity: sensor laser: " in result.output
 
 

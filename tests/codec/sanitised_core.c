@@ -62,7 +62,7 @@ static int run_mdct(void)
     vc_mdct_encoder_record(encoder, rows, 100);
     while (read_record(&kind, &bytes, &length)) {
         if (kind == 1 || vc_mdct_decode(decoder, bytes, length, samples) < 0)
-            vc_mdct_conceal(decoder, samples);
+            (void)vc_mdct_decode(decoder, NULL, 0, samples);
         for (i = 0; i < block_values; i++) {
             int32_t byte = length > 0 ? bytes[i % length] : 0;
             coefficients[i] = (byte - 128) * (1 << (byte % 22));
@@ -105,7 +105,7 @@ static int run_dct(void)
             return 3;
     while (read_record(&kind, &bytes, &length)) {
         if (kind == 1 || vc_dct_decode(decoder, bytes, length, samples) < 0)
-            vc_dct_conceal(decoder, samples);
+            (void)vc_dct_decode(decoder, NULL, 0, samples);
         values = malloc(length / 2 * 2 * sizeof *values);
         for (i = 0; i < length / 2 * 2; i++)
             values[i] = (uint32_t)bytes[i] * bytes[(i + 1) % length];
@@ -146,7 +146,7 @@ static int run_slp(void)
     while (read_record(&kind, &bytes, &length)) {
         size_t capacity = length * 13 % sizeof packet;
         if (kind == 1 || vc_slp_decode(decoder, bytes, length, samples) < 0)
-            vc_slp_conceal(decoder, samples);
+            (void)vc_slp_decode(decoder, NULL, 0, samples);
         for (i = 0; i < count; i++) {
             int32_t byte = length > 0 ? bytes[i % length] : 0;
             values[i] = (byte - 128) * (1 << 16);
@@ -191,9 +191,9 @@ static int run_eva(void)
     while (read_record(&kind, &bytes, &length)) {
         size_t capacity = length * 13 % sizeof packet;
         if (kind == 1 || vc_eva_decode(decoder, bytes, length, samples) < 0)
-            vc_eva_conceal(decoder, samples);
+            (void)vc_eva_decode(decoder, NULL, 0, samples);
         if (kind == 1)
-            vc_eva_conceal_latents(decoder, latents);
+            (void)vc_eva_decode_latents(decoder, NULL, 0, latents);
         else
             vc_eva_decode_latents(decoder, bytes, length, latents);
         for (i = 0; i < columns * model[3]; i++) {
@@ -231,7 +231,7 @@ static int run_lapped(void)
     samples = malloc((size_t)vc_lapped_decoder_packet_samples(decoder) * channels * sizeof *samples);
     while (read_record(&kind, &bytes, &length)) {
         if (kind == 1 || vc_lapped_decode(decoder, bytes, length, samples) < 0)
-            vc_lapped_conceal(decoder, samples);
+            (void)vc_lapped_decode(decoder, NULL, 0, samples);
         free(bytes);
     }
     free(samples);
@@ -264,7 +264,7 @@ static int run_parametric(void)
     while (read_record(&kind, &bytes, &length)) {
         size_t capacity = length * 13 % sizeof packet;
         if (kind == 1 || vc_parametric_decode(decoder, bytes, length, samples) < 0)
-            vc_parametric_conceal(decoder, samples);
+            (void)vc_parametric_decode(decoder, NULL, 0, samples);
         for (i = 0; i < values; i++) {
             int byte = length > 0 ? bytes[i % length] : 0;
             frames[i] = (int16_t)(byte == 255 ? INT16_MAX : byte == 254 ? INT16_MIN : byte - 50);

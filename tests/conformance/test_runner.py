@@ -30,6 +30,7 @@ from vibrocast.device_protocol.messages import (
     unpack,
 )
 from vibrocast.device_protocol.transports import Transport
+from vibrocast.firmware.keys import public_key
 from vibrocast.host import conformance, devices
 from vibrocast.host.cli.command_line import main
 from vibrocast.host.conformance import NotTestable, Outcome, TappedLink, page, run_suite
@@ -60,6 +61,14 @@ def test_reference_conforms_and_nothing_of_the_protocol_is_left_out() -> None:
     }
     assert link.messages == {message.__name__ for message in messages.ALL}
     assert link.error_codes == set(ErrorCode) - NOT_PROVOKED
+
+
+def test_controller_with_a_key_conforms_and_only_tests_that_need_its_signature_are_skipped() -> None:
+    findings = run_suite(link_to(Controller(Settings(public_key=public_key(bytes(32))))), quick=True).findings
+    skipped = {finding.requirement.test for finding in findings if finding.outcome != Outcome.PASSED}
+    assert {finding.outcome for finding in findings} == {Outcome.PASSED, Outcome.NOT_APPLICABLE}
+    assert {"test_image_is_tested_and_kept", "test_cut_session_is_resumed"} <= skipped
+    assert "test_signature_is_checked_where_hello_names_a_key" not in skipped
 
 
 class Altered(Controller):
@@ -119,6 +128,23 @@ def test_faults_are_found_and_reported() -> None:
         assert reason in failed[test]
     assert "test_frame_is_found_after_noise" not in failed
     assert not any("please report" in reason for reason in failed.values())
+
+
+def test_a_busy_machine_is_not_the_fault_of_the_controller() -> None:
+    link = MemoryLink(Faulty())
+    slow = TappedLink(link, link.clock, lambda seconds: link.sleep(seconds + 0.1))
+    report = run_suite(slow, quick=True)
+    blamed = {finding.requirement.test for finding in report.findings if finding.outcome == Outcome.FAILED}
+    busy = {
+        finding.requirement.test: finding.reason for finding in report.findings if finding.outcome == Outcome.HOST_BUSY
+    }
+    assert busy, "some tests wait"
+    assert all("100 ms late" in reason for reason in busy.values())
+    assert not blamed & set(busy)
+    only_busy = replace(report, findings=tuple(each for each in report.findings if each.requirement.test in busy))
+    assert only_busy.undecided
+    assert not only_busy.conforming
+    assert "not decided, because this machine was busy" in only_busy.summary
 
 
 class Slow(Controller):

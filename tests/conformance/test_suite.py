@@ -8,6 +8,7 @@ from vibrocast.host.conformance.test_frames import *
 from vibrocast.host.conformance.test_hello import *
 from vibrocast.host.conformance.test_link import *
 from vibrocast.host.conformance.test_messages import *
+from vibrocast.host.conformance.test_output import *
 from vibrocast.host.conformance.test_playing import *
 from vibrocast.host.conformance.test_profiles import *
 from vibrocast.host.conformance.test_sequence_numbers import *

@@ -1,12 +1,21 @@
 """Model images: round trip, damage, hostile lengths."""
 
 import hashlib
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vibrocast.device_protocol.model_image import ModelImage, ModelImageError, sha256
+from vibrocast.device_protocol.model_image import (
+    MAX_NUMBER,
+    ModelImage,
+    ModelImageError,
+    sha256,
+    signed_message,
+    unsigned,
+    with_signature,
+)
 
 texts = st.text(max_size=60)
 images = st.builds(ModelImage, st.integers(0, 255), texts, texts, texts, st.binary(max_size=500))
@@ -32,6 +41,29 @@ def test_cut_or_longer_is_noticed(image: ModelImage, data: st.DataObject) -> Non
         ModelImage.unpack(packed[: data.draw(st.integers(0, len(packed) - 1))])
     with pytest.raises(ModelImageError, match="instead of"):
         ModelImage.unpack(packed + b"\x00")
+
+
+@given(images, st.integers(1, MAX_NUMBER), st.binary(min_size=64, max_size=64))
+def test_a_signature_stands_behind_the_image_and_keeps_its_identity(
+    image: ModelImage, number: int, signature: bytes
+) -> None:
+    packed = image.pack()
+    signed = with_signature(packed, number, signature)
+    assert signed == packed + number.to_bytes(4, "little") + signature
+    assert ModelImage.unpack(signed) == replace(image, number=number, signature=signature)
+    assert ModelImage.unpack(signed).pack() == signed
+    assert (unsigned(signed), sha256(signed)) == (packed, sha256(packed))
+    assert with_signature(signed, 1, bytes(64)) == with_signature(packed, 1, bytes(64))
+    assert signed_message(signed, number) == hashlib.sha256(packed).digest() + number.to_bytes(4, "little")
+
+
+@given(images, st.data())
+def test_cut_or_longer_is_noticed_behind_a_signature(image: ModelImage, data: st.DataObject) -> None:
+    signed = with_signature(image.pack(), 1, bytes(64))
+    cut = data.draw(st.integers(0, len(signed) - 1).filter(lambda length: length != len(unsigned(signed))))
+    for other in (signed[:cut], signed + b"\x00", signed + bytes(68)):
+        with pytest.raises(ModelImageError):
+            ModelImage.unpack(other)
 
 
 @given(st.binary().map(lambda data: b"VCMI\x01" + data))

@@ -25,7 +25,7 @@ from vibrocast.device_protocol.messages import (
 PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "protocol.md").read_text()
 
 EXAMPLE: list[tuple[str, int, Message]] = [
-    ("Hello, sequence 0x1234", 0x1234, Hello(1, 0)),
+    ("Hello, sequence 0x1234", 0x1234, Hello(2, 0)),
     ("Error, sequence 0x1234", 0x1234, Error(ErrorCode.HELLO_FIRST, "say hello first")),
     ("Configure, sequence 0x1236", 0x1236, Configure(1, b"VCT", prebuffer_samples=1400, packets=100)),
     ("StreamData, two packets", 0, StreamData(1, 0, (b"\x01\xaa\xbb", b"\x02\xcc"))),

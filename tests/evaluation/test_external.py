@@ -193,7 +193,7 @@ def test_signals_that_no_program_takes(signal: Signal) -> None:
 
 
 def test_the_example_lists_rate_point_sets() -> None:
-    programs = external.read_programs(EXAMPLE)
+    programs = external.read_programs(EXAMPLE, allow_programs=True)
     assert [program.name for program in programs] == ["speex-nb", "vcpwq", "mpeg-haptics"]
     assert programs[0].settings[:2] == ("0", "1")
     assert programs[0].label_rate_hz == 8000

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from vibrocast.codec.graphs import LATENTS, SIGNAL, Transform
+from vibrocast.codec.onnx_check import OPSET
 from vibrocast.export import graphs
 from vibrocast.export.eva import Eva, EvaShape
 
@@ -45,7 +46,7 @@ def test_graphs_state_their_opset_and_producer() -> None:
     for graph in (made.analysis, made.synthesis):
         loaded = onnx.load_from_string(graph)
         onnx.checker.check_model(loaded, full_check=True)
-        assert [(opset.domain, opset.version) for opset in loaded.opset_import] == [("", graphs.OPSET)]
+        assert [(opset.domain, opset.version) for opset in loaded.opset_import] == [("", OPSET)]
         assert loaded.producer_name == "pytorch"
         assert "vibrocast" in loaded.doc_string
 

@@ -1,5 +1,6 @@
 """Training of the codec's initial tables: reproducible, packed as an image that codes its textures in fewer bits."""
 
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -51,9 +52,15 @@ def test_archives_that_cannot_be_used_are_named(tmp_path: Path) -> None:
     np.save(tmp_path / "d.npy", np.zeros(10))
     np.savez(tmp_path / "e.npz", rate_hz=2800, words=np.array(["rough"] * 9000))
     np.savez(tmp_path / "f.npz", rate_hz=np.nan, noise=np.ones(9000))
+    with zipfile.ZipFile(archive(tmp_path / "h.npz", rate_hz=2800), "a") as members:
+        members.writestr("noise.npy", b"no array")
+    with zipfile.ZipFile(archive(tmp_path / "i.npz", rate_hz=2800), "a") as members:
+        header = {"descr": "<f8", "fortran_order": False, "shape": (2**64,)}
+        with members.open("vast.npy", "w") as member:
+            np.lib.format.write_array_header_1_0(member, header)
     whole = archive(tmp_path / "g.npz", rate_hz=2800).read_bytes()
     (tmp_path / "g.npz").write_bytes(whole.replace(whole[2000:2100], bytes(100)))
-    for name in ("b.npz", "c.npz", "d.npy", "e.npz", "f.npz", "g.npz"):
+    for name in ("b.npz", "c.npz", "d.npy", "e.npz", "f.npz", "g.npz", "h.npz", "i.npz"):
         done = run(tmp_path / name, "--image", tmp_path / "b.vcmi")
         assert done.exit_code == 1
         assert done.output.startswith("Error: ")

@@ -22,7 +22,9 @@ class RequestError(Exception):
 class CImageStore:
     """Two slots for model images. A PowerCut of the flash is raised again when the C function has returned."""
 
-    def __init__(self, flash: FlashMemory, hardware: str, check_payload: Callable[[int, bytes], None]) -> None:
+    def __init__(
+        self, flash: FlashMemory, hardware: str, check_payload: Callable[[int, bytes], None], public_key: bytes = b""
+    ) -> None:
         self._check_payload = check_payload
         self._callbacks = Callbacks(ffi)
         self._flash = FlashPort(ffi, flash, self._callbacks)
@@ -30,7 +32,13 @@ class CImageStore:
         self._hardware = ffi.new("char[]", hardware.encode())
         self._store, self._rejection = ffi.new("vc_image_store *"), ffi.new("vc_rejection *")
         self._report = ffi.new("vc_flash_status *")
-        native.vc_image_store_boot(self._store, self._flash.pointer, self._hardware, self._check, ffi.NULL)
+        self._key = ffi.new("uint8_t[]", public_key) if public_key else ffi.NULL
+        native.vc_image_store_init(self._store, self._flash.pointer, self._hardware, self._key, self._check, ffi.NULL)
+        self._callbacks.pass_on()
+
+    def boot_again(self) -> None:
+        """Restart, as after FlashActivate: the power stays on."""
+        native.vc_image_store_boot(self._store)
         self._callbacks.pass_on()
 
     @property
@@ -52,7 +60,10 @@ class CImageStore:
             native.vc_image_store_describe(self._store, number, description)
             name, version = (piece_bytes(text).decode() for text in (description.name, description.version))
             sha256 = bytes(ffi.buffer(description.sha256, 32))
-            found.append(ImageDescription(description.slot, description.state, sha256, name, version))
+            held = ImageDescription(
+                description.slot, description.state, sha256, name, version, number=description.number
+            )
+            found.append(held)
         return tuple(found)
 
     def begin(self, number: int, size_bytes: int, digest: bytes, hardware: str) -> FlashStatus:

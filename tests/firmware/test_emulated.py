@@ -143,30 +143,34 @@ def test_images_outlive_a_restart(name: str) -> None:
     assert (running.slot, running.sha256) == (kept.slot, kept.sha256)
 
 
-def test_the_board_comes_up_slowly_and_rests_in_the_middle() -> None:
+def test_the_board_rests_in_the_middle_from_the_first_moment() -> None:
     codes: list[Codes] = []
     device = Stm32F405(on_dac=codes.append)
     for now_us in range(0, 200_000, 1000):
         device.advance(now_us)
-    level = np.concatenate(codes)
-    assert level[0, 0] == -2048
-    assert np.abs(np.diff(level, axis=0)).max() < 4096 // 100
-    assert not level[-1].any()
+    assert len(codes) > 1
+    assert not np.concatenate(codes).any()
+
+
+def test_an_interrupt_between_conditional_instructions_runs_all_of_its_handler() -> None:
+    device = Stm32F405()
+    unicorn_core = device.processor.unicorn
+    negative, behind_ge = 1 << 31, 0xA800  # flags of which GE is false, and the state behind ITT GE
+    unicorn_core.reg_write(arm_const.UC_ARM_REG_XPSR, negative | behind_ge)
+    stack = unicorn_core.reg_read(arm_const.UC_ARM_REG_SP)
+    device._interrupt(stm32f405._TIM6)
+    assert unicorn_core.reg_read(arm_const.UC_ARM_REG_SP) == stack
+    assert unicorn_core.reg_read(arm_const.UC_ARM_REG_XPSR) & behind_ge == behind_ge
 
 
 def slow_down(device: Stm32F405, function: str, milliseconds: list[int]) -> None:
     """Make each call of a function take its time, and all further ones the last time: interrupts come in its midst."""
     address = Elf(build("stm32f405")).symbols[function] & ~1
-    left: list[int] = []
 
     def pass_time(emulator: object, where: int, size_bytes: int, context: object) -> None:
-        if not left:
-            left.append(milliseconds.pop(0) if len(milliseconds) > 1 else milliseconds[0])
-        if left[0] == 0:
-            left.clear()
-        else:
-            left[0] -= 1
-            device.processor.stop()  # SysTick, a millisecond later, lets it go on here
+        device.processor.counter.add_cycles(
+            168_000 * (milliseconds.pop(0) if len(milliseconds) > 1 else milliseconds[0])
+        )
 
     device.processor.unicorn.hook_add(unicorn.UC_HOOK_CODE, pass_time, None, address, address)
 
@@ -178,12 +182,13 @@ def played_by_board(
 ) -> tuple[Codes, Codes, Codes]:
     """Play a stream from 0.3 s on; return its codes, the DAC's from that time on, and those captured.
 
-    `decoding_ms`: of each packet; `meanwhile`: what a host does 0.1 s later; `stall_ms`: by each message then.
+    `decoding_ms`: of each block of a channel; `meanwhile`: what a host does 0.1 s later; `stall_ms`: by each message
+    then.
     """
     codes: list[Codes] = []
     device = Stm32F405(on_dac=codes.append)
     stalls = [0]
-    slow_down(device, "vc_spectra_decode", decoding_ms)
+    slow_down(device, "vc_spectra_poll", decoding_ms)
     slow_down(device, "vc_message_read", stalls)
     link, host = session(device)
     stream = coded("mdct", seconds=0.6)
@@ -224,7 +229,7 @@ def check_that_it_faded(expected: Codes, played: Codes, last_samples: int, most_
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("decoding_ms", "least_ms", "most_ms"), [(0, 3, 6), (1, 5, 8), (20, 43, 46), (30, 63, 66)])
+@pytest.mark.parametrize(("decoding_ms", "least_ms", "most_ms"), [(0, 3, 7), (1, 7, 11), (2, 11, 15), (4, 19, 23)])
 def test_the_board_lags_by_what_decoding_needs(decoding_ms: int, least_ms: int, most_ms: int) -> None:
     expected, played, _ = played_by_board([decoding_ms])
     lag = np.flatnonzero(played.any(axis=1))[0] - np.flatnonzero(expected.any(axis=1))[0]
@@ -237,14 +242,13 @@ def test_the_board_fades_out_and_in_where_decoding_takes_far_longer_than_at_firs
     check_that_it_faded(*played_by_board([1, 1, 1, 120, 1])[:2], 600, most_lag_ms=250)
 
 
-def test_the_board_leaves_out_what_it_missed_while_its_loop_stood_still() -> None:
-    """As when a sector of flash is erased."""
-    check_that_it_faded(*played_by_board([1], ask_often, [300])[:2], 300, most_lag_ms=13)
+def test_the_board_plays_on_later_after_its_loop_stood_still() -> None:
+    check_that_it_faded(*played_by_board([1], ask_often, [300])[:2], 300, most_lag_ms=4 + 2 * 310)
 
 
 def test_the_board_gets_used_to_short_stalls() -> None:
-    """As when a message with an image's bytes is written while playing: only the first one is felt."""
-    check_that_it_faded(*played_by_board([0], ask_often, [6, 6, 6, 6])[:2], 1200, most_lag_ms=9)
+    """Only the first one is felt."""
+    check_that_it_faded(*played_by_board([0], ask_often, [6, 6, 6, 6])[:2], 1200, most_lag_ms=4 + 2 * 13)
 
 
 def test_the_board_goes_on_after_a_pause_with_the_lag_that_it_needs() -> None:
@@ -253,21 +257,28 @@ def test_the_board_goes_on_after_a_pause_with_the_lag_that_it_needs() -> None:
         link.sleep(0.2)
         host.request(Resume(), Status)
 
-    _, played, captured = played_by_board([20], pause)
+    _, played, captured = played_by_board([5], pause)
     np.testing.assert_array_equal(played[played.any(axis=1)], captured[captured.any(axis=1)])
 
 
-def test_the_board_rests_soon_after_a_stop() -> None:
+@pytest.mark.parametrize("decoding_ms", [1, 5])
+def test_a_stop_reaches_the_register_within_30_ms_and_the_output_rests_soon(decoding_ms: int) -> None:
     stopped_us = []
 
     def stop(host: Host, link: MemoryLink) -> None:
         stopped_us.append(link.now_us - START_US)
         host.request(Stop(), Status)
 
-    _, played, captured = played_by_board([1], stop)
-    rests_us = np.flatnonzero(played.any(axis=1))[-1] * 1_000_000 // BOARD_DAC_HZ
-    assert stopped_us[0] < rests_us < stopped_us[0] + 15_000
-    np.testing.assert_array_equal(played[played.any(axis=1)], captured[captured.any(axis=1)])
+    expected, played, captured = played_by_board([decoding_ms], stop)
+    lag = np.flatnonzero(played.any(axis=1))[0] - np.flatnonzero(expected.any(axis=1))[0]
+    as_expected = (played[lag : lag + len(expected)] == expected[: len(played) - lag]).all(axis=1)
+    way_down = lag + np.flatnonzero(~as_expected)[0]
+    late_us = way_down * 1_000_000 // BOARD_DAC_HZ - stopped_us[0]
+    assert 0 <= late_us < 1000 * (decoding_ms + 3)
+    level = np.abs(played[way_down - 1 :].astype(int))
+    assert np.all(np.diff(level, axis=0) <= 12), "on its way to rest"
+    assert not played[way_down + 60 * BOARD_DAC_HZ // 1000 :].any()
+    assert len(captured) < len(expected)
 
 
 def test_the_board_comes_to_rest_when_its_loop_stands_still() -> None:
@@ -310,23 +321,24 @@ def test_what_a_host_does_not_read_stays_bounded() -> None:
 
 
 def test_clock_that_runs_fast_is_seen_by_the_host() -> None:
-    link = MemoryLink(device := CortexM("cortex-m4", drift_ppm=5000))
+    link = MemoryLink(CortexM("cortex-m4", drift_ppm=5000))
     host = Host(link, link.clock, link.sleep)
     first, from_us = host.request_status().device_time_us, link.now_us
     link.sleep(2.0)
     passed_us = host.request_status().device_time_us - first
     assert passed_us / (link.now_us - from_us) == pytest.approx(1.005, abs=2e-4)
-    assert device.processor.instructions == 0
 
 
 def test_instructions_are_counted() -> None:
-    device = CortexM("cortex-m4", count_instructions=True)
-    booted = device.processor.instructions
+    device = CortexM("cortex-m4")
+    counter = device.processor.counter
+    booted = counter.instructions
     device.advance(1000)
-    turn = device.processor.instructions - booted
+    turn = counter.instructions - booted
     device.advance(2000)
     assert 50 < turn < 2000
-    assert device.processor.instructions - booted == pytest.approx(2 * turn, rel=0.2)
+    assert counter.instructions - booted == pytest.approx(2 * turn, rel=0.2)
+    assert counter.cycles > counter.instructions
 
 
 def test_image_that_a_processor_would_stop_is_an_error_that_says_where() -> None:

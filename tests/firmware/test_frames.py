@@ -47,9 +47,13 @@ def c_frame(payload: bytes, capacity: int = 5000, pieces: int = 3) -> bytes:
     return bytes(frame)[:length]
 
 
+def with_byte(frame: bytes, at: int, value: int) -> bytes:
+    return frame[:at] + bytes([value]) + frame[at + 1 :]
+
+
 # Whole frames, frames with a damaged byte, cut frames, noise, zeros.
-damaged = st.tuples(payloads.map(write_frame), st.integers(0, 700), st.integers(0, 255)).map(
-    lambda drawn: drawn[0][: drawn[1]] + bytes([drawn[2]]) + drawn[0][drawn[1] + 1 :]
+damaged = st.tuples(payloads.map(write_frame), st.floats(0, 1), st.integers(0, 255)).map(
+    lambda drawn: with_byte(drawn[0], round(drawn[1] * (len(drawn[0]) - 1)), drawn[2])
 )
 wires = st.lists(
     st.one_of(
@@ -71,6 +75,15 @@ def test_reads_any_bytes_as_the_reader_in_python(pieces: list[bytes], cuts: list
     for start, end in itertools.pairwise([0, *sorted(min(cut, len(wire)) for cut in cuts), len(wire)]):
         assert reader.feed(wire[start:end]) == expected.feed(wire[start:end])
         assert reader.bad_frames == expected.bad_frames
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 5, 8])
+def test_no_wrong_bit_of_a_short_frame_goes_unseen(size: int) -> None:
+    frame = write_frame(bytes(range(1, size + 1)))
+    for at, bit in itertools.product(range(len(frame) - 1), range(8)):
+        reader = CFrameReader()
+        assert reader.feed(with_byte(frame, at, frame[at] ^ 1 << bit)) == []
+        assert reader.bad_frames > 0
 
 
 @pytest.mark.parametrize("length", [*range(MAX_PAYLOAD_BYTES + 15, MAX_PAYLOAD_BYTES + 25)])

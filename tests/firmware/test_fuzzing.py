@@ -1,42 +1,74 @@
-"""The corpus of the firmware's fuzz targets, and changed copies of it, under sanitisers."""
+"""The engine that fuzzes the firmware where libFuzzer is absent; every target for its share of a minute."""
 
+import random
 import shutil
+import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import pytest
 
 from tests.firmware import fuzzing
+from tests.firmware.fuzzing import COUNTING, ENGINE, FLAGS, TARGETS, FaultError
 
-COPIES = 200
+SECONDS = 30
+"""Time for all targets: two builds take the minute."""
+ZIG = [sys.executable, "-m", "ziglang", "cc"]
 
-pytestmark = pytest.mark.slow
+
+def test_engine_finds_a_fault_step_by_step_and_keeps_the_input(tmp_path: Path) -> None:
+    program, found = tmp_path / "planted", tmp_path / "found"
+    sources = [str(ENGINE), str(Path(__file__).with_name("planted.c"))]
+    subprocess.run([*ZIG, *FLAGS, "-fsanitize=undefined", COUNTING, *sources, "-o", str(program)], check=True)
+    with pytest.raises(FaultError, match="mdct, seed 1"):
+        fuzzing.run_engine(program, "mdct", [b"none"], 100, 1, found)
+    assert found.read_bytes().startswith(b"vib\r")
+    assert fuzzing.run_engine(program, "mdct", [b"none", b"vi"], 0, 1, found).inputs == 2
 
 
-def replay_everything(program: Path) -> None:
-    for target in fuzzing.TARGETS:
+def test_counts_of_libfuzzer_are_read() -> None:
+    log = "#7\tINITED cov: 25 ft: 39\n#99\tDONE   cov: 31 ft: 44 corp: 9/1b\nDone 99 runs in 3 second(s)\nstat::x: 99\n"
+    assert fuzzing.libfuzzer_counts("eva", log) == fuzzing.Counts("eva", 99, 3, 31)
+
+
+def test_corpus_has_inputs_of_every_target() -> None:
+    assert all(map(fuzzing.corpus, TARGETS))
+    with zipfile.ZipFile(fuzzing.CORPUS) as archive:
+        assert {name.split("/")[0] for name in archive.namelist()} == set(TARGETS)
+
+
+def fuzz(program: Path, seconds: int) -> None:
+    """Fuzz every target with a seed that is new each time; a failure shows it."""
+
+    def run(target: str, share: int) -> fuzzing.Counts:
         inputs = list(fuzzing.corpus(target).values())
-        assert inputs
-        done = fuzzing.replay(program, target, inputs, COPIES)
-        outcome = (target, done.returncode, done.stdout)
-        assert outcome == (target, 0, f"{len(inputs)} inputs\n".encode()), done.stderr.decode()
+        seed = random.SystemRandom().randrange(2**32)
+        return fuzzing.run_engine(program, target, inputs, share, seed, program.with_name(f"{target}-fault"))
+
+    for counts in fuzzing.in_parallel(run, TARGETS, seconds):
+        assert counts.inputs > len(fuzzing.corpus(counts.target))
 
 
-def test_corpus_and_changed_copies_of_it_have_defined_behaviour(tmp_path: Path) -> None:
-    program = tmp_path / "replay"
-    done = fuzzing.build([sys.executable, "-m", "ziglang", "cc"], "undefined", program)
+@pytest.mark.slow
+def test_any_input_has_defined_behaviour(tmp_path: Path) -> None:
+    program = tmp_path / "engine"
+    done = fuzzing.build(ZIG, "undefined", program, COUNTING)
     assert done.returncode == 0, done.stderr
-    replay_everything(program)
-    assert b"FUZZ_TARGET" in fuzzing.replay(program, "no such target", [], 0).stderr
+    fuzz(program, SECONDS)
+    with pytest.raises(FaultError, match="FUZZ_TARGET"):
+        fuzzing.run_engine(program, "no such target", [], 0, 1, tmp_path / "found")
 
 
-def test_corpus_and_changed_copies_of_it_stay_within_their_memory(tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_any_input_stays_within_its_memory(tmp_path: Path) -> None:
     compiler = shutil.which("clang") or shutil.which("gcc")
     if compiler is None:
         pytest.skip("no clang or gcc, whose AddressSanitizer this needs")
-    program = tmp_path / "replay"
-    done = fuzzing.build([compiler], "address,undefined", program)
+    program = tmp_path / "engine"
+    options = [COUNTING] if "clang" in compiler else []
+    done = fuzzing.build([compiler], "address,undefined", program, *options)
     if "libasan" in done.stderr or "libclang_rt" in done.stderr:
         pytest.skip(f"{compiler} has no sanitiser runtime")
     assert done.returncode == 0, done.stderr
-    replay_everything(program)
+    fuzz(program, SECONDS)

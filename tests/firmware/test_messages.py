@@ -11,7 +11,7 @@ from tests.device_protocol.test_messages import MESSAGES, any_message, u8, u16
 from tests.firmware.native import ffi, load, native, piece_bytes, rejection_text
 from vibrocast.device_protocol import messages
 from vibrocast.device_protocol.frames import FrameReader
-from vibrocast.device_protocol.layout import Fixed, WireField, wire_fields
+from vibrocast.device_protocol.layout import Fixed, Tag, WireField, wire_fields
 from vibrocast.device_protocol.messages import (
     FROM_HOST,
     RESPONSES,
@@ -102,6 +102,8 @@ class InC:
                 found[field.name] = [self.memory("uint8_t[]", text), len(text)]
             elif field.type is bytes and isinstance(field.wire, Fixed):
                 found[field.name] = self.memory("uint8_t[]", item)
+            elif field.type is bytes and isinstance(field.wire, Tag):
+                found[field.name] = [self.memory("uint8_t[]", item), len(item)]
             elif field.type in STRUCTS:
                 found[field.name] = self.members(item)
             elif field.type is not bytes:
@@ -234,18 +236,19 @@ def test_texts_of_rejections(first: int, second: int, data: bytes) -> None:
 
 
 def test_longest_hello_response_fits_the_smallest_payload() -> None:
-    small_ffi, small = load(VC_MAX_PAYLOAD_BYTES=576)
-    text, frame = small_ffi.new("uint8_t[]", b"x" * 63), small_ffi.new("uint8_t[]", 600)
+    small_ffi, small = load(VC_MAX_PAYLOAD_BYTES=640)
+    text, frame = small_ffi.new("uint8_t[]", b"x" * 63), small_ffi.new("uint8_t[]", 660)
     # VC_IMAGE_TEXT_BYTES of sizes.h.
-    name = [text, (576 - 512) // 4]
+    name = [text, (640 - 576) // 4]
     sha256 = small_ffi.new("uint8_t[32]")
     codecs = small_ffi.new("vc_codec_description[]", [[number, [text, len("mdct")]] for number in range(8)])
-    slots = small_ffi.new("vc_image_description[]", [[number, 4, sha256, name, name] for number in range(2)])
+    slots = small_ffi.new("vc_image_description[]", [[number, 4, sha256, 1, name, name] for number in range(2)])
     response = small_ffi.new("vc_hello_response *", {"build": [text, 63], "hardware": [text, 63]})
+    response.public_key = [sha256, 32]
     response.actuator.name = [text, 63]
     response.codecs, response.codec_count, response.images, response.image_count = codecs, 8, slots, 2
     writer = small_ffi.new("vc_frame_writer *")
-    small.vc_frame_begin(writer, frame, 600)
+    small.vc_frame_begin(writer, frame, 660)
     small.vc_write_hello_response(writer, 1, response)
     length = small.vc_frame_end(writer)
     (payload,) = FrameReader().feed(bytes(frame)[:length])

@@ -2,17 +2,19 @@
 
 import zlib
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.device_protocol.test_model_image import images
 from tests.firmware.native import ffi, native, piece_bytes, rejection_text
-from vibrocast.device_protocol.model_image import ModelImage, ModelImageError
+from vibrocast.device_protocol.model_image import MAX_NUMBER, ModelImage, ModelImageError, unsigned, with_signature
 
 
 def check_read_as_in_python(data: bytes) -> None:
     image, rejection, memory = ffi.new("vc_model_image *"), ffi.new("vc_rejection *"), ffi.new("uint8_t[]", data)
     code = native.vc_model_image_read(image, memory, len(data), rejection)
+    assert native.vc_model_image_unsigned_bytes(memory, len(data)) == len(unsigned(data))
     try:
         expected = ModelImage.unpack(data)
     except ModelImageError:
@@ -21,16 +23,19 @@ def check_read_as_in_python(data: bytes) -> None:
     else:
         name, version, hardware = (piece_bytes(text).decode() for text in (image.name, image.version, image.hardware))
         assert code == 0
-        assert ModelImage(image.codec, name, version, hardware, piece_bytes(image.payload)) == expected
+        signature = bytes(ffi.buffer(image.signature, 64)) if image.signature else b""
+        payload = piece_bytes(image.payload)
+        assert ModelImage(image.codec, name, version, hardware, payload, image.number, signature) == expected
 
 
 def with_crc(data: bytes) -> bytes:
     return data + zlib.crc32(data).to_bytes(4, "little")
 
 
-@given(images)
-def test_reads_every_image(image: ModelImage) -> None:
+@given(images, st.integers(0, MAX_NUMBER), st.binary(min_size=64, max_size=64))
+def test_reads_every_image(image: ModelImage, number: int, signature: bytes) -> None:
     check_read_as_in_python(image.pack())
+    check_read_as_in_python(with_signature(image.pack(), number, signature))
 
 
 @given(images, st.data())
@@ -42,6 +47,13 @@ def test_reads_or_rejects_damaged_images_as_python(image: ModelImage, data: st.D
     packed[place] = data.draw(st.integers(0, 255))
     check_read_as_in_python(bytes(packed))
     check_read_as_in_python(with_crc(bytes(packed[:-4])))
+    check_read_as_in_python(bytes(packed) + bytes(68))
+
+
+@pytest.mark.parametrize("lengths", ["ff" * 7, "ff" * 3 + "00" * 4, "00" * 3 + "ff" * 4, "000000" + "afffffff"])
+def test_lengths_that_overflow_32_bits_are_rejected(lengths: str) -> None:
+    for size in (0, 4, 68, 72, 85, 1000):
+        check_read_as_in_python(b"VCMI\x01\x01" + bytes.fromhex(lengths) + bytes(size))
 
 
 @given(st.binary(max_size=60))

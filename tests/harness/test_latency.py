@@ -1,14 +1,14 @@
 """Latency in simulated time: the figures are compared with the times at which the codes went to the DAC."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
 
 from vibrocast.host import live
-from vibrocast.host.controller import Controller
-from vibrocast.host.device_clock import DeviceClock
-from vibrocast.host.harness import latency
+from vibrocast.host.controller import Controller, ControllerError
+from vibrocast.host.device_clock import ClockFit, DeviceClock
+from vibrocast.host.harness import Latency, latency, warnings
 from vibrocast.output.actuator import PIEZO_STACK, Codes
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
@@ -98,6 +98,61 @@ def test_search_finds_the_least_that_is_stable() -> None:
     assert found.found is not None
     stable = [trial.total_ms for trial in found.trials if trial.total_ms is not None]
     assert found.found.total_ms == pytest.approx(min(stable), abs=1.0)
+
+
+FLAWS = [
+    ({"lost_packets": 30}, 0.0, "30 packets came too late"),
+    ({"underruns": 11}, 0.0, "11 underruns moved the stream"),
+    ({}, -3.0, "played before they arrive"),
+]
+
+
+def flawed(changes: dict[str, int], buffer_ms: float) -> Latency:
+    """Return a measurement of 100 packets, whose round trips took 2 ms and more."""
+    spreads = {name: latency.Spread(1.0, 2.0) for name in latency.PARTS}
+    spreads["buffer"] = latency.Spread(buffer_ms, buffer_ms)
+    plain = Latency(
+        codec="mdct",
+        setting={},
+        rate_hz=RATE_HZ,
+        packet_samples=16,
+        playout_delay_ms=10.0,
+        blocks=100,
+        parts=spreads,
+        total_ms=buffer_ms,
+        jitter_ms=1.0,
+        underruns=0,
+        lost_packets=0,
+        as_sent=True,
+        clock=ClockFit(0.0, 0.0, 0.0, 0.0, 2.0),
+    )
+    return replace(plain, **changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("changes", "buffer_ms", "flaw"), FLAWS)
+def test_a_delay_that_no_stream_had_is_measured_again_and_then_an_error(
+    changes: dict[str, int], buffer_ms: float, flaw: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    good, bad = flawed({"lost_packets": 1}, -0.5), flawed(changes, buffer_ms)
+    results = iter([bad, good, bad, bad])
+    monkeypatch.setattr(latency, "measure_latency", lambda *_, **__: next(results))
+    session = Bench().session
+    assert latency.measure_credible_latency(session, PIEZO_STACK, noise()) is good
+    with pytest.raises(ControllerError, match=flaw):
+        latency.measure_credible_latency(session, PIEZO_STACK, noise())
+
+
+def test_the_search_does_not_take_a_delay_that_no_stream_had(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(latency, "measure_latency", lambda *_, **__: flawed({}, -3.0))
+    found = latency.find_min_latency(Bench().session, PIEZO_STACK, noise())
+    assert found.found is None
+    assert [trial.total_ms for trial in found.trials] == [None] * len(latency.HOPS)
+
+
+def test_late_packets_make_a_warning_of_a_latency() -> None:
+    for lost, told in ((0, []), (2, ["2 packets came too late"])):
+        document = {"measured": {"latency": {"lost_packets": lost, "underruns": 0}}}
+        assert [warning[:23] for warning in warnings(document)] == told
 
 
 def test_a_clock_is_fitted_through_the_shortest_round_trips() -> None:

@@ -73,6 +73,7 @@ def test_the_same_test_runs_on_every_device(pytester: pytest.Pytester, arguments
         (["--vibrocast-device", "nowhere"], "*'nowhere' is no controller: give a name in the bench file, or sim, *"),
         (["--vibrocast-bench", "missing.toml"], "*missing.toml*"),
         (["--vibrocast-bench", "bench.toml"], "*bench.toml: controllers is missing*"),
+        (["--vibrocast-bench", "programs.toml"], "*sensor laser starts the program 'rm'; *--vibrocast-allow-programs*"),
     ],
 )
 def test_a_name_of_no_device_is_reported_in_one_line(
@@ -80,6 +81,10 @@ def test_a_name_of_no_device_is_reported_in_one_line(
 ) -> None:
     pytester.makepyfile(USERS_TEST)
     pytester.path.joinpath("bench.toml").write_text("")
+    pytester.path.joinpath("programs.toml").write_text(
+        '[[controllers]]\nname = "it"\naddress = "sim"\n'
+        '[[sensors]]\nname = "laser"\nkind = "laser"\nsensitivity = 1.0\nunit = "um"\ncommand = ["rm", "{file}"]\n'
+    )
     result = pytester.runpytest_subprocess(*LOADED, *arguments)
     assert result.ret != pytest.ExitCode.OK
     assert "Traceback" not in result.stdout.str() + result.stderr.str()

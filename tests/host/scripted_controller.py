@@ -60,7 +60,7 @@ class ScriptedController(Closing):
         self.description = HelloResponse(
             build="scripted",
             hardware="none",
-            limits=Limits(512, 64, 200, 1000, 1, 100, 48_000, WATCHDOG_MS),
+            limits=Limits(512, 64, 200, 1000, 1, 100, 48_000, WATCHDOG_MS, packet_samples=200),
             actuator=ActuatorDescription("none", 80, 150, 0, 270, 0, 16, RATE_HZ),
             codecs=(CodecDescription(1, "mdct"),),
             images=(ImageDescription(0, SlotState.CONFIRMED), ImageDescription(1, SlotState.EMPTY)),
@@ -186,7 +186,7 @@ class ScriptedController(Closing):
         described = ImageDescription(slot, state, self.begun.sha256)
         if state in (SlotState.VERIFIED, SlotState.TESTING, SlotState.CONFIRMED):
             image = ModelImage.unpack(bytes(self.flash))
-            described = replace(described, name=image.name, version=image.version)
+            described = replace(described, name=image.name, version=image.version, number=image.number)
         others = [image for image in self.description.images if image.slot != slot]
         self.description = replace(self.description, images=(*others, described))
 

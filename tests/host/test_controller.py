@@ -31,6 +31,8 @@ from vibrocast.host.stream_session import Capture
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.faulty_link import MemoryLink
 
+IDLE_STATUS = Status(State.IDLE, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
+
 
 def connect(scripted: ScriptedController) -> Controller:
     return Controller(scripted, scripted.clock, scripted.sleep)
@@ -56,7 +58,7 @@ def test_hello_under_a_number_of_the_last_session_is_said_again_under_another(mo
     assert again.request_status().state == State.IDLE
 
 
-@pytest.mark.parametrize("old", [Status(State.IDLE, *[0] * 12), Error(ErrorCode.WRONG_STATE, "of long ago")])
+@pytest.mark.parametrize("old", [IDLE_STATUS, Error(ErrorCode.WRONG_STATE, "of long ago")])
 def test_hello_that_gets_the_answer_of_an_earlier_session_is_said_again(
     old: Message, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -165,7 +167,7 @@ def test_reconnect_waits_until_the_cable_is_back_and_gives_up_in_time() -> None:
 def test_another_major_version_is_rejected_naming_both() -> None:
     scripted = ScriptedController()
     scripted.description = replace(scripted.description, major=7)
-    with pytest.raises(ControllerError, match=r"protocol 7\.1, this host 1\.1"):
+    with pytest.raises(ControllerError, match=r"protocol 7\.0, this host 2\.0"):
         connect(scripted)
 
 
@@ -226,7 +228,7 @@ def test_capture_that_is_gone_is_an_error() -> None:
     scripted = ScriptedController()
     controller = connect(scripted)
     scripted.answer = lambda message: CaptureData(Tap.DAC, 1, 500, 1500, b"")
-    with pytest.raises(ControllerError, match="keeps the last 1000 samples"):
+    with pytest.raises(ControllerError, match="keeps 1000 samples of each capture"):
         controller.run(Capture(controller, Tap.DAC, 1).read_steps())
 
 

@@ -171,7 +171,7 @@ def test_an_interrupted_program_leaves_the_card_at_rest(
         with playing(tmp_path) as program, Listener(PAD) as listener:
             wait_until(lambda: bool(np.abs(listener.newest(0.2)).max(initial=0) > 0))
             program.send_signal(number)
-            assert program.wait(20) == 130
+            assert program.wait(20) == 128 + number
             wait_until(lambda: not listener.newest(0.2).any())
         heard = listener.heard()
         end = int(np.flatnonzero(heard.any(axis=1))[-1]) + 2

@@ -21,6 +21,8 @@ from vibrocast.device_protocol.messages import (
 )
 from vibrocast.device_protocol.model_image import ModelImage, ModelImageError, sha256
 from vibrocast.device_protocol.transports import TransportError
+from vibrocast.firmware import keys
+from vibrocast.host import signatures
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.uploader import flash
 
@@ -45,6 +47,26 @@ def test_flashes_verifies_tries_and_confirms() -> None:
     assert kinds[0] is FlashBegin
     assert kinds[-3:] == [FlashVerify, FlashActivate, FlashConfirm]
     assert set(kinds[1:-3]) == {FlashData}
+
+
+def test_image_without_the_signature_that_the_controller_needs_is_not_sent() -> None:
+    scripted = ScriptedController()
+    scripted.description = replace(scripted.description, public_key=keys.public_key(bytes(32)))
+    for image in (IMAGE, signatures.signed(IMAGE, b"x" * 32, 1)):
+        with pytest.raises(ModelImageError, match="signature"):
+            flash(connect(scripted), image)
+    assert not any(isinstance(message, FlashBegin) for message in scripted.handled)
+
+
+def test_release_with_another_number_is_another_image() -> None:
+    scripted = ScriptedController()
+    first, second = (signatures.signed(IMAGE, bytes(32), number) for number in (1, 2))
+    assert flash(connect(scripted), first).number == 1
+    before = len(scripted.handled)
+    assert flash(connect(scripted), first).number == 1
+    assert not any(isinstance(message, FlashBegin) for message in scripted.handled[before:])
+    scripted.flash = bytearray()
+    assert flash(connect(scripted), second, slot=1).number == 2
 
 
 def test_cut_in_the_middle_is_resumed_without_sending_again() -> None:

@@ -254,10 +254,19 @@ def recorded(name: str) -> Decoded:
     kind=st.sampled_from(["square", "noise", "constant"]),
     seed=st.integers(0, 99),
     volts_part=st.sampled_from([0.5, 1.0]),
+    power_part=st.sampled_from([0.0005, 0.1, 1.0]),
+    slew_part=st.sampled_from([0.0005, 1.0]),
 )
-def test_limits_hold_for_any_request(actuator: str, gain: float, kind: str, seed: int, volts_part: float) -> None:
+def test_limits_hold_for_any_request(
+    actuator: str, gain: float, kind: str, seed: int, volts_part: float, power_part: float, slew_part: float
+) -> None:
     described = ACTUATORS[actuator]
-    limited = replace(described, volts_limit=described.volts / 2 * volts_part)
+    limited = replace(
+        described,
+        volts_limit=described.volts / 2 * volts_part,
+        power_limit=described.power_limit * power_part,
+        slew_volts_per_second=described.slew_volts_per_second * slew_part,
+    )
     signals: dict[str, Callable[[], Samples]] = {
         "square": lambda: np.sign(sine(limited.dac_rate_hz, 97.0 + seed, 1.0, 3.0)),
         "noise": lambda: noise(3 * limited.dac_rate_hz, 1, seed, 1.0) / 32768,

@@ -14,6 +14,8 @@ from vibrocast.device_protocol.coded_stream import IMAGE_HASH_BYTES, UNITS, Stre
 from vibrocast.device_protocol.frames import write_frame
 from vibrocast.device_protocol.messages import (
     ALL,
+    PROTOCOL_MAJOR,
+    PROTOCOL_MINOR,
     REQUESTS,
     CaptureData,
     CaptureRead,
@@ -102,11 +104,11 @@ def test_only_stop_is_carried_out_before_hello() -> None:
 
 def test_other_major_version_is_rejected_by_name_and_other_minor_is_not() -> None:
     bench = Bench()
-    answer = bench.ask(Hello(major=2, minor=3))
+    answer = bench.ask(Hello(major=PROTOCOL_MAJOR + 1, minor=3))
     assert error_code(answer) == ErrorCode.UNSUPPORTED_VERSION
     assert isinstance(answer, Error)
-    assert "1.1" in answer.text
-    assert "2.3" in answer.text
+    assert f"{PROTOCOL_MAJOR}.{PROTOCOL_MINOR}" in answer.text
+    assert f"{PROTOCOL_MAJOR + 1}.3" in answer.text
     assert error_code(bench.ask(StatusRequest())) == ErrorCode.HELLO_FIRST
     assert isinstance(bench.ask(Hello(minor=9)), HelloResponse)
 
@@ -644,6 +646,26 @@ def test_silent_host_stops_the_output_within_the_watchdog() -> None:
     np.testing.assert_array_equal(codes[:900], rendered(played)[:900])
     assert not codes[-1].any()
     assert bench.status().state == State.WATCHDOG
+
+
+@pytest.mark.parametrize(
+    ("sent", "state"),
+    [
+        (write_frame(pack(StreamData(9, 0, ()))), State.PLAYING),
+        (write_frame(bytes([StreamData.TYPE])), State.PLAYING),
+        (write_frame(pack(StreamData(9, 0, ())))[:-2] + b"\xee\0", State.WATCHDOG),
+        (b"\x07noise\0", State.WATCHDOG),
+        (b"\0\0", State.WATCHDOG),
+    ],
+    ids=["stream data", "unreadable", "damaged", "noise", "zeros"],
+)
+def test_whole_frames_alone_are_a_sign_of_life(sent: bytes, state: State) -> None:
+    bench = Bench(Settings(watchdog_ms=300))
+    bench.start_all(stream(2.0))
+    for _ in range(10):
+        bench.run(100, polling=False)
+        bench.controller.receive(sent, bench.now_us)
+    assert bench.status().state == state
 
 
 def test_watchdog_also_stops_what_one_long_step_of_time_skips() -> None:

@@ -114,8 +114,8 @@ BAD_PAYLOADS: dict[str, tuple[Callable[[], bytes], str]] = {
 }
 # Decoders in C never look at it.
 BAD_GRAPHS: dict[str, tuple[Callable[[], bytes], str]] = {
-    "no graph at all": (lambda: with_graph(b"not ONNX"), "no ONNX graph"),
-    "the analysis": (lambda: with_graph(tiny.model().analysis), "instead of latents and signal"),
+    "no graph at all": (lambda: with_graph(b"not ONNX"), "does not write"),
+    "the analysis": (lambda: with_graph(tiny.model().analysis), "does not turn latents into signal"),
     "a graph of other latents": (lambda: with_graph(graph_of(24)), "ONNX graph"),
 }
 

@@ -6,9 +6,10 @@ from pathlib import Path
 import pytest
 
 from tests.firmware.c_image_store import CImageStore, RequestError
+from tests.firmware.test_signatures import public_key, sign
 from vibrocast.codec import CodecError
 from vibrocast.device_protocol.messages import ErrorCode, SlotState
-from vibrocast.device_protocol.model_image import ModelImage, sha256
+from vibrocast.device_protocol.model_image import ModelImage, sha256, signed_message, with_signature
 from vibrocast.simulated_device.flash import FlashMemory, PowerCut
 
 HARDWARE = "sim"
@@ -16,9 +17,14 @@ OLD = ModelImage(1, "old", "1", HARDWARE, bytes(range(100))).pack()
 NEW = ModelImage(1, "new", "2", "", b"\xff\x00" * 300 + b"\xff" * 40).pack()
 
 
-def blank_flash(path: Path | None = None) -> FlashMemory:
+ENTRY_BYTES = 92  # firmware/controller/slot_record.h
+PRIVATE_KEY = bytes(range(32))
+KEY = public_key(PRIVATE_KEY)
+
+
+def blank_flash(path: Path | None = None, sector_bytes: int = 128) -> FlashMemory:
     # Sectors small enough that every byte of a session can be a place to cut.
-    return FlashMemory(2 * 128 + 2 * 768, sector_bytes=128, path=path)
+    return FlashMemory(2 * sector_bytes + 2 * 768, sector_bytes, path=path)
 
 
 def check_payload(codec_identifier: int, payload: bytes) -> None:
@@ -26,8 +32,12 @@ def check_payload(codec_identifier: int, payload: bytes) -> None:
         raise CodecError("tables that the codec does not take")
 
 
-def boot(flash: FlashMemory) -> CImageStore:
-    return CImageStore(flash, HARDWARE, check_payload)
+def boot(flash: FlashMemory, key: bytes = b"") -> CImageStore:
+    return CImageStore(flash, HARDWARE, check_payload, key)
+
+
+def signed(image: bytes, number: int, private_key: bytes = PRIVATE_KEY) -> bytes:
+    return with_signature(image, number, sign(private_key, signed_message(image, number)))
 
 
 def write_image(store: CImageStore, slot: int, image: bytes) -> None:
@@ -37,11 +47,11 @@ def write_image(store: CImageStore, slot: int, image: bytes) -> None:
     assert store.verify(slot).sha256 == sha256(image)
 
 
-def install(flash: FlashMemory, slot: int, image: bytes) -> CImageStore:
-    store = boot(flash)
+def install(flash: FlashMemory, slot: int, image: bytes, key: bytes = b"") -> CImageStore:
+    store = boot(flash, key)
     write_image(store, slot, image)
     store.activate(slot)
-    store = boot(flash)
+    store = boot(flash, key)
     store.confirm(slot)
     return store
 
@@ -72,14 +82,21 @@ def test_trial_runs_once_and_falls_back_unless_confirmed() -> None:
 
 
 @pytest.mark.slow
-def test_power_cut_at_every_byte_of_a_flash_session_leaves_an_image_that_runs() -> None:
-    installed = blank_flash()
+@pytest.mark.parametrize("entries_before", range(6))
+@pytest.mark.parametrize("sector_bytes", [128, 256])
+def test_power_cut_at_every_byte_of_a_flash_session_leaves_an_image_that_runs(
+    sector_bytes: int, entries_before: int
+) -> None:
+    """The session begins at each place of the record, and so crosses from one sector into the other everywhere."""
+    installed = blank_flash(sector_bytes=sector_bytes)
     install(installed, 0, OLD)
+    for number in range(entries_before):
+        boot(installed).begin(1, 100, bytes([number] * 32), "")
     contents = installed.read(0, len(installed))
     cut_after_bytes = 0
     names = set()
     while True:
-        flash = blank_flash()
+        flash = blank_flash(sector_bytes=sector_bytes)
         flash.program(0, contents)
         flash.cut_after_bytes = cut_after_bytes
         try:
@@ -247,6 +264,17 @@ def test_garbage_in_flash_boots_without_an_image() -> None:
     assert running_name(install(flash, 0, OLD)) == "old"
 
 
+def test_an_image_under_the_hash_of_another_is_rejected() -> None:
+    store = install(blank_flash(), 0, OLD)
+    store.begin(1, len(NEW), sha256(OLD), HARDWARE)
+    for offset in range(0, len(NEW), 100):
+        store.write(1, offset, NEW[offset : offset + 100])
+    with pytest.raises(RequestError, match="SHA-256") as rejected:
+        store.verify(1)
+    assert rejected.value.code == ErrorCode.IMAGE_REJECTED
+    assert running_name(store) == "old"
+
+
 @pytest.mark.parametrize(
     ("request_", "code"),
     [
@@ -299,3 +327,184 @@ def test_data_at_another_offset_writes_nothing() -> None:
     assert store.write(0, 50, NEW[50:100]).next_offset == 0
     assert store.write(0, 0, NEW[:50]).next_offset == 50
     assert store.write(0, 0, NEW[:50]).next_offset == 50
+
+
+# ---- signatures ----
+
+
+def test_controller_with_a_key_runs_an_image_that_the_key_signed() -> None:
+    flash = blank_flash()
+    store = install(flash, 0, signed(OLD, 7), KEY)
+    assert running_name(store) == "old"
+    assert next((image.number, image.sha256) for image in store.describe()) == (7, sha256(OLD))
+    assert store.running_sha256 == sha256(OLD)
+    assert running_name(boot(flash, KEY)) == "old"
+
+
+@pytest.mark.parametrize(
+    ("image", "reason"),
+    [
+        (NEW, "has no signature"),
+        (signed(NEW, 3, bytes(32)), "not by this controller's key"),
+        (with_signature(NEW, 3, bytes(64)), "not by this controller's key"),
+        (with_signature(NEW, 4, signed(NEW, 3)[-64:]), "not by this controller's key"),
+        (with_signature(NEW, 3, signed(OLD, 3)[-64:]), "not by this controller's key"),
+        (signed(NEW, 2), "number 2, and 3 was confirmed"),
+        (signed(NEW, 0), "number 0, and 3 was confirmed"),
+    ],
+)
+def test_controller_with_a_key_rejects_other_images(image: bytes, reason: str) -> None:
+    flash = blank_flash()
+    store = install(flash, 0, signed(OLD, 3), KEY)
+    with pytest.raises(RequestError, match=reason) as rejected:
+        write_image(store, 1, image)
+    assert rejected.value.code == ErrorCode.IMAGE_REJECTED
+    assert states(store) == [SlotState.CONFIRMED, SlotState.EMPTY]
+    assert running_name(boot(flash, KEY)) == "old"
+
+
+@pytest.mark.slow
+def test_every_changed_bit_of_a_signed_image_is_rejected() -> None:
+    """Even where the host announces the hash of the changed image."""
+    image = signed(OLD, 3)
+    store = boot(blank_flash(), KEY)
+    for bit in range(8 * len(image)):
+        changed = (int.from_bytes(image, "little") ^ 1 << bit).to_bytes(len(image), "little")
+        with pytest.raises(RequestError) as rejected:
+            write_image(store, 0, changed)
+        assert rejected.value.code in (ErrorCode.IMAGE_REJECTED, ErrorCode.WRONG_STATE)
+        if rejected.value.code == ErrorCode.WRONG_STATE:
+            store = boot(blank_flash(), KEY)
+
+
+@pytest.mark.parametrize("number", [3, 4, 0xFFFFFFFF])
+def test_equal_and_later_numbers_are_taken(number: int) -> None:
+    flash = blank_flash()
+    install(flash, 0, signed(OLD, 3), KEY)
+    assert running_name(install(flash, 1, signed(NEW, number), KEY)) == "new"
+
+
+def test_only_confirming_raises_the_lowest_number() -> None:
+    flash = blank_flash()
+    install(flash, 0, signed(OLD, 3), KEY)
+    store = boot(flash, KEY)
+    write_image(store, 1, signed(NEW, 9))
+    store.activate(1)
+    assert running_name(boot(flash, KEY)) == "new"
+    store = boot(flash, KEY)  # reverts
+    assert running_name(store) == "old"
+    write_image(store, 1, signed(NEW, 4))
+
+
+def test_image_from_before_the_last_release_is_neither_activated_nor_fallen_back_to() -> None:
+    flash = blank_flash()
+    install(flash, 0, signed(OLD, 3), KEY)
+    store = install(flash, 1, signed(NEW, 4), KEY)
+    assert states(store) == [SlotState.VERIFIED, SlotState.CONFIRMED]
+    with pytest.raises(RequestError, match="number 3, and 4 was confirmed"):
+        store.activate(0)
+    flip_bit(flash, 1)
+    store = boot(flash, KEY)
+    assert (store.running, states(store)) == (None, [SlotState.VERIFIED, SlotState.EMPTY])
+    assert running_name(install(flash, 1, signed(NEW, 4), KEY)) == "new"
+
+
+def test_image_of_the_same_release_is_fallen_back_to() -> None:
+    flash = blank_flash()
+    install(flash, 0, signed(OLD, 4), KEY)
+    install(flash, 1, signed(NEW, 4), KEY)
+    flip_bit(flash, 1)
+    assert running_name(boot(flash, KEY)) == "old"
+
+
+def test_a_key_in_new_firmware_ends_unsigned_images() -> None:
+    flash = blank_flash()
+    install(flash, 0, OLD)
+    store = boot(flash, KEY)
+    assert (store.running, states(store)) == (None, [SlotState.EMPTY, SlotState.EMPTY])
+
+
+def test_without_a_key_signed_images_run_and_their_numbers_bind_nothing() -> None:
+    flash = blank_flash()
+    store = install(flash, 0, signed(OLD, 9, bytes(32)))
+    assert [image.number for image in store.describe()] == [9, 0]
+    assert running_name(install(flash, 1, signed(NEW, 2))) == "new"
+    assert running_name(install(flash, 0, signed(OLD, 1), KEY)) == "old"
+
+
+# ---- wear ----
+
+
+class CountingFlash(FlashMemory):
+    """Flash that counts the erasures of the record's two sectors and of the two slots, three sectors each."""
+
+    def __init__(self, sector_bytes: int) -> None:
+        super().__init__(8 * sector_bytes, sector_bytes)
+        self.erased = [0, 0, 0, 0]
+
+    def erase(self, address: int, count: int) -> None:
+        sector = address // self.sector_bytes
+        self.erased[sector if sector < 2 else 2 + (sector - 2) // 3] += 1
+        super().erase(address, count)
+
+
+@pytest.mark.parametrize("entries", [1, 2, 5])
+def test_record_is_erased_once_for_as_many_changes_as_it_holds(entries: int) -> None:
+    flash = CountingFlash(entries * ENTRY_BYTES + (ENTRY_BYTES - 1 if entries == 5 else 0))
+    store = boot(flash)
+    for number in range(60):
+        store.begin(0, 1, number.to_bytes(32, "little"), "")
+        assert boot(flash).describe()[0].state == SlotState.WRITING
+    assert abs(sum(flash.erased[:2]) - 60 / entries) <= 1
+    assert abs(flash.erased[0] - flash.erased[1]) <= 1
+
+
+def test_slot_that_is_erased_already_is_not_erased_again() -> None:
+    flash = CountingFlash(512)
+    store = boot(flash)
+    for number in range(20):
+        store.begin(0, 1, number.to_bytes(32, "little"), "")
+    assert sum(flash.erased[2:]) == 1
+    store.write(0, 0, b"x")
+    store.begin(0, 1, bytes(32), "")
+    assert sum(flash.erased[2:]) == 2
+
+
+def test_hostile_host_wears_out_nothing_between_two_power_ons() -> None:
+    flash = CountingFlash(512)
+    store = boot(flash)
+    with pytest.raises(RequestError, match="switch the controller off and on") as rejected:
+        for number in range(3000):
+            store.begin(0, 1, number.to_bytes(32, "little"), "")
+            store.write(0, 0, b"x")
+    assert rejected.value.code == ErrorCode.WRONG_STATE
+    assert flash.erased[2:] == [1001, 0]  # the first erasure needs one change of the record, the others two
+    assert sum(flash.erased[:2]) == -(-2001 // (512 // ENTRY_BYTES))
+    boot(flash).begin(0, 1, bytes(32), "")
+
+
+def test_boots_by_a_host_count_as_changes_too() -> None:
+    flash = CountingFlash(512)
+    store = install(flash, 0, OLD)
+    write_image(store, 1, OLD)
+    with pytest.raises(RequestError, match="switch the controller off and on"):
+        for number in range(3000):
+            slot = 1 - number % 2
+            store.activate(slot)
+            store.boot_again()
+            store.confirm(slot)
+    assert 600 < number < 700
+    assert running_name(boot(flash)) == "old"
+
+
+def test_torn_entries_are_stepped_over() -> None:
+    flash = blank_flash(sector_bytes=4 * ENTRY_BYTES)
+    install(flash, 0, OLD)
+    for cut_after_bytes in range(1, 3 * ENTRY_BYTES, 7):
+        flash.cut_after_bytes = cut_after_bytes
+        with pytest.raises(PowerCut):
+            for number in range(20):
+                boot(flash).begin(1, 1, bytes([number] * 32), "")
+        flash.cut_after_bytes = None
+        assert running_name(boot(flash)) == "old"
+    assert running_name(install(flash, 1, NEW)) == "new"

@@ -323,6 +323,49 @@ def test_members_of_an_npz_file_that_are_no_arrays(tmp_path: Path) -> None:
         load(path, unit="um")
 
 
+def bomb(suffix: str, path: Path) -> None:
+    """Write a file of a few kilobytes that states 200 MB of silence."""
+    samples = np.zeros(25_000_000)
+    if suffix == ".npy":
+        with path.open("wb") as file:
+            np.lib.format.write_array_header_1_0(file, {"descr": "<f8", "fortran_order": False, "shape": samples.shape})
+            file.write(bytes(64))
+    elif suffix == ".npz":
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_BZIP2) as archive, archive.open("samples.npy", "w") as member:
+            np.save(member, samples)
+    else:
+        with h5py.File(path, "w") as file:
+            file.create_dataset("samples", samples.shape, "f8", chunks=(1000,))
+
+
+@pytest.mark.parametrize(
+    ("suffix", "reason"),
+    [(".npy", "bytes of it"), (".npz", "a way that NumPy does not write"), (".h5", "bytes of it")],
+)
+def test_small_files_that_state_large_arrays_are_rejected_before_they_take_memory(
+    suffix: str, reason: str, tmp_path: Path
+) -> None:
+    path = tmp_path / f"a{suffix}"
+    bomb(suffix, path)
+    assert path.stat().st_size < 50_000
+    tracemalloc.start()
+    with pytest.raises(TextureError, match=reason):
+        load(path, rate_hz=2800, unit="um")
+    peak_bytes = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak_bytes < 10_000_000
+
+
+def test_silence_that_is_packed_as_well_as_can_be_is_no_bomb(tmp_path: Path) -> None:
+    samples = np.zeros(3_000_000)
+    np.savez_compressed(tmp_path / "a.npz", samples=samples)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("samples", data=samples, compression="gzip", compression_opts=9)
+    savemat(tmp_path / "a.mat", {"samples": samples}, do_compression=True)
+    for name in ("a.npz", "a.h5", "a.mat"):
+        assert len(load(tmp_path / name, rate_hz=2800, unit="um").samples) == len(samples)
+
+
 def test_memory_that_is_there() -> None:
     assert 0 < available_bytes() < 2**50
     assert shortage(0) is None

@@ -1,0 +1,94 @@
+"""The README's streams on every controller that ships: each plays them to the end, as computed here."""
+
+import contextlib
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import vibrocast
+from vibrocast import codec
+from vibrocast.codec.encoding import encode_recording
+from vibrocast.codec.stream import Stream
+from vibrocast.host import devices, end_to_end
+from vibrocast.host.controller import Controller
+from vibrocast.simulated_device.faulty_link import MemoryLink
+from vibrocast.simulated_device.serial_port import has_pseudo_terminals
+
+README = Path(__file__).parents[2] / "README.md"
+OAK = Path(__file__).parents[2] / "examples" / "oak.wav"
+CONTROLLERS = [name for name in devices.SIMULATED if name != "host" or has_pseudo_terminals()]
+
+every_controller = pytest.mark.parametrize("address", CONTROLLERS)
+
+
+@contextlib.contextmanager
+def session(address: str) -> Iterator[Controller]:
+    """Open a session, in simulated time where the controller allows it: then no busy computer makes a packet late."""
+    if address not in devices.IN_PROCESS:
+        with devices.connect(address) as controller:
+            yield controller
+        return
+    device = devices.emulated(address) if address in devices.EMULATED else devices.simulated("core")
+    link = MemoryLink(device)
+    yield Controller(link, link.clock, link.sleep)
+
+
+def check_plays(address: str, stream: Stream) -> end_to_end.Outcome:
+    """Play a stream, and check that nothing was late and all is as computed."""
+    with session(address) as controller:
+        outcome = end_to_end.play(controller, address, "oak", stream)
+    report = outcome.report
+    assert report.underruns == report.lost_packets == 0
+    assert report.dac_equals_offline is True
+    # A board may keep fewer samples than a packet has.
+    assert report.decoded_equals_offline is not False
+    return outcome
+
+
+@pytest.mark.slow
+@every_controller
+def test_the_readmes_stream_plays_without_being_split(address: str) -> None:
+    text = README.read_text(encoding="utf-8")
+    assert "vibrocast.encode(recording.samples, rate_hz=recording.rate_hz, unit=recording.unit, snr_db=15)" in text
+    recording = vibrocast.load(OAK)
+    stream = vibrocast.encode(recording.samples, rate_hz=recording.rate_hz, unit=recording.unit, snr_db=15)
+    assert re.search(rf"^{stream.size_bytes} \({stream.samples}, 1\) True$", text, re.MULTILINE)
+    assert check_plays(address, stream).stream == stream
+
+
+@pytest.mark.slow
+@every_controller
+def test_the_readmes_recording_plays_as_play_codes_it(address: str) -> None:
+    assert "vibrocast play examples/oak.wav" in README.read_text(encoding="utf-8")
+    check_plays(address, encode_recording(vibrocast.load(OAK), live=True).stream)
+
+
+@pytest.mark.slow
+@every_controller
+@pytest.mark.parametrize("codec_name", ["mdct", "lapped"])
+def test_files_of_any_rate_and_quality_play(address: str, codec_name: str) -> None:
+    """At 8000 Hz packets are longer, and at 50 dB they have more bytes, than the smallest board takes."""
+    for rate_hz, snr_db in ((8000, 15.0), (2800, 50.0)):
+        stream = encode_recording(vibrocast.load(OAK), rate_hz, codec_name, snr_db=snr_db).stream
+        outcome = check_plays(address, stream)
+        assert (outcome.stream != stream) == (address == "stm32f405")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("codec_name", ["mdct", "lapped", "dct", "slp", "eva", "parametric"])
+def test_default_files_of_every_codec_of_the_core_fit_the_smallest_board(codec_name: str) -> None:
+    stream = encode_recording(vibrocast.load(OAK), codec_name=codec_name).stream
+    assert check_plays("stm32f405", stream).stream == stream
+
+
+@pytest.mark.parametrize("codec_name", ["mdct", "lapped"])
+def test_the_longest_default_packets_below_5600_hz_fit_the_smallest_board(codec_name: str) -> None:
+    from vibrocast.firmware.build import TARGETS
+
+    setting: codec.Setting = {"hop": "128", "step": 0.5}
+    stream = encode_recording(vibrocast.load(OAK), codec_name=codec_name, setting=setting).stream
+    packet_samples = TARGETS["stm32f405"].defines["VC_PACKET_SAMPLES"]
+    assert isinstance(packet_samples, int)
+    assert stream.decoder().packet_samples <= packet_samples < stream.decoder().packet_samples + 384

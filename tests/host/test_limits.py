@@ -1,0 +1,198 @@
+"""Streams against a controller's limits: packets split where the codec allows it, else advice that can be followed."""
+
+import contextlib
+import re
+import shlex
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from tests.host.scripted_controller import ScriptedController
+from vibrocast import codec, models, textures
+from vibrocast.codec.core import decoding_cycles
+from vibrocast.codec.encoding import encode_recording
+from vibrocast.codec.stream import Stream, read_stream
+from vibrocast.device_protocol.coded_stream import StreamError
+from vibrocast.device_protocol.messages import CodecDescription, Configure, Error, ErrorCode
+from vibrocast.device_protocol.transports import SerialTransport
+from vibrocast.host import end_to_end, limits
+from vibrocast.host.cli.command_line import main
+from vibrocast.host.controller import Controller, ControllerError
+from vibrocast.host.limits import check_limits, fitted
+from vibrocast.host.stream_session import configure_steps
+from vibrocast.simulated_device.controller import Controller as SimulatedController
+from vibrocast.simulated_device.controller import Settings
+from vibrocast.simulated_device.faulty_link import MemoryLink
+from vibrocast.simulated_device.pty_port import PtyPort
+from vibrocast.simulated_device.serial_port import has_pseudo_terminals
+
+BUFFER_SAMPLES = 4096
+RECORDING = textures.GENERATORS["rough"](seconds=1.5)
+
+
+def controller(buffer_samples: int = BUFFER_SAMPLES, capture_samples: int = 1 << 19) -> Controller:
+    """Return a session with a simulated controller whose buffer, and so whose packets, are short."""
+    link = MemoryLink(SimulatedController(Settings(buffer_samples=buffer_samples, capture_samples=capture_samples)))
+    return Controller(link, link.clock, link.sleep)
+
+
+def file_of(codec_name: str, rate_hz: int = 8000) -> Stream:
+    """Return a stream with packets of 8192 samples."""
+    return encode_recording(RECORDING, rate_hz, codec_name).stream
+
+
+def test_a_stream_that_fits_stays_as_it_is() -> None:
+    stream = file_of("mdct", 2800)
+    assert fitted(controller(buffer_samples=32_768), stream) is stream
+
+
+@pytest.mark.parametrize("codec_name", ["mdct", "lapped"])
+def test_packets_that_are_too_long_are_split_and_play_as_computed(codec_name: str) -> None:
+    stream = file_of(codec_name)
+    assert stream.decoder().packet_samples > BUFFER_SAMPLES
+    outcome = end_to_end.play(controller(), "sim", "rough", stream, loops=2)
+    assert outcome.stream.decoder().packet_samples <= BUFFER_SAMPLES
+    assert outcome.report.stream_bytes == outcome.stream.size_bytes
+    assert outcome.report.underruns == outcome.report.lost_packets == 0
+    assert outcome.report.decoded_equals_offline is outcome.report.dac_equals_offline is True
+
+
+def test_packets_of_more_bytes_than_a_frame_takes_are_split() -> None:
+    stream = encode_recording(RECORDING, snr_db=40).stream
+    session = controller()
+    short = replace(session.description.limits, max_payload_bytes=600, max_packet_bytes=580)
+    session.description = replace(session.description, limits=short)
+    assert max(map(len, stream.packets)) > 600
+    assert max(map(len, fitted(session, stream).packets)) <= short.sendable_packet_bytes
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not has_pseudo_terminals(), reason="needs pseudo-terminals")
+def test_each_of_several_controllers_gets_the_stream_that_it_takes() -> None:
+    with contextlib.ExitStack() as stack:
+        members = {}
+        for samples in (1024, 4096, 16_384):
+            port = stack.enter_context(PtyPort(SimulatedController(Settings(buffer_samples=samples))))
+            session = stack.enter_context(Controller(SerialTransport(port.name)))
+            members[samples] = end_to_end.Member(session, port.name)
+        outcomes = end_to_end.play_together(members, "rough", file_of("mdct"))
+    lengths = []
+    for outcome in outcomes.values():
+        assert isinstance(outcome, end_to_end.Outcome)
+        assert outcome.report.decoded_equals_offline is outcome.report.dac_equals_offline is True
+        lengths.append(outcome.stream.decoder().packet_samples)
+    assert lengths == [1024, 4096, file_of("mdct").decoder().packet_samples]
+
+
+def test_a_capture_that_is_overwritten_is_not_compared_and_the_report_says_why() -> None:
+    report = end_to_end.play(controller(capture_samples=256), "memory", "rough", file_of("mdct")).report
+    assert report.underruns == 0
+    assert report.decoded_equals_offline is None
+    assert report.comparison_note is not None
+    assert "keeps 256 samples of each capture" in report.comparison_note
+    assert not report.differs
+
+
+def test_the_report_says_why_nothing_is_compared() -> None:
+    report = end_to_end.play(controller(capture_samples=0), "memory", "rough", file_of("mdct")).report
+    assert report.decoded_equals_offline is report.dac_equals_offline is None
+    assert report.comparison_note == "the controller keeps no captures"
+    assert end_to_end.play(controller(), "memory", "rough", file_of("mdct")).report.comparison_note is None
+
+
+@pytest.mark.parametrize("codec_name", ["slp", "dct", "eva", "parametric"])
+def test_the_advice_for_packets_that_cannot_be_split_gives_a_stream_that_fits(codec_name: str, tmp_path: Path) -> None:
+    session = controller()
+    with pytest.raises(StreamError, match="packets of 8192 samples") as raised:
+        fitted(session, file_of(codec_name))
+    (command,) = re.findall(r"`vibrocast (.*)`", str(raised.value))
+    recording, out = tmp_path / "rough.wav", tmp_path / "out.vct"
+    textures.save(recording, RECORDING)
+    given = shlex.split(command.replace("RECORDING", str(recording)).replace("OUT.vct", str(out)))
+    if given[0] == "encode":
+        assert CliRunner().invoke(main, given, catch_exceptions=False).exit_code == 0
+        assert fitted(session, stream := read_stream(out)) is stream
+    else:
+        assert given == ["play", str(recording), "--codec", codec_name, "--stream-rate-hz", "8000"]
+        stream = encode_recording(RECORDING, 8000, codec_name, live=True).stream
+        assert fitted(session, stream) is stream
+
+
+@pytest.mark.parametrize(
+    ("channels", "rate_hz", "advice"),
+    [
+        (9, 2800, "take one with `axis`"),
+        (1, 99, "encode the recording with `stream_rate_hz` 100"),
+        (1, 48_001, "encode the recording with `stream_rate_hz` 48000"),
+    ],
+)
+def test_channels_and_rates_beyond_the_limits_are_rejected_with_advice(
+    channels: int, rate_hz: int, advice: str
+) -> None:
+    session = controller()
+    narrow = replace(session.description.limits, max_rate_hz=48_000)
+    session.description = replace(session.description, limits=narrow)
+    with pytest.raises(StreamError, match=advice):
+        check_limits(session, channels, rate_hz)
+
+
+CYCLES = {"mdct": 300, "dct": 200, "slp": 250, "eva": 0}
+
+
+def cycles_of(identifier: int, configuration: bytes, channels: int, tables: bytes | None) -> int:
+    """Return invented cycles: of EVA, a fiftieth of the model's bytes."""
+    return channels * (len(tables or b"") // 50 or CYCLES[codec.codec_by_identifier(identifier).name])
+
+
+def rejecting(limit_kilocycles_per_s: int) -> Controller:
+    """Return a session with a controller that rejects each Configure because of its cost."""
+    scripted = ScriptedController()
+    codecs = tuple(CodecDescription(codec.BUILT_IN[name].identifier, name) for name in CYCLES)
+    slow = replace(scripted.description.limits, decoding_kilocycles_per_s=limit_kilocycles_per_s)
+    scripted.description = replace(scripted.description, codecs=codecs, limits=slow)
+    rejection = Error(ErrorCode.BEYOND_LIMITS, "too much")
+    scripted.answer = lambda message: rejection if isinstance(message, Configure) else None
+    return Controller(scripted, lambda: scripted.now_s)
+
+
+@pytest.mark.parametrize(
+    ("codec_name", "limit_kilocycles_per_s", "advice"),
+    [
+        ("eva-128-4", 1500, "with --model eva-16-5 or --codec mdct or --stream-rate-hz 337"),
+        ("eva-128-4", 800, "with --codec slp or --stream-rate-hz"),
+        ("mdct", 800, "with --codec slp or --stream-rate-hz 2666"),
+        ("mdct", 10, "use fewer channels"),
+    ],
+)
+def test_a_stream_that_takes_too_long_to_decode_is_rejected_with_what_can_be_decoded(
+    codec_name: str, limit_kilocycles_per_s: int, advice: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(limits, "decoding_cycles", cycles_of)
+    model = None if codec_name == "mdct" else models.find(codec_name)
+    stream = encode_recording(RECORDING, model=model, live=True).stream
+    session = rejecting(limit_kilocycles_per_s)
+    with pytest.raises(ControllerError, match=f"million cycles a second, .*{advice}"):
+        session.run(configure_steps(session, stream.header, 0))
+
+
+def test_other_rejections_stay_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(limits, "decoding_cycles", cycles_of)
+    stream = encode_recording(RECORDING, live=True).stream
+    for session in (rejecting(0), rejecting(10_000)):
+        with pytest.raises(ControllerError, match="too much; `vibrocast status` lists its limits"):
+            session.run(configure_steps(session, stream.header, 0))
+
+
+@pytest.mark.parametrize("codec_name", ["mdct", "dct", "slp", "parametric", "lapped", "eva"])
+def test_the_cost_of_each_decoder_of_the_core_is_known(codec_name: str) -> None:
+    stream = file_of(codec_name)
+    header = stream.header
+    cycles = decoding_cycles(header.codec_identifier, header.configuration, header.channels, stream.tables)
+    assert 1000 < cycles < 50_000
+
+
+@pytest.mark.parametrize("codec_name", ["mdct", "opus"])
+def test_the_cost_of_what_the_core_does_not_decode_is_not_known(codec_name: str) -> None:
+    assert decoding_cycles(codec.BUILT_IN[codec_name].identifier, b"", 1, None) == 0
