@@ -418,7 +418,8 @@ class ImageDescription:
 class HelloResponse(Message):
     """The controller's version, limits, actuator, codecs and model images.
 
-    `public_key`: of Ed25519; model images need its signature. Empty: they need none.
+    `public_key`: of Ed25519; model images need its signature. Empty: they need none. `serial_number`: of the board;
+    empty: it has none.
     """
 
     TYPE = 0x80
@@ -432,6 +433,7 @@ class HelloResponse(Message):
     codecs: Annotated[tuple[CodecDescription, ...], Tag(0x05, "codec, one for each")]
     images: Annotated[tuple[ImageDescription, ...], Tag(0x06, "model image, one for each slot")] = ()
     public_key: Annotated[bytes, Tag(0x07, "public key, 32 bytes; empty or absent: images need no signature")] = b""
+    serial_number: Annotated[str, Tag(0x08, "serial number (text); empty or absent: the board has none")] = ""
 
     def check(self) -> None:
         """Raise LayoutError for a public key of another length."""

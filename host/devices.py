@@ -335,6 +335,7 @@ def described(hello: HelloResponse) -> dict[str, Any]:
     return {
         "build": hello.build,
         "hardware": hello.hardware,
+        "serial_number": hello.serial_number or "none",
         "protocol": f"{hello.major}.{hello.minor}",
         "codecs": [name for _, name in hello.codecs],
         "model_images": model_images(hello),

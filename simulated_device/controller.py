@@ -28,11 +28,12 @@ class Settings:
     controller's time, in us; None = the host sends it. The other numbers are the limits in the response to Hello:
     `channels` at most 16; `buffer_samples`, `capture_samples` and `profile_samples` (of a height profile, of all
     channels together) at most these. `public_key`: of Ed25519, 32 bytes; model images need its signature, None = they
-    need none.
+    need none. `serial_number`: at most 31 bytes, empty = none.
     """
 
     actuator: Actuator = PIEZO_STACK
     hardware: str = "simulated"
+    serial_number: str = ""
     drift_ppm: int = 0
     runtime: str | None = None
     channels: int = 8
@@ -128,6 +129,8 @@ class Controller:
             "sizes": ffi.new("vc_sizes *", limits),
             "callbacks": self._decoders.pointer,
         }
+        if settings.serial_number:
+            fields["serial_number"] = ffi.new("char[]", settings.serial_number.encode())
         if settings.public_key is not None:
             fields["public_key"] = ffi.new("uint8_t[32]", settings.public_key)
         if settings.position_sensor is not None:

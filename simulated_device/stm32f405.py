@@ -17,7 +17,11 @@ FLASH_BYTES = 1 << 20
 
 _FLASH, _PERIPHERALS = 0x0800_0000, 0x4000_0000
 _PERIPHERALS_BYTES = 0x2_4000
-_MEMORIES = {0x2000_0000: 128 << 10, 0x1000_0000: 64 << 10}
+# The last is of the system memory, which holds the chip's unique number.
+_MEMORIES = {0x2000_0000: 128 << 10, 0x1000_0000: 64 << 10, 0x1FFF_7000: 4 << 10}
+_UNIQUE = 0x1FFF_7A10
+UNIQUE_NUMBER = b"emulated.405"
+"""Of the emulated chip; HelloResponse states it in hexadecimal."""
 _SECTOR_STARTS = (*range(0, 0x1_0000, 0x4000), 0x1_0000, *range(0x2_0000, FLASH_BYTES + 1, 0x2_0000))
 _MIDDLE = 2048  # of the DAC's range
 # Time is counted in ticks of the timers' clock, 84 MHz; SysTick's goes twice as fast.
@@ -94,6 +98,7 @@ class Stm32F405:
         self._codes: list[tuple[int, int]] = []
         self._fed_at = self._fed_cycles = self._longest_turn_cycles = 0
         self._ran_from = 0, 0  # the time, and the cycles, at which the processor was last started
+        self.processor.unicorn.mem_write(_UNIQUE, UNIQUE_NUMBER)
         self.processor.run()  # until it first waits for an interrupt: starting takes no time
         self._sleeping = True
         self._ran_from = 0, self.processor.counter.cycles

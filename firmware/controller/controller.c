@@ -377,6 +377,8 @@ static void write_description(vc_controller *controller, vc_frame_writer *writer
         hello.public_key.bytes = controller->settings->public_key;
         hello.public_key.length = VC_KEY_BYTES;
     }
+    if (controller->settings->serial_number != NULL)
+        hello.serial_number = vc_text_piece(controller->settings->serial_number);
     vc_write_hello_response(writer, sequence, &hello);
 }
 

@@ -243,6 +243,8 @@ void vc_write_hello_response(vc_frame_writer *writer, uint16_t sequence, const v
         write_image_description(writer, 6, &message->images[i]);
     write_tag(writer, 7, message->public_key.length);
     write_piece(writer, message->public_key);
+    write_tag(writer, 8, message->serial_number.length);
+    write_piece(writer, message->serial_number);
 }
 
 void vc_write_status(vc_frame_writer *writer, uint16_t sequence, const vc_status_report *message)

@@ -151,7 +151,7 @@ typedef struct {
 } vc_image_description;
 
 /* The controller's version, limits, actuator, codecs and model images. `public_key`: of Ed25519; model images need its
- * signature. Empty: they need none. */
+ * signature. Empty: they need none. `serial_number`: of the board; empty: it has none. */
 typedef struct {
     uint8_t major;
     uint8_t minor;
@@ -164,6 +164,7 @@ typedef struct {
     const vc_image_description *images;
     unsigned image_count;
     vc_piece public_key;
+    vc_piece serial_number;
 } vc_hello_response;
 
 /* State, position, credit and counts: the answer to most requests, and the notification that grants credit. Positions

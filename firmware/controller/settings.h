@@ -48,6 +48,7 @@ typedef struct {
     /* Thousands of Cortex-M4 cycles that decoding a second of a stream may take; heavier streams are rejected. 0: any
      * stream is decoded in time. */
     uint32_t decoding_kilocycles_per_s;
+    const char *serial_number; /* of this board, at most 31 bytes; NULL: it has none */
 } vc_controller_settings;
 
 /* Gaps of the output since the port was started: how often the DAC had no sample while it was away from rest, and for

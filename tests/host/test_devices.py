@@ -7,6 +7,7 @@ import pytest
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.extras import MissingExtraError
 from vibrocast.host import devices
+from vibrocast.simulated_device.stm32f405 import UNIQUE_NUMBER
 
 
 @pytest.mark.parametrize("address", ["host", "cortex-m4", "cortex-m7", "cortex-m33", "stm32f405"])
@@ -30,3 +31,11 @@ def test_without_the_emulator_or_the_compiler_it_is_said_what_to_install(monkeyp
         message = rf"needs {module}; install the extra \[firmware\]: "
         with pytest.raises(MissingExtraError, match=message), devices.connect(address):
             pass
+
+
+def test_a_board_states_its_serial_number() -> None:
+    with devices.connect("stm32f405") as controller:
+        assert controller.description.serial_number == UNIQUE_NUMBER.hex()
+        assert devices.facts(controller)["serial_number"] == UNIQUE_NUMBER.hex()
+    with devices.connect("sim") as controller:
+        assert devices.facts(controller)["serial_number"] == "none"

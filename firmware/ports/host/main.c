@@ -197,6 +197,8 @@ int main(int count, char **arguments)
             flash_path = value;
         else if (strcmp(option, "--hardware") == 0 && strlen(value) < 64)
             settings.hardware = value;
+        else if (strcmp(option, "--serial-number") == 0 && strlen(value) < 32)
+            settings.serial_number = value;
         else if (strcmp(option, "--drift-ppm") == 0) {
             drift_ppm = strtol(value, &rest, 10);
             if (*value == '\0' || *rest != '\0' || drift_ppm > MOST_DRIFT_PPM || drift_ppm < -MOST_DRIFT_PPM)
@@ -207,7 +209,8 @@ int main(int count, char **arguments)
             fail(value);
     }
     if (index != count) {
-        fprintf(stderr, "usage: host [--link PATH] [--flash FILE] [--dac FILE] [--hardware NAME] [--drift-ppm N]\n");
+        fprintf(stderr, "usage: host [--link PATH] [--flash FILE] [--dac FILE] [--hardware NAME] "
+                        "[--serial-number TEXT] [--drift-ppm N]\n");
         return 2;
     }
     sigaction(SIGTERM, &on_end, NULL);

@@ -20,6 +20,7 @@ int main(void)
     static const vc_controller_settings settings = {
         .build = VC_BUILD,
         .hardware = VC_HARDWARE,
+        .serial_number = "emulated",
         .actuator = &vc_piezo_stack,
         .public_key = (const uint8_t *)VC_PUBLIC_KEY,
         .watchdog_ms = 2000,

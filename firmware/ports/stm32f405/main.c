@@ -21,18 +21,29 @@ static const vc_core_vectors boot_vectors __attribute__((section(".vectors"), us
 
 static int64_t profile[VC_PROFILE_WORDS] VC_CORE_MEMORY;
 
+/* Writes the chip's unique number as hexadecimal digits. */
+static const char *serial_number(void)
+{
+    static char text[2 * VC_UNIQUE_BYTES + 1];
+    unsigned digit;
+    for (digit = 0; digit < 2 * VC_UNIQUE_BYTES; digit++)
+        text[digit] = "0123456789abcdef"[VC_UNIQUE[digit / 2] >> (digit % 2 ? 0 : 4) & 0xF];
+    return text;
+}
+
 int main(void)
 {
-    static const vc_controller_settings settings = {.build = VC_BUILD,
-                                                    .hardware = VC_HARDWARE,
-                                                    .actuator = &ACTUATOR,
-                                                    .public_key = (const uint8_t *)VC_PUBLIC_KEY,
-                                                    .watchdog_ms = 2000,
-                                                    .profile = (vc_profile *)profile,
-                                                    .decoding_kilocycles_per_s = DECODING_KILOCYCLES_PER_S};
+    static vc_controller_settings settings = {.build = VC_BUILD,
+                                              .hardware = VC_HARDWARE,
+                                              .actuator = &ACTUATOR,
+                                              .public_key = (const uint8_t *)VC_PUBLIC_KEY,
+                                              .watchdog_ms = 2000,
+                                              .profile = (vc_profile *)profile,
+                                              .decoding_kilocycles_per_s = DECODING_KILOCYCLES_PER_S};
     unsigned line;
     vc_watchdog_start();
     vc_clocks_start();
+    settings.serial_number = serial_number();
     vectors.core = boot_vectors;
     for (line = 0; line < VC_LINES; line++)
         vectors.lines[line] = vc_dac_output_rest;

@@ -4,6 +4,10 @@
 
 #include "cortex_m.h"
 
+/* Unique device identifier, 39.1 */
+#define VC_UNIQUE ((const volatile uint8_t *)0x1FFF7A10u)
+enum { VC_UNIQUE_BYTES = 12 };
+
 /* Reset and clock control, 7.3 */
 #define VC_RCC 0x40023800u
 #define VC_RCC_CR VC_REGISTER(VC_RCC + 0x00)      /* 7.3.1: clock control */
