@@ -36,7 +36,7 @@ def core_state(name: str, kind: str, configuration: bytes, channels: int, *param
 
 
 def decoding_cycles(identifier: int, configuration: bytes, channels: int, tables: bytes | None) -> int:
-    """Return the Cortex-M4 cycles that decoding a sample of all channels takes at 30 dB SNR; 0 where they are not known.
+    """Return the Cortex-M4 cycles that decoding a sample of all channels takes at 30 dB SNR; 0 = not known.
 
     The arguments are a stream's codec, the codec's bytes in the header, and the payload of its model image.
     """
