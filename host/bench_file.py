@@ -1,6 +1,7 @@
 """The bench file: controllers, actuators, sensors and textures of a bench, in TOML (docs/reference/toml_files.md)."""
 
 import contextlib
+import hashlib
 import json
 import re
 from collections.abc import Callable, Iterator, Sequence
@@ -15,6 +16,7 @@ from vibrocast import textures
 from vibrocast.device_protocol.messages import ActuatorDescription
 from vibrocast.files import InputFileError
 from vibrocast.host import devices, sensitivity
+from vibrocast.host.bench_limits import BenchLimits
 from vibrocast.host.controller import Controller
 from vibrocast.host.end_to_end import actuator_model
 from vibrocast.output.actuator import Actuator
@@ -42,6 +44,8 @@ Unit = Annotated[str, one_of(textures.INPUT_UNITS)]
 Axis = Annotated[str, one_of(textures.AXES)]
 Reduction = Annotated[str, one_of(textures.REDUCTIONS)]
 DEFAULT_TEXTURE = "wood"
+MAX_DIFFERENCE = 0.25
+"""Of an actuator's frequency and stroke from its data sheet; more is another actuator, or a broken one."""
 
 
 class BenchFileError(InputFileError):
@@ -179,16 +183,22 @@ class _BenchFile(Table, frozen=True, kw_only=True):
     actuators: tuple[ActuatorTable, ...] = ()
     sensors: tuple[Sensor, ...] = ()
     textures: tuple[_BenchTexture, ...] = ()
+    limits: BenchLimits = BenchLimits()
 
 
 @dataclass(frozen=True)
 class Bench:
-    """The parts of a bench; `controllers` has at least one entry, and `first` is the one under test."""
+    """The parts of a bench; `controllers` has at least one entry, and `first` is the one under test.
+
+    `limits`: what a run must keep. `sha256`: of the bench file, hexadecimal; None without one.
+    """
 
     controllers: tuple[BenchController, ...]
     actuators: tuple[BenchActuator, ...] = ()
     sensors: tuple[Sensor, ...] = ()
     textures: tuple[Callable[[], Recording], ...] = field(default=(), repr=False)
+    limits: BenchLimits = field(default_factory=BenchLimits)
+    sha256: str | None = None
 
     @property
     def first(self) -> BenchController:
@@ -226,7 +236,14 @@ def read_bench(path: Path, allow_programs: bool = False) -> Bench:
         located_loaders = (
             partial(_loaded, f"{path}: [[textures]] {number}", load) for number, load in enumerate(loaders, 1)
         )
-        return Bench(file.controllers, read_actuators(file.actuators, names), sensors, tuple(located_loaders))
+        return Bench(
+            file.controllers,
+            read_actuators(file.actuators, names),
+            sensors,
+            tuple(located_loaders),
+            file.limits,
+            hashlib.sha256(path.read_bytes()).hexdigest(),
+        )
 
 
 def one_named(controller: str | None, names: list[str]) -> str:
@@ -286,7 +303,40 @@ def connect(bench: Bench, controller: BenchController) -> Iterator[Controller]:
     Raises as `host.devices.connect`.
     """
     with devices.connect(controller.address, actuator=bench.actuator(controller.name)) as session:
+        check_actuator(bench, controller, session.description.actuator)
         yield session
+
+
+def check_actuator(bench: Bench, controller: BenchController, description: ActuatorDescription) -> None:
+    """Raise BenchFileError where a controller drives another actuator than the bench has there.
+
+    `description`: the controller's. A part differs from its data sheet by less than MAX_DIFFERENCE.
+    """
+    expected = bench.actuator(controller.name)
+    if expected is None or devices.takes_actuator(controller.address):
+        return
+    differences = actuator_differences(expected, actuator_model(description))
+    if differences:
+        raise BenchFileError(
+            f"{controller.name} drives {description.name}, and the bench has {expected.name} there: "
+            f"{'; '.join(differences)}; correct the actuator of the bench, or connect the right controller"
+        )
+
+
+def actuator_differences(expected: Actuator, found: Actuator) -> list[str]:
+    """Return how two actuators differ by more than MAX_DIFFERENCE, in words: order, frequency, stroke per volt."""
+    if (expected.quality is None) != (found.quality is None):
+        kinds = ["a low-pass" if each.quality is None else "a resonance" for each in (found, expected)]
+        return [f"{kinds[0]} instead of {kinds[1]}"]
+    figures = {
+        "Hz": (found.corner_hz, expected.corner_hz),
+        "um/V": (found.stroke_um / found.volts, expected.stroke_um / expected.volts),
+    }
+    return [
+        f"{found_value:.4g} instead of {expected_value:.4g} {unit}"
+        for unit, (found_value, expected_value) in figures.items()
+        if abs(found_value / expected_value - 1) > MAX_DIFFERENCE
+    ]
 
 
 def actuator_of(bench: Bench, controller: BenchController, description: ActuatorDescription) -> Actuator:

@@ -101,6 +101,7 @@ class Controller(Closing):
         self.sleep = sleep
         self._transport = transport
         self._reader = FrameReader()
+        self._bad_frames_before = 0  # of earlier connections
         self._sequence = NOTIFICATION
         self._complaint: Error | None = None
         self._pending: _PendingRequest | None = None
@@ -115,6 +116,11 @@ class Controller(Closing):
         """How the sound card plays that is this controller's DAC; None for any other controller."""
         use: CardUse | None = getattr(self._transport, "sound_card", None)
         return use
+
+    @property
+    def bad_frames(self) -> int:
+        """How many frames came damaged from the controller; `Status.bad_frames` counts those on the way there."""
+        return self._bad_frames_before + self._reader.bad_frames
 
     # ---- what an event loop needs ----
 
@@ -246,6 +252,7 @@ class Controller(Closing):
         while True:
             try:
                 self._transport.reopen()
+                self._bad_frames_before = self.bad_frames
                 self._reader = FrameReader()
                 yield from self.open_session_steps()
                 return

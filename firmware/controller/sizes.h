@@ -44,7 +44,7 @@
 #define VC_MAX_PACKET_BYTES (VC_MAX_PAYLOAD_BYTES - VC_PACKET_OVERHEAD_BYTES)
 /* Bytes of an image's name, and of its version, in HelloResponse. The other parts leave this room with two slots, eight
  * codecs, and the longest build, hardware id and name of an actuator. */
-#define VC_IMAGE_TEXT_BYTES ((VC_MAX_PAYLOAD_BYTES - 612) / 4)
+#define VC_IMAGE_TEXT_BYTES ((VC_MAX_PAYLOAD_BYTES - 576) / 4)
 
 /* Bytes that wait for the host: a few answers. A lost answer comes again when the host repeats its request. */
 #ifndef VC_OUTGOING_BYTES

@@ -74,11 +74,17 @@ class DeviceFailure(click.ClickException):
     exit_code = exit_codes.FAILED
 
 
+class NoDevice(click.ClickException):
+    """No controller answers at the address, or the connection was lost for good."""
+
+    exit_code = exit_codes.NO_DEVICE
+
+
 class VibrocastCommand(click.Group):
     """A group whose errors, expected or not, are one line on stderr and an exit code."""
 
     def main(self, *arguments: Any, **extra: Any) -> NoReturn:
-        """Run the command line and exit: 0, 1 device or other failure, 2 bad input, 130 interrupted, 143 killed."""
+        """Run the command line, and exit with one of `exit_codes`."""
         extra["standalone_mode"] = False
         try:
             sys.exit(super().main(*arguments, **extra))
@@ -145,7 +151,7 @@ def explained(error: Exception, options: Mapping[str, str]) -> click.ClickExcept
     from vibrocast.files import InputFileError
     from vibrocast.firmware.native_core import CoreError
     from vibrocast.host.cli.options import BadInput
-    from vibrocast.host.controller import ControllerError
+    from vibrocast.host.controller import ConnectionLost, ControllerError
 
     device_errors = (ControllerError, TransportError, MessageError)
     input_errors = (
@@ -171,6 +177,8 @@ def explained(error: Exception, options: Mapping[str, str]) -> click.ClickExcept
         text = f"unexpected {type(error).__name__}: {text}; `vibrocast --debug ...` shows where, please report it"
     # A TransportError is an OSError too.
     bad_input = isinstance(error, input_errors) and not isinstance(error, device_errors)
+    if isinstance(error, (TransportError, ConnectionLost)):
+        return NoDevice(text)
     return BadInput(text) if bad_input else DeviceFailure(text)
 
 

@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.table import Table
 
 from vibrocast import extras, progress
-from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import devices
+from vibrocast.host.cli import exit_codes
 from vibrocast.host.cli.option_types import FOLDER
 from vibrocast.host.cli.options import BadInput, actuator_option, device_option, own_actuator
 from vibrocast.host.printable import plain
@@ -35,8 +35,8 @@ def conformance(
     The requirements are those of docs/reference/protocol.md. The tests play textures, and write the spare slot for
     model images. The image that runs now runs again afterwards.
 
-    The exit code is 0 if the controller conforms, 1 if it does not, and 2 if it could not be tested or this machine was
-    too busy to decide it.
+    The exit code is 0 if the controller conforms, and 1 if it does not. It is 3 if no controller answers, and 6 if this
+    machine was too busy to decide.
     """
     extras.require("bench")
     from vibrocast.host.conformance import PAGE, NotTestable, TappedLink, run_suite
@@ -50,14 +50,14 @@ def conformance(
             progress.bar("testing") as update,
         ):
             report = run_suite(TappedLink(transport, may_flash=not no_flash), quick, update, date)
-    except (TransportError, NotTestable) as error:
+    except NotTestable as error:
         raise BadInput(str(error)) from error
     show(report)
     if out is not None:
         report.write(out)
         click.echo(f"report: {out / PAGE}")
     if not report.conforming:
-        raise click.exceptions.Exit(2 if report.undecided else 1)
+        raise click.exceptions.Exit(exit_codes.HOST_BUSY if report.undecided else exit_codes.FAILED)
 
 
 def show(report: "Report") -> None:

@@ -5,6 +5,14 @@ import signal
 FAILED = 1
 """The device, or the command itself, failed."""
 BAD_INPUT = 2
+NO_DEVICE = 3
+"""No controller answers at the address, or it was lost for good."""
+LIMIT_MISSED = 4
+"""The run ended, and missed one of its limits."""
+REGRESSION = 5
+"""The run is worse than the earlier one, or cannot be compared with it."""
+HOST_BUSY = 6
+"""This machine was too busy to decide."""
 
 signalled: int = signal.SIGINT
 """The signal that has interrupted the command. At a prompt, the end of the input counts as Ctrl-C."""

@@ -8,7 +8,14 @@ import click
 
 from vibrocast import extras
 from vibrocast.host.cli.option_types import FOLDER, INPUT
-from vibrocast.host.cli.options import actuator_option, allow_programs_option, grouped, plan_option
+from vibrocast.host.cli.options import (
+    Regression,
+    actuator_option,
+    allow_programs_option,
+    check_limits,
+    grouped,
+    plan_option,
+)
 from vibrocast.host.cli.sensor_options import sensitivity_option, volts_option
 from vibrocast.host.harness import ACTUATOR, JSON, NAMES, PAGE
 from vibrocast.host.sensitivity import Sensitivity
@@ -16,6 +23,10 @@ from vibrocast.output import actuator_files
 
 if TYPE_CHECKING:
     from vibrocast.host.bench_file import Bench
+
+
+MAX_SHOWN = 6
+"""Figures that are named where a run is not as the earlier one."""
 
 
 def chosen_names(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[str, ...]:
@@ -123,7 +134,8 @@ def measure(
     With --plan, the command measures the plan's actuators and textures. If you interrupt it, it writes the results so
     far.
 
-    The exit code is 1 if a measurement failed, or a result is worse than in the earlier run.
+    The exit code is 1 if a measurement failed, and 4 if a limit of the bench file was missed. It is 5 if the run is
+    worse than the earlier one, or cannot be compared with it.
     """
     extras.require("bench")
     from vibrocast.host.bench_file import choose_controller, read_bench
@@ -147,11 +159,13 @@ def measure(
     for warning in warnings(results.document()):
         click.echo(f"warning: {warning}", err=True)
     click.echo(f"{out / PAGE}")
-    if worse := [change.name for change in changes if change.regressed]:
-        raise click.ClickException(
-            f"worse than in {earlier}: {'; '.join(worse)}; compare both reports, then measure again"
-        )
     if results.failed:
         raise click.ClickException(
             f"not all could be measured: {', '.join(results.failed)}; the lines above say why, and --only repeats some"
         )
+    if worse := [f"{change.name} ({change.problem})" for change in changes if change.regressed]:
+        more = f"; and {len(worse) - MAX_SHOWN} more" if len(worse) > MAX_SHOWN else ""
+        raise Regression(
+            f"not as in {earlier}: {'; '.join(worse[:MAX_SHOWN])}{more}; compare both reports, then measure again"
+        )
+    check_limits(results.missed)

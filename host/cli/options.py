@@ -14,7 +14,7 @@ from vibrocast.codec.encoding import DEFAULT_SNR_DB, DEFAULT_STREAM_RATE_HZ
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.device_protocol.model_image import ModelImageError
 from vibrocast.host import devices
-from vibrocast.host.cli.exit_codes import BAD_INPUT
+from vibrocast.host.cli.exit_codes import BAD_INPUT, LIMIT_MISSED, REGRESSION
 from vibrocast.host.cli.option_types import INPUT, Number, Whole, positive
 from vibrocast.host.cli.sections import CODING, section
 from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
@@ -31,6 +31,24 @@ class BadInput(click.ClickException):
     """Input that cannot be used."""
 
     exit_code = BAD_INPUT
+
+
+class LimitMissed(click.ClickException):
+    """A run that missed limits of the bench file."""
+
+    exit_code = LIMIT_MISSED
+
+
+class Regression(click.ClickException):
+    """A run that is worse than an earlier one."""
+
+    exit_code = REGRESSION
+
+
+def check_limits(missed: Sequence[str]) -> None:
+    """Raise LimitMissed with the lines of `bench_limits.missed`, if there are any."""
+    if missed:
+        raise LimitMissed(f"limits missed: {'; '.join(missed)}; see [limits] in the bench file")
 
 
 def chosen_model(ctx: click.Context, param: click.Parameter, value: str | None) -> models.Model | None:

@@ -44,7 +44,8 @@ class Fidelity:
     integrated twice: the codec's noise at low frequencies weighs most then. The rest is of that displacement at the
     skin, which `source` measured or modelled: `snr_db` and `st_sim` compare it with the texture, `playing_snr_db` with
     the decoded signal, which leaves the codec out.
-    `gain`: at the skin over sent. `lag_ms`: within the recording. `drift_ppm`: of the recorder's clock.
+    `gain`: at the skin over sent. `lag_ms`: within the recording. `drift_ppm`: of the recorder's clock. `packets`: that
+    were sent; `underruns`, `lost_packets`: while it played.
     """
 
     texture: str
@@ -59,6 +60,9 @@ class Fidelity:
     gain: float
     lag_ms: float
     drift_ppm: float
+    packets: int
+    underruns: int
+    lost_packets: int
     spectrum: Spectrum
 
 
@@ -123,6 +127,9 @@ def measure_fidelity(
         gain=laid.gain,
         lag_ms=1e3 * (laid.lag_s - len(margin) / rate_hz),
         drift_ppm=laid.drift_ppm,
+        packets=len(outcome.stream.packets),
+        underruns=outcome.report.underruns,
+        lost_packets=outcome.report.lost_packets,
         spectrum=Spectrum(tuple(frequencies_hz.tolist()), tuple(sent_db.tolist()), tuple(residual_db.tolist())),
     )
 

@@ -51,7 +51,8 @@ class Latency:
     `parts`: by the names of PARTS. `total_ms`: the median wait of a sample in all parts; every sample of a stream has
     the same. `jitter_ms`: between the 5 % and the 95 % of the times at which packets arrive, relative to when their
     samples were taken. `playout_delay_ms`: the time that packets should lie ready. `stable`: no underrun and no
-    lost packet. `as_sent`: what the controller decoded, as far as it keeps that, is bit for bit what the packets hold.
+    lost packet. `packets`: that were sent; `blocks`: those of them that were timed. `as_sent`: what the controller
+    decoded, as far as it keeps that, is bit for bit what the packets hold.
     """
 
     codec: str
@@ -60,6 +61,7 @@ class Latency:
     packet_samples: int
     playout_delay_ms: float
     blocks: int
+    packets: int
     parts: dict[str, Spread]
     total_ms: float
     jitter_ms: float
@@ -175,6 +177,7 @@ def measure_latency(
         packet_samples=stream.packet_samples,
         playout_delay_ms=1e3 * playout_delay_s,
         blocks=len(numbers),
+        packets=len(packets),
         parts={name: _spread(values_s) for name, values_s in parts_s.items()},
         total_ms=1e3 * float(np.median(sum(parts_s.values()))),
         jitter_ms=1e3 * float(late_s - early_s),

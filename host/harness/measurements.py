@@ -184,6 +184,18 @@ def together(bench: Bench) -> list[Together]:
     return measured
 
 
+def misfits(bench: Bench, fitted: Any) -> list[str]:
+    """Return how the actuator that a sensor measured differs from the bench's, in words.
+
+    `fitted`: the measured response, None = not measured. Without a sensor, it is that of the model itself.
+    """
+    expected = bench.actuator(bench.first.name)
+    if fitted is None or expected is None:
+        return []
+    differences = bench_file.actuator_differences(expected, fitted.actuator)
+    return [f"response: {difference}; check the actuator and its cable" for difference in differences]
+
+
 def device_facts(bench: Bench, controller: Controller) -> dict[str, Any]:
     """Return what the report says of the controller: `devices.facts` and its address."""
     return {"name": bench.first.name, "address": bench.first.address, **devices.facts(controller)}

@@ -22,6 +22,7 @@ from vibrocast.host.picture import STYLES
 _SHADES = ("#20123a", "#2a7fb8", "#7fb8d8", "#f0a030", "#d0d0d0", "#707070", "#f7d9a8", "#ffffff")
 _HATCHES = ("", "//", "", "..", "", "xx", "\\\\", "")
 
+_OF_DEVICE = ("build", "hardware", "serial_number", "protocol")
 _MEASURED = ("latency", "smallest", "throughput", "load", "gap", "fidelity", "response", "together")
 
 
@@ -40,17 +41,23 @@ def write(path: Path, document: dict[str, Any], changes: Sequence[Change], actua
     page = pages.render(
         Path(__file__).with_name("measured.html.jinja"),
         device=device,
-        facts={key: device[key] for key in ("build", "hardware", "protocol") if key in device} | document["host"],
+        facts={key: device[key] for key in _OF_DEVICE if key in device} | document["host"] | _origin(document["run"]),
         changes=[asdict(change) for change in changes],
         measured=measured,
         meanings=PARTS,
         plots=plots,
         failed=document["failed"],
+        missed=document["missed"],
         actuator_table=actuator_table,
         figure=_number,
     )
     with atomic_write(path) as partial:
         partial.write_text(page, encoding="utf-8")
+
+
+def _origin(run: dict[str, Any]) -> dict[str, str]:
+    """Return what identifies a run."""
+    return {"date": run["date"], "run": run["run_id"], "bench file, SHA-256": run["bench_sha256"] or "none"}
 
 
 def _number(value: object) -> object:

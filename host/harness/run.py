@@ -13,11 +13,13 @@ from vibrocast.device_protocol.messages import MessageError
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import bench_file
 from vibrocast.host.bench_file import Bench
-from vibrocast.host.controller import ConnectionLost, ControllerError
+from vibrocast.host.bench_limits import missed
+from vibrocast.host.controller import ConnectionLost, Controller, ControllerError
 from vibrocast.host.harness import measurements, page
 from vibrocast.host.harness.alignment import AlignmentError
-from vibrocast.host.harness.results import ACTUATOR, JSON, NAMES, PAGE, Results, compare
+from vibrocast.host.harness.results import ACTUATOR, JSON, NAMES, PAGE, Results, compare, judged
 from vibrocast.host.harness.sensors import SensorError
+from vibrocast.host.provenance import Provenance
 
 # Measured again where they have become worse: the computer may have been busy with something else.
 _TIMED = NAMES[:5]
@@ -33,7 +35,7 @@ def measure_bench(
     that fails leaves the others; after a lost controller, or Ctrl-C, what was measured before is written. Raises
     BenchFileError, ControllerError, TransportError, OSError.
     """
-    results = Results({}, {})
+    results = Results({}, {}, asked=_possible(bench, names), run=Provenance(bench.sha256))
     folder.mkdir(parents=True, exist_ok=True)
     with _written(folder, results, earlier, bench):
         _measure(bench, names, results)
@@ -44,18 +46,25 @@ def measure_bench(
             if not again:
                 break
             print(f"worse, measured again: {', '.join(again)}", file=sys.stderr)
-            retaken = Results({}, {})
+            retaken = Results({}, {}, asked=tuple(again))
             _measure(bench, again, retaken)
+            for key, count in retaken.link.items():
+                results.link[key] = results.link.get(key, 0) + count
             results.measured.update(
                 {name: value for name, value in retaken.measured.items() if not _is_worse(earlier, retaken, name)}
             )
     return results
 
 
+def _possible(bench: Bench, names: Collection[str]) -> tuple[str, ...]:
+    """Return the names of the measurements that a bench allows: one controller plays nothing together with others."""
+    return tuple(name for name in NAMES if name in names and (name != "together" or len(bench.controllers) > 1))
+
+
 def _measure(bench: Bench, names: Collection[str], results: Results) -> None:
     """Take the measurements of these names; one that fails leaves the others, a lost controller ends all."""
     results.host.update(measurements.machine())
-    with bench_file.connect(bench, bench.first) as controller:
+    with bench_file.connect(bench, bench.first) as controller, _counted(controller, results):
         results.device.update(measurements.device_facts(bench, controller))
         subject = measurements.subject(bench, controller)
         for name, measurement in measurements.MEASUREMENTS.items():
@@ -73,15 +82,27 @@ def _measure(bench: Bench, names: Collection[str], results: Results) -> None:
                     with contextlib.suppress(ControllerError, TransportError):
                         controller.stop()
                     raise
-    if "together" in names and len(bench.controllers) > 1:
+    if "together" in _possible(bench, names):
         with progress.bar("together"):
             results.measured["together"] = measurements.together(bench)
 
 
+@contextlib.contextmanager
+def _counted(controller: Controller, results: Results) -> Iterator[None]:
+    """Count the frames that are damaged on the link during the block, as far as the controller can be asked."""
+    there, here = controller.request_status().bad_frames, controller.bad_frames
+    try:
+        yield
+    finally:
+        results.link["bad_frames_at_host"] = controller.bad_frames - here
+        with contextlib.suppress(ControllerError, TransportError):
+            results.link["bad_frames_at_controller"] = controller.request_status().bad_frames - there
+
+
 def _is_worse(earlier: dict[str, Any], results: Results, name: str) -> bool:
     """Return whether a figure of one measurement has become worse than in an earlier run."""
-    now = Results(results.device, results.host, {name: results.measured[name]})
-    return any(change.regressed for change in compare(earlier, now.document()))
+    now = Results(results.device, results.host, {name: results.measured[name]}, asked=(name,))
+    return any(change.problem == "worse" for change in compare(earlier, now.document()))
 
 
 @contextlib.contextmanager
@@ -98,6 +119,8 @@ def _written(folder: Path, results: Results, earlier: dict[str, Any] | None, ben
             if response := results.measured.get("response"):
                 table = bench_file.actuator_toml(response.actuator, bench.first.name)
                 (folder / ACTUATOR).write_text(table, encoding="utf-8")
+            results.missed[:] = missed(bench.limits, judged(results.document()))
+            results.missed += measurements.misfits(bench, results.measured.get("response"))
             document = results.document()
             results.write(folder / JSON)
             page.write(folder / PAGE, document, [] if earlier is None else compare(earlier, document), table)

@@ -20,7 +20,7 @@ from vibrocast.device_protocol.messages import Position, State, StreamData, Tap
 from vibrocast.device_protocol.transports import Transport, TransportError
 from vibrocast.evaluation import metrics
 from vibrocast.host import devices, live, position_playback, uploader
-from vibrocast.host.bench_file import Bench, actuator_of, choose_controller, driven_actuator
+from vibrocast.host.bench_file import Bench, actuator_of, check_actuator, choose_controller, driven_actuator
 from vibrocast.host.concurrency import run_concurrently
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.device_clock import DeviceClock
@@ -271,6 +271,7 @@ class _Player:
         self._threshold = read_threshold(plan.threshold_path)
         bench: Bench = choose_controller(plan.bench(), planned.name)
         described = controller.description.actuator
+        check_actuator(bench, bench.first, described)
         self._driven = driven_actuator(bench, bench.first, described)
         self._skin_model = actuator_of(bench, bench.first, described)
 

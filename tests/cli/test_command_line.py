@@ -554,8 +554,8 @@ def test_rejects_bad_input(texture: Path, coded: Path, tmp_path: Path) -> None:
 
 
 def test_fails_on_the_device(texture: Path, tmp_path: Path) -> None:
-    assert "vibrocast devices" in fails(1, "play", texture, "--device", f"serial:{tmp_path}/none")
-    assert "plug it in" in fails(1, "status", "--device", "usb:dead:beef")
+    assert "vibrocast devices" in fails(3, "play", texture, "--device", f"serial:{tmp_path}/none")
+    assert "plug it in" in fails(3, "status", "--device", "usb:dead:beef")
 
 
 def test_a_good_file_outlives_a_failed_run(texture: Path, coded: Path) -> None:

@@ -22,7 +22,7 @@ from vibrocast.device_protocol.model_image import ModelImage
 
 ROOT = Path(__file__).parents[2]
 WIDEST = "eva-128-1"
-PACKET_SAMPLES = HOP * (MAX_PACKET_COLUMNS // 2)  # a controller takes half of what a file may hold
+PACKET_SAMPLES = HOP * (MAX_PACKET_COLUMNS // 2)  # a controller takes half the longest packet of a file
 PACKETS = 2000
 COMMAND = """
 import signal

@@ -92,7 +92,7 @@ def test_what_cannot_be_signed_is_an_error(folder: Path) -> None:
 def test_a_controller_with_a_key_from_end_to_end(folder: Path, address: str) -> None:
     key = succeeds("keys", "show", folder / "vendor.pem").strip()
     status = succeeds("status", "--device", address)
-    assert f"public key    {key}" in status
+    assert f"public key     {key}" in status
     assert "signed images: yes" in status
     assert "has no signature" in fails(2, "flash", MODEL, "--device", address)
     assert "not by the key" in fails(2, "flash", sign(folder, 9, "other"), "--device", address)
@@ -103,7 +103,7 @@ def test_a_controller_with_a_key_from_end_to_end(folder: Path, address: str) -> 
 
 def test_a_controller_without_a_key_says_so() -> None:
     status = succeeds("status")
-    assert "public key    none: model images need no signature" in status
+    assert "public key     none: model images need no signature" in status
     assert "signed images: no" in status
     assert "confirmed; no signature checked" in succeeds("flash", MODEL)
 

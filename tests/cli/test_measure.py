@@ -1,6 +1,8 @@
 """`vibrocast measure`: the files that it writes, its comparison, and its errors."""
 
+import hashlib
 import json
+import re
 import sys
 from pathlib import Path
 from typing import Self
@@ -13,10 +15,13 @@ from scipy.signal import bilinear, lfilter
 from tests.sound_server import HEADPHONES, PAD, SoundServer
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host.cli.command_line import main
+from vibrocast.host.cli.exit_codes import LIMIT_MISSED, NO_DEVICE, REGRESSION
 from vibrocast.host.harness import measurements
 from vibrocast.output import actuator_files
-from vibrocast.output.actuator import Codes
+from vibrocast.output.actuator import ACTUATORS, Codes
 from vibrocast.output.sound_card import Capture, Playback, find
+from vibrocast.simulated_device.controller import Controller, Settings
+from vibrocast.simulated_device.serial_port import serial_port
 
 SENSOR = """
 [[sensors]]
@@ -53,8 +58,38 @@ def test_a_run_is_written_and_compared_with_itself_and_a_better_one(tmp_path: Pa
     earlier = tmp_path / "earlier.json"
     earlier.write_text(json.dumps(document))
     worse = run(*arguments, "--compare", str(earlier))
-    assert worse.exit_code == 1
-    assert f"error: worse than in {earlier}: rough: SNR without the codec, dB" in worse.output
+    assert worse.exit_code == REGRESSION
+    assert f"error: not as in {earlier}: rough: SNR without the codec, dB (worse)" in worse.output
+
+
+def test_a_missed_limit_fails_and_is_named(tmp_path: Path) -> None:
+    path = bench_file(tmp_path)
+    path.write_text(path.read_text() + "[limits]\nmin_snr_db = 99\nmax_bad_frames = 0\n")
+    result = run("--bench", str(path), "--only", "fidelity", "--out", str(tmp_path / "out"))
+    assert result.exit_code == LIMIT_MISSED
+    assert re.search(r"error: limits missed: rough: snr_db = [\d.]+, min_snr_db = 99; see \[limits\]", result.output)
+    document = json.loads((tmp_path / "out" / "measured.json").read_text())
+    assert len(document["missed"]) == 1
+    assert document["run"]["bench_sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_runs_without_a_common_figure_fail(tmp_path: Path) -> None:
+    arguments = ("--bench", str(bench_file(tmp_path)), "--out", str(tmp_path / "out"), "--only")
+    assert run(*arguments, "fidelity").exit_code == 0
+    other = run(*arguments, "throughput", "--compare", str(tmp_path / "out" / "measured.json"))
+    assert other.exit_code == REGRESSION
+    assert "throughput to the host, bytes/s (not in the earlier run)" in other.output
+
+
+def test_another_actuator_than_the_bench_has_is_rejected_before_measuring(tmp_path: Path) -> None:
+    with serial_port(Controller(Settings(actuator=ACTUATORS["lra"]))) as port:
+        path = tmp_path / "bench.toml"
+        path.write_text(
+            f'[[controllers]]\nname = "it"\naddress = "serial:{port.name}"\n[[actuators]]\nmodel = "piezo-stack"\n'
+        )
+        result = run("--bench", str(path), "--only", "throughput", "--out", str(tmp_path / "out"))
+    assert result.exit_code == 2
+    assert "it drives lra, and the bench has piezo-stack there: a resonance instead of a low-pass" in result.output
 
 
 def test_what_is_worse_as_the_computer_was_busy_is_measured_again(
@@ -79,7 +114,7 @@ def test_what_is_worse_as_the_computer_was_busy_is_measured_again(
     assert once.exit_code == 0
     assert "worse, measured again: throughput" in once.output
     lasting = run(*arguments, str(tmp_path / "lasting"), "--compare", earlier)
-    assert lasting.exit_code == 1
+    assert lasting.exit_code == REGRESSION
     assert "throughput to the controller" in lasting.output
     assert next(taken, None) is None
 
@@ -91,7 +126,7 @@ def test_what_was_measured_before_the_cable_was_pulled_is_kept(tmp_path: Path, m
     monkeypatch.setattr(measurements, "MEASUREMENTS", {**measurements.MEASUREMENTS, "response": pulled})
     bench = str(bench_file(tmp_path))
     result = run("--bench", bench, "--only", "fidelity,response", "--out", str(tmp_path / "out"))
-    assert result.exit_code == 1
+    assert result.exit_code == NO_DEVICE
     assert result.output.splitlines()[-1] == "error: the cable is out"
     document = json.loads((tmp_path / "out" / "measured.json").read_text())
     assert list(document["measured"]) == ["fidelity"]

@@ -414,7 +414,7 @@ def test_command_names_each_failure(reached: list[Device]) -> None:
 
 def test_command_reports_a_missing_device(tmp_path: Path) -> None:
     ran = CliRunner().invoke(main, ["conformance", "--device", f"serial:{tmp_path / 'port'}"])
-    assert ran.exit_code == 2
+    assert ran.exit_code == 3
     (line,) = ran.output.splitlines()
     assert line.startswith("error: cannot open serial port")
 

@@ -239,7 +239,7 @@ def test_longest_hello_response_fits_the_smallest_payload() -> None:
     small_ffi, small = load(VC_MAX_PAYLOAD_BYTES=640)
     text, frame = small_ffi.new("uint8_t[]", b"x" * 63), small_ffi.new("uint8_t[]", 660)
     # VC_IMAGE_TEXT_BYTES of sizes.h.
-    name = [text, (640 - 612) // 4]
+    name = [text, (640 - 576) // 4]
     sha256 = small_ffi.new("uint8_t[32]")
     codecs = small_ffi.new("vc_codec_description[]", [[number, [text, len("mdct")]] for number in range(8)])
     slots = small_ffi.new("vc_image_description[]", [[number, 4, sha256, 1, name, name] for number in range(2)])
@@ -254,4 +254,4 @@ def test_longest_hello_response_fits_the_smallest_payload() -> None:
     (payload,) = FrameReader().feed(bytes(frame)[:length])
     _, read = messages.unpack(payload)
     assert isinstance(read, HelloResponse)
-    assert (read.build, len(read.codecs), [image.name for image in read.images]) == ("x" * 63, 8, ["x" * 7] * 2)
+    assert (read.build, len(read.codecs), [image.name for image in read.images]) == ("x" * 63, 8, ["x" * 16] * 2)

@@ -118,6 +118,7 @@ def flawed(changes: dict[str, int], buffer_ms: float) -> Latency:
         packet_samples=16,
         playout_delay_ms=10.0,
         blocks=100,
+        packets=100,
         parts=spreads,
         total_ms=buffer_ms,
         jitter_ms=1.0,

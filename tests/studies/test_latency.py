@@ -24,6 +24,7 @@ def measured(buffer_ms: float, underruns: int = 0) -> Latency:
         packet_samples=15,
         playout_delay_ms=10.0,
         blocks=100,
+        packets=100,
         parts=parts,
         total_ms=sum(part.median_ms for part in parts.values()),
         jitter_ms=0.1,
