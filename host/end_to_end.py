@@ -1,8 +1,9 @@
 """Plays a coded stream on a device, reads back what it did, compares with the same computed here, and reports."""
 
+import contextlib
 import math
-from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from importlib.metadata import version
 from typing import Any, TypeVar
@@ -18,11 +19,14 @@ from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader
 from vibrocast.device_protocol.messages import ActuatorDescription
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import devices, player, uploader
+from vibrocast.host.alignment import AlignmentError
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.event_loop import run_all
 from vibrocast.host.limits import fitted
 from vibrocast.host.picture import Trace
-from vibrocast.host.report import ActuatorUse, DeviceDescription, Latency, Report, Touch
+from vibrocast.host.provenance import Provenance
+from vibrocast.host.report import SCHEMA, ActuatorUse, DeviceDescription, Latency, Report, Touch
+from vibrocast.host.skin_quality import SkinQuality, compare_skin, displacement_above_20_hz, high_passed, note
 from vibrocast.output.actuator import ACTUATORS, Actuator, Codes
 from vibrocast.output.rendering import Drive, displacement_filter, render
 from vibrocast.textures import Recording
@@ -36,6 +40,8 @@ MAX_COMPARED_SAMPLES = 2**24
 DECODED_FULL_SCALE = 32768
 # The skin moves between the DAC's samples too, and the picture shows it.
 SKIN_OVERSAMPLING = 4
+# The skin is compared over the first minute of a playback.
+SKIN_COMPARED_S = 60
 
 
 @dataclass(frozen=True)
@@ -191,6 +197,8 @@ def _compared(
         card = replace(card, underruns=card.underruns - underruns_before)
     card_s = card.latency_ms / 1e3 if card else 0.0
     report = Report(
+        schema=SCHEMA,
+        run=Provenance(),
         version=version("vibrocast"),
         file=file_name,
         codec=stream.codec_name,
@@ -210,18 +218,24 @@ def _compared(
         highpass_hz=quality.highpass_hz if quality else None,
         removed_energy=quality.removed_energy if quality else None,
         quality_note=quality.note if quality else None,
+        skin=None,
+        skin_note=None,
         latency_ms=Latency(
             algorithmic=1e3 * algorithmic_s,
             buffered=1e3 * result.buffered_s,
             end_to_end=1e3 * (algorithmic_s + result.buffered_s + drive_s + card_s),
         ),
         underruns=result.underruns,
+        packets=loops * len(stream.packets),
         lost_packets=result.lost_packets,
+        bad_frames=result.bad_frames,
+        bad_frames_back=result.bad_frames_back,
         reconnects=result.reconnects,
         device=DeviceDescription(
             member.address,
             hello.build,
             hello.hardware,
+            hello.serial_number,
             f"{hello.major}.{hello.minor}",
             tuple(devices.model_images(hello)),
         ),
@@ -261,7 +275,32 @@ def _compared(
     ]
     traces.append(Trace("skin", skin, skin_rate_hz, "um", skin, skin_rate_hz))
     caption = f"skin: the DAC's codes, {source}, through the model of the actuator {skin_model.name}"
-    return Outcome(report, stream, caption, tuple(traces))
+    return Outcome(_with_skin(report, traces), stream, caption, tuple(traces))
+
+
+def _with_skin(report: Report, traces: Sequence[Trace]) -> Report:
+    """Return a report with the quality at the skin, the mean over its channels that are not silent."""
+    rate_hz = report.stream_rate_hz
+    qualities = []
+    for channel in range(report.channels):
+        *asked, skin = (trace.displacement_um[:, channel] for trace in traces)
+        moved = Recording(skin[:, None], traces[-1].displacement_rate_hz, "um", "skin")
+        *sent, decoded = (high_passed(each[: SKIN_COMPARED_S * rate_hz], rate_hz) for each in asked)
+        skin_um = displacement_above_20_hz(moved, rate_hz)[: len(decoded)]
+        with contextlib.suppress(AlignmentError):
+            quality, _ = compare_skin(sent[0] if sent else None, decoded, skin_um, rate_hz, perceptual=False)
+            qualities.append(quality)
+    if not qualities:
+        return report
+    known = {
+        each.name: [value for quality in qualities if (value := getattr(quality, each.name)) is not None]
+        for each in fields(SkinQuality)
+    }
+    skin_quality = SkinQuality(**{name: float(np.mean(values)) if values else None for name, values in known.items()})
+    limits = report.actuator
+    limited = limits.clipped_samples + limits.voltage_limited + limits.slew_limited + limits.power_limited
+    unit = traces[0].unit
+    return replace(report, skin=skin_quality, skin_note=note(report.snr_db, skin_quality, unit, limited))
 
 
 def _unread_reason(controller: Controller, stream: Stream, loops: int) -> str | None:

@@ -53,17 +53,20 @@ class LiveError(ValueError):
 class LiveResult:
     """The result of live streaming.
 
-    `status`: the last one. `underruns`, `lost_packets`: of all streams. `dropped_packets`: the lost packets that
-    the host did not send, because they would have been late. `streams`: more than one if it started again: clocks had
-    drifted apart, the source had paused, or the connection was lost. `seconds`: of signal. `payload_bytes`:
-    of all packets that were sent. `wire_bytes`: all that went to the controller with them, frames and requests
-    included.
+    `status`: the last one. `underruns`, `lost_packets`: of all streams. `dropped_packets`: the lost packets that the
+    host did not send, because they would have been late. `packets`: of all signal. `bad_frames`, `bad_frames_back`:
+    damaged on the way to the controller, and from it. `streams`: more than one if it started again: clocks had drifted
+    apart, the source had paused, or the connection was lost. `seconds`: of signal. `payload_bytes`: of all packets that
+    were sent. `wire_bytes`: all that went to the controller with them, frames and requests included.
     """
 
     status: Status
     underruns: int
+    packets: int
     lost_packets: int
     dropped_packets: int
+    bad_frames: int
+    bad_frames_back: int
     streams: int
     seconds: float
     payload_bytes: int
@@ -167,6 +170,7 @@ class LiveStream:
         self._floods = 0  # streams in a row
         self._configure()
         self._wire_bytes_before = controller.bytes_sent
+        self._bad_frames_before, self._bad_frames_back_before = self.status.bad_frames, controller.bad_frames
 
     @property
     def stream(self) -> int:
@@ -177,6 +181,11 @@ class LiveStream:
     def status(self) -> Status:
         """The last status of the stream under way."""
         return self._session.status
+
+    @property
+    def underruns(self) -> int:
+        """Underruns of all streams so far."""
+        return sum(status.underruns for status in (*self.earlier, self.status))
 
     @property
     def seconds(self) -> float:
@@ -409,8 +418,11 @@ class LiveStream:
         return LiveResult(
             status=self.status,
             underruns=sum(status.underruns for status in streams),
+            packets=math.ceil(self.seconds / self.packet_s),
             lost_packets=sum(status.lost_packets for status in streams),
             dropped_packets=self.dropped_packets,
+            bad_frames=max(0, self.status.bad_frames - self._bad_frames_before),  # a restart sets it to 0
+            bad_frames_back=self.controller.bad_frames - self._bad_frames_back_before,
             streams=len(streams),
             seconds=self.seconds,
             payload_bytes=self.payload_bytes,

@@ -54,7 +54,8 @@ class PlaybackResult:
 
     `state`: FINISHED, or STOPPED if someone stopped it. `seconds`: from start to end. `buffered_s`: mean time that
     data waited in the controller. `wire_bytes_*`: all bytes of this playback on the transport. `underruns`,
-    `lost_packets` and `reconnects` count over all of it; `status` is the last one. `decoded` (int16, stream rate) and
+    `lost_packets` and `reconnects` count over all of it, and `bad_frames`, damaged on the way to the controller, and
+    `bad_frames_back`; `status` is the last one. `decoded` (int16, stream rate) and
     `dac_codes` (int16, DAC rate), both (samples, channels), are the controller's capture; None if not required, or if
     the controller overwrote samples before they could be read.
     `captured_from`: its first packet, counted over all loops; 0 unless the controller started again after a loss.
@@ -68,6 +69,8 @@ class PlaybackResult:
     wire_bytes_received: int
     underruns: int
     lost_packets: int
+    bad_frames: int
+    bad_frames_back: int
     reconnects: int
     captured_from: int
     decoded: NDArray[np.int16] | None
@@ -128,11 +131,13 @@ def play_steps(
     """Play packets as `play` does, as steps of an event loop that may play on other controllers too."""
     source = _Source(controller, header, packets, packet_samples, settings.loops)
     sent_before, received_before = controller.bytes_sent, controller.bytes_received
+    bad_back_before = controller.bad_frames
     started_s = controller.clock()
     reconnects, came_back_at = 0, -1
     pace = _Pace(controller)
     try:
         senders = [(yield from _begin_steps(controller, source, settings, 0, pace))]
+        bad_before = senders[0].status.bad_frames
         while True:
             last = senders[-1]
             try:
@@ -167,6 +172,8 @@ def play_steps(
         wire_bytes_received=controller.bytes_received - received_before,
         underruns=sum(sender.status.underruns for sender in senders),
         lost_packets=sum(sender.status.lost_packets for sender in senders),
+        bad_frames=max(0, last.status.bad_frames - bad_before),  # a controller that has restarted counts from 0
+        bad_frames_back=controller.bad_frames - bad_back_before,
         reconnects=reconnects,
         captured_from=last.first,
         decoded=last.captured(Tap.DECODED),

@@ -1,11 +1,18 @@
 """The report of a playback: figures of stream, device and comparison with the offline decoder, as JSON."""
 
 import json
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from vibrocast.files import atomic_write
+from vibrocast.host.bench_limits import Judged, lost_percent
+from vibrocast.host.provenance import Provenance
+from vibrocast.host.skin_quality import SkinQuality
 from vibrocast.output.sound_card import CardUse
+
+SCHEMA = 2
+"""Of the JSON of playbacks and live streams."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +53,7 @@ class DeviceDescription:
     address: str
     build: str
     hardware: str
+    serial_number: str
     protocol: str
     model_images: tuple[str, ...]
 
@@ -57,6 +65,8 @@ class Report:
     `seconds` is the duration of one pass; `stream_bytes`, and the rates from it, are of the whole .vct file.
     """
 
+    schema: int
+    run: Provenance
     version: str
     file: str
     codec: str
@@ -76,9 +86,14 @@ class Report:
     highpass_hz: float | None
     removed_energy: float | None
     quality_note: str | None
+    skin: SkinQuality | None
+    skin_note: str | None
     latency_ms: Latency
     underruns: int
+    packets: int
     lost_packets: int
+    bad_frames: int
+    bad_frames_back: int
     reconnects: int
     device: DeviceDescription
     sound_card: CardUse | None
@@ -87,6 +102,15 @@ class Report:
     decoded_equals_offline: bool | None
     dac_equals_offline: bool | None
     comparison_note: str | None
+
+    def judged(self) -> Iterator[Judged]:
+        """Yield the figures that limits of a bench file judge."""
+        yield Judged("latency_ms", self.file, self.latency_ms.end_to_end)
+        yield Judged("underruns", self.file, self.underruns)
+        yield Judged("lost_percent", self.file, lost_percent(self.lost_packets, self.packets))
+        yield Judged("bad_frames", self.file, self.bad_frames + self.bad_frames_back)
+        for key in ("snr_db", "gain"):
+            yield Judged(key, self.file, None if self.skin is None else getattr(self.skin, key))
 
     @property
     def differs(self) -> bool:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
@@ -21,13 +21,17 @@ from vibrocast.device_protocol.messages import Status
 from vibrocast.files import atomic_write
 from vibrocast.host import devices, uploader
 from vibrocast.host import live as streaming
+from vibrocast.host.bench_limits import BenchLimits, Judged, lost_percent, missed
 from vibrocast.host.cli.option_types import Number, OutputFile, Whole, positive
 from vibrocast.host.cli.options import (
     BadInput,
     actuator_option,
+    bench_option,
+    check_bench_actuator,
     chosen_highpass_hz,
     codec_option,
     device_option,
+    fail_where_missed,
     grouped,
     keep_dc_option,
     model_option,
@@ -37,7 +41,12 @@ from vibrocast.host.cli.options import (
 from vibrocast.host.cli.rate_options import RateOptions, rate_controlled_options
 from vibrocast.host.cli.sections import CODING, CONTROLLER, INPUT, OUTPUT, SectionedCommand, section
 from vibrocast.host.cli.steps import describe_card, warn_of_underruns
+from vibrocast.host.provenance import Provenance
+from vibrocast.host.report import SCHEMA
 from vibrocast.textures.recording import MAX_CHANNELS
+
+if TYPE_CHECKING:
+    from vibrocast.host.bench_file import Bench
 
 # By name: the type in NumPy's words, and the number that stands for full scale.
 FORMATS = {"int16": ("<i2", 32768.0), "float32": ("<f4", 1.0)}
@@ -131,6 +140,7 @@ class CodingOptions:
 @rate_controlled_options
 @section(
     CONTROLLER,
+    bench_option,
     device_option,
     actuator_option,
     click.option(
@@ -143,6 +153,7 @@ class CodingOptions:
 @section(OUTPUT, click.option("--report", "report_path", type=OutputFile(".json"), help="Write the figures as JSON."))
 def live(
     source: str,
+    bench: "Bench | None",
     address: str,
     actuator_name: str | None,
     samples: SampleOptions,
@@ -157,6 +168,9 @@ def live(
     interleaved channels. 32768 in int16 and 1.0 in float32 stand for --full-scale.
 
     A rate counts packets and their frames. If the link becomes slower, the stream lowers its rate.
+
+    With --bench, --device may be a name in the file. The exit code is 4 if a limit is missed; without --bench, at most
+    1 % of the packets may be lost.
     """
     target = rate.target(coding.snr_db)
     rate_hz, full_scale = samples.rate_hz, samples.full_scale
@@ -177,8 +191,9 @@ def live(
     chosen = chosen_codec(coding.codec_name, model)
     if chosen.needs_model and model is None:
         model = default_model(chosen)
-    actuator = own_actuator(address, actuator_name)
+    actuator = own_actuator(address, actuator_name, bench)
     with devices.connect(address, actuator=actuator) as controller, progress.bar("streaming") as update:
+        check_bench_actuator(bench, address, controller.description.actuator)
         if model is not None:
             uploader.provide(controller, address, model.image)
         live_coding = streaming.LiveCoding(chosen.name, coding.setting, model)
@@ -204,19 +219,20 @@ def live(
         if highpass_hz is not None and textures.is_vibration(signal_format.unit):
             blocks = map(textures.LiveHighPass(rate_hz, highpass_hz), blocks)
 
-        def show(now: Status) -> None:
+        def show(_: Status) -> None:
             part = None if total_s is None else min(1.0, stream.seconds / total_s)
             length = "" if total_s is None else f" of {total_s:.1f}"
             rate_bps = 8 * stream.payload_bytes / stream.seconds if stream.seconds else 0.0
-            update(part, f"{stream.seconds:.1f}{length} s  {rate_bps / 1000:.2f} kbit/s  underruns {now.underruns}")
+            update(part, f"{stream.seconds:.1f}{length} s  {rate_bps / 1000:.2f} kbit/s  underruns {stream.underruns}")
 
         try:
             result = streaming.play(stream, blocks, progress=show)
         except streaming.LiveError as error:
             raise BadInput(str(error)) from error
     if report_path:
+        report = json.dumps(figures(result, stream, bench), indent=2, allow_nan=False)
         with atomic_write(report_path) as partial:
-            partial.write_text(json.dumps(figures(result, stream), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+            partial.write_text(report + "\n", encoding="utf-8")
     delay_ms = 1000 * stream.playout_delay_s
     if target is not None:
         click.echo(
@@ -225,22 +241,37 @@ def live(
             f"{delay_ms:.0f} ms; {result.dropped_packets} packets not sent, because too late"
         )
     restarts = f", restarts {result.streams - 1}" if result.streams > 1 else ""
-    click.echo(f"underruns {result.underruns}, lost packets {result.lost_packets}{restarts}")
+    click.echo(
+        f"underruns {result.underruns}, lost packets {result.lost_packets} of {result.packets}{restarts}, "
+        f"damaged frames {result.bad_frames} there, {result.bad_frames_back} back"
+    )
     if card := stream.controller.sound_card:
         click.echo(f"sound card {describe_card(card)}")
         warn_of_underruns(card)
-    if result.lost_packets or result.dropped_packets:
+    if result.bad_frames or result.bad_frames_back:
+        click.echo("warning: frames were damaged on the wire; check cable, connectors and baud rate", err=True)
+    elif result.lost_packets or result.dropped_packets:
         click.echo(
             "warning: packets were late or lost: the computer or the link was too busy; pass a --playout-delay-ms "
             f"above {delay_ms:.0f}",
             err=True,
         )
+    fail_where_missed(missed(BenchLimits() if bench is None else bench.limits, judged(result)))
 
 
-def figures(result: streaming.LiveResult, stream: streaming.LiveStream) -> dict[str, Any]:
+def judged(result: streaming.LiveResult) -> Iterator[Judged]:
+    """Yield the figures of a live stream that limits judge."""
+    yield Judged("underruns", "live", result.underruns)
+    yield Judged("lost_percent", "live", lost_percent(result.lost_packets, result.packets))
+    yield Judged("bad_frames", "live", result.bad_frames + result.bad_frames_back)
+
+
+def figures(result: streaming.LiveResult, stream: streaming.LiveStream, bench: "Bench | None" = None) -> dict[str, Any]:
     """Return the report of a live stream, ready for JSON; docs/reference/report.md explains each figure."""
-    card = stream.controller.sound_card
+    card, hello = stream.controller.sound_card, stream.controller.description
     return {
+        "schema": SCHEMA,
+        "run": asdict(Provenance(None if bench is None else bench.sha256)),
         "version": version("vibrocast"),
         "codec": codec.codec_by_identifier(stream.header.codec_identifier, stream.header.configuration).name,
         "channels": stream.format.channels,
@@ -252,9 +283,13 @@ def figures(result: streaming.LiveResult, stream: streaming.LiveStream) -> dict[
         "wire_bits_per_second": result.wire_bps,
         "wire_adds": result.wire_adds,
         "underruns": result.underruns,
+        "packets": result.packets,
         "lost_packets": result.lost_packets,
         "dropped_packets": result.dropped_packets,
+        "bad_frames": result.bad_frames,
+        "bad_frames_back": result.bad_frames_back,
         "streams": result.streams,
+        "device": {"build": hello.build, "hardware": hello.hardware, "serial_number": hello.serial_number},
         "sound_card": None if card is None else asdict(card),
     }
 

@@ -12,7 +12,7 @@ from vibrocast.host.cli.options import (
     Regression,
     actuator_option,
     allow_programs_option,
-    check_limits,
+    fail_where_missed,
     grouped,
     plan_option,
 )
@@ -168,4 +168,4 @@ def measure(
         raise Regression(
             f"not as in {earlier}: {'; '.join(worse[:MAX_SHOWN])}{more}; compare both reports, then measure again"
         )
-    check_limits(results.missed)
+    fail_where_missed(results.missed)

@@ -5,13 +5,16 @@ import shlex
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from vibrocast import codec, models, textures
 from vibrocast.codec.encoding import DEFAULT_SNR_DB, DEFAULT_STREAM_RATE_HZ
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
+from vibrocast.device_protocol.messages import ActuatorDescription
 from vibrocast.device_protocol.model_image import ModelImageError
 from vibrocast.host import devices
 from vibrocast.host.cli.exit_codes import BAD_INPUT, LIMIT_MISSED, REGRESSION
@@ -20,6 +23,11 @@ from vibrocast.host.cli.sections import CODING, section
 from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import Actuator
+
+if TYPE_CHECKING:
+    from vibrocast.host.bench_file import Bench
+
+_BENCH = "vibrocast.bench"
 
 
 def command_run() -> str:
@@ -45,7 +53,7 @@ class Regression(click.ClickException):
     exit_code = REGRESSION
 
 
-def check_limits(missed: Sequence[str]) -> None:
+def fail_where_missed(missed: Sequence[str]) -> None:
     """Raise LimitMissed with the lines of `bench_limits.missed`, if there are any."""
     if missed:
         raise LimitMissed(f"limits missed: {'; '.join(missed)}; see [limits] in the bench file")
@@ -72,8 +80,26 @@ def parsed_setting(ctx: click.Context, param: click.Parameter, values: Sequence[
     return setting
 
 
+def chosen_bench(ctx: click.Context, param: click.Parameter, value: Path | None) -> "Bench | None":
+    """Return the bench of a file, and let `checked_address` take the names of its controllers."""
+    if value is None:
+        return None
+    from vibrocast.host.bench_file import read_bench
+
+    # No command with this option starts a sensor's program.
+    bench = ctx.meta[_BENCH] = read_bench(value, allow_programs=True)
+    return bench
+
+
 def checked_address(ctx: click.Context, param: click.Parameter, value: str) -> str:
-    """Return a controller's address as `host.devices.connect` takes it, or raise click.BadParameter."""
+    """Return a controller's address as `host.devices.connect` takes it, or raise click.BadParameter.
+
+    With a bench file, a controller's name stands for its address, and the first controller is the default.
+    """
+    if bench := ctx.meta.get(_BENCH):
+        if ctx.get_parameter_source(param.name or "") == ParameterSource.DEFAULT:
+            return str(bench.first.address)
+        value = next((each.address for each in bench.controllers if each.name == value), value)
     if value not in devices.SIMULATED and not devices.ADDRESS.fullmatch(value):
         raise click.BadParameter(
             f"{value!r} is no address; give {', '.join(devices.SIMULATED)}, {devices.FORMS}",
@@ -85,10 +111,11 @@ def checked_address(ctx: click.Context, param: click.Parameter, value: str) -> s
 
 def checked_addresses(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> tuple[str, ...]:
     """Return addresses as `checked_address` does; raise click.BadParameter for a port that is given twice."""
-    for value in values:
-        if values.count(checked_address(ctx, param, value)) > 1 and value not in devices.SIMULATED:
-            raise click.BadParameter(f"{value} is given twice, and a port has one controller; keep one", ctx, param)
-    return values
+    addresses = tuple(checked_address(ctx, param, value) for value in values)
+    for address in addresses:
+        if addresses.count(address) > 1 and address not in devices.SIMULATED:
+            raise click.BadParameter(f"{address} is given twice, and a port has one controller; keep one", ctx, param)
+    return addresses
 
 
 def grouped(name: str, kind: type[Any], *decorators: Callable[..., Any]) -> Callable[[Callable[..., Any]], Any]:
@@ -108,6 +135,15 @@ def grouped(name: str, kind: type[Any], *decorators: Callable[..., Any]) -> Call
     return decorate
 
 
+bench_option = click.option(
+    "--bench",
+    "bench",
+    type=INPUT,
+    callback=chosen_bench,
+    is_eager=True,
+    metavar="FILE",
+    help="Take controllers, actuators and limits from a bench file.",
+)
 device_option = click.option(
     "--device",
     "address",
@@ -165,11 +201,33 @@ actuator_option = click.option(
 )
 
 
-def own_actuator(address: str, name: str | None) -> Actuator | None:
-    """Return the actuator of `actuator_option` for a controller that takes one. Raises click.UsageError."""
+def own_actuator(address: str, name: str | None, bench: "Bench | None" = None) -> Actuator | None:
+    """Return the actuator of `actuator_option`, or of the bench, for a controller that takes one.
+
+    Raises click.UsageError.
+    """
+    if bench is not None and name is None:
+        return bench_actuator(bench, address) if devices.takes_actuator(address) else None
     if name is not None and not devices.takes_actuator(address):
         raise click.UsageError(f"{address} has its actuator compiled in; drop --actuator")
     return None if name is None else actuator_files.find(name)
+
+
+def bench_actuator(bench: "Bench", address: str) -> Actuator | None:
+    """Return the actuator that a bench has behind an address; None = the bench says nothing of it."""
+    names = [each.name for each in bench.controllers if each.address == address]
+    return bench.actuator(names[0]) if names else None
+
+
+def check_bench_actuator(bench: "Bench | None", address: str, description: ActuatorDescription) -> None:
+    """Raise BenchFileError where the controller at an address drives another actuator than the bench has there."""
+    if bench is None:
+        return
+    from vibrocast.host.bench_file import check_actuator
+
+    for each in bench.controllers:
+        if each.address == address:
+            check_actuator(bench, each, description)
 
 
 plan_option = click.option(

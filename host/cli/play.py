@@ -15,13 +15,18 @@ from vibrocast.codec.stream import MAX_GAIN_DB, Stream, read_stream
 from vibrocast.device_protocol.coded_stream import StreamError, packet_sequence
 from vibrocast.files import atomic_write
 from vibrocast.host import devices, player, profiles
+from vibrocast.host.bench_limits import missed
 from vibrocast.host.cli import planned
 from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, positive
 from vibrocast.host.cli.options import (
     BadInput,
     QualityOptions,
     RecordingOptions,
+    bench_actuator,
+    bench_option,
+    check_bench_actuator,
     devices_option,
+    fail_where_missed,
     grouped,
     own_actuator,
     plan_option,
@@ -49,6 +54,7 @@ from vibrocast.output.actuator import ACTUATORS, Actuator
 
 if TYPE_CHECKING:
     from vibrocast.host import end_to_end, position_playback
+    from vibrocast.host.bench_file import Bench
 
 SILENT_DB = -200.0
 """Re detection threshold: below it the output is at rest."""
@@ -85,7 +91,7 @@ class HandOptions:
 @click.argument("file", type=INPUT, required=False)
 @recording_options
 @quality_options
-@section(CONTROLLER, devices_option)
+@section(CONTROLLER, bench_option, devices_option)
 @grouped(
     "playback",
     PlaybackOptions,
@@ -143,6 +149,7 @@ class HandOptions:
 def play(
     file: Path | None,
     plan_path: Path | None,
+    bench: "Bench | None",
     addresses: tuple[str, ...],
     playback: PlaybackOptions,
     outputs: OutputOptions,
@@ -159,6 +166,8 @@ def play(
 
     A height profile is played over time if you give --hand-speed-mm-s alone. It is played by the position of a hand if
     you give --positions, or --stroke-mm. Then --hand-speed-mm-s is the highest speed of the stroke.
+
+    With --bench, --device may be a name in the file, and the exit code is 4 if a limit is missed.
 
     With --plan, FILE is the name of a texture; without FILE, all textures play. They play live, on the plan's
     controllers or on one --device for each. The command compares measurement and forecast, and fails if they differ by
@@ -178,7 +187,8 @@ def play(
     runtime = next(
         filter(None, [devices.decoding_runtime(address, playback.runtime) for address in addresses]), playback.runtime
     )
-    actuator = None if playback.actuator_name is None else actuator_files.find(playback.actuator_name)
+    given = None if playback.actuator_name is None else actuator_files.find(playback.actuator_name)
+    actuators = {address: given if given or bench is None else bench_actuator(bench, address) for address in addresses}
     if len(addresses) > 1 and (hand.positions_path or hand.stroke_mm or outputs.plot_path):
         raise click.UsageError("--positions, --stroke-mm and --plot are for one controller; give one --device")
     if hand.positions_path or hand.stroke_mm:
@@ -186,7 +196,7 @@ def play(
             raise click.UsageError("a profile under a hand has no report; drop --report")
         if playback.gain_db:
             raise click.UsageError("a profile under a hand has its own level; drop --gain-db")
-        own = own_actuator(addresses[0], playback.actuator_name)
+        own = own_actuator(addresses[0], playback.actuator_name, bench)
         from vibrocast.host import position_playback
 
         movement = position_playback.chosen_movement(
@@ -197,10 +207,11 @@ def play(
         return
     source = read_source(file, quality, recording, runtime)
     names = devices.unique_names(addresses)
-    sessions = {name: devices.connect(address, runtime, actuator) for name, address in names.items()}
+    sessions = {name: devices.connect(address, runtime, actuators[address]) for name, address in names.items()}
     with devices.open_all(sessions) as (controllers, failures):
         # A stream that the controller cannot play need not be encoded first.
         for name, controller in list(controllers.items()):
+            check_bench_actuator(bench, names[name], controller.description.actuator)
             try:
                 if isinstance(source, Stream):
                     check_limits(controller, source.header.channels, source.header.rate_hz)
@@ -209,7 +220,7 @@ def play(
             except StreamError as error:
                 failures[name] = error
         members = {
-            name: end_to_end.member(controller, names[name], actuator)
+            name: end_to_end.member(controller, names[name], actuators[names[name]])
             for name, controller in controllers.items()
             if name not in failures
         }
@@ -225,8 +236,17 @@ def play(
                 tell = playing(update, stream.bits_per_second)
                 outcomes = end_to_end.play_together(members, file.name, stream, encoding, playback.loops, tell)
     outcomes |= failures
+    if bench is not None:
+        outcomes = {name: traced(outcome, bench) for name, outcome in outcomes.items()}
+    limits_missed = [
+        line
+        for each in outcomes.values()
+        if bench is not None and not isinstance(each, Exception)
+        for line in missed(bench.limits, each.report.judged())
+    ]
     if len(names) > 1:
         report_each({name: outcomes[name] for name in names}, outputs.report_path)
+        fail_where_missed(limits_missed)
         return
     (outcome,) = outcomes.values()
     if isinstance(outcome, Exception):
@@ -246,6 +266,15 @@ def play(
             "there are any, use a shorter cable or a less busy machine, else the --runtime by which the controller "
             "decodes"
         )
+    fail_where_missed(limits_missed)
+
+
+def traced(outcome: "end_to_end.Outcome | Exception", bench: "Bench") -> "end_to_end.Outcome | Exception":
+    """Return an outcome whose report names the bench file."""
+    if isinstance(outcome, Exception):
+        return outcome
+    run = replace(outcome.report.run, bench_sha256=bench.sha256)
+    return replace(outcome, report=replace(outcome.report, run=run))
 
 
 def read_source(
@@ -371,6 +400,17 @@ def playing(update: progress.Update, bits_per_second: float) -> Callable[[str, p
     return tell
 
 
+def describe_skin(report: Report) -> str:
+    """Return the SNR and the gain at the skin, and why the SNR differs from that of the codec, in words."""
+    skin = report.skin
+    if skin is None:
+        return "not compared: the skin hardly moves as the texture does"
+    ratio = f"SNR {skin.snr_db:.2f} dB" if skin.snr_db is not None else "SNR unknown"
+    alone = f", without the codec {skin.playing_snr_db:.2f} dB" if skin.playing_snr_db is not None else ""
+    gain = f", gain {skin.gain:.2f}" if skin.gain is not None else ""
+    return f"{ratio}{alone}{gain}" + (f"; {report.skin_note}" if report.skin_note else "")
+
+
 def describe_touch(touch: Touch) -> str:
     """Return how far the skin's vibration exceeds the detection threshold, in words."""
     if touch.level_db > 0:
@@ -409,7 +449,9 @@ def summary(outcome: "end_to_end.Outcome", given: Stream) -> dict[str, object]:
         + (f", model {report.model}" if report.model else ""),
         "packets": describe_packets(outcome.stream, given),
         "quality": describe_quality(report),
-        "wire": f"{report.wire_bytes} bytes sent, {report.wire_bytes_back} received",
+        "at the skin": describe_skin(report),
+        "wire": f"{report.wire_bytes} bytes sent, {report.wire_bytes_back} received, damaged frames "
+        f"{report.bad_frames} there, {report.bad_frames_back} back",
         "latency": f"{latency.algorithmic:.1f} ms codec + {latency.buffered:.1f} ms buffer, "
         f"{latency.end_to_end:.1f} ms to the skin",
         "underruns": f"{report.underruns}, lost packets {report.lost_packets}, reconnects {report.reconnects}",

@@ -2,24 +2,18 @@
 
 import contextlib
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from vibrocast import textures
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, encode_recording
-from vibrocast.evaluation import metrics
 from vibrocast.host import end_to_end
 from vibrocast.host.controller import Controller
-from vibrocast.host.harness.alignment import align
 from vibrocast.host.harness.sensors import Recorder
 from vibrocast.host.picture import third_octave_levels
+from vibrocast.host.skin_quality import compare_skin, displacement_above_20_hz, high_passed
 from vibrocast.output.actuator import Actuator
-from vibrocast.output.rendering import HIGH_PASS_HZ, displacement_filter
 from vibrocast.textures import Recording
-
-Samples = NDArray[np.float64]
 
 # Recorded before and after what is played: how late the controller starts, and the ends that filters need.
 _AROUND_S = 1.0
@@ -105,13 +99,8 @@ def measure_fidelity(
             recorded, source = finish(), sensor_name
     rate_hz = round(sent.rate_hz)
     recorded_um = displacement_above_20_hz(recorded, rate_hz)
-    sent_um, decoded_um = (_high_passed(signal.displacement_um[:, 0], rate_hz) for signal in (sent, decoded))
-    margin = np.zeros(rate_hz // 10)  # the model's skin has no time before and after
-    laid = align(sent_um, np.concatenate((margin, recorded_um, margin)), rate_hz)
-    laid_on_decoded = align(decoded_um, np.concatenate((margin, recorded_um, margin)), rate_hz)
-    against_sent = metrics.measure(sent_um[:, None], laid.aligned[:, None], rate_hz)
-    as_displacement = metrics.measure(sent_um[:, None], decoded_um[:, None], rate_hz)
-    against_decoded = metrics.measure(decoded_um[:, None], laid_on_decoded.aligned[:, None], rate_hz)
+    sent_um, decoded_um = (high_passed(signal.displacement_um[:, 0], rate_hz) for signal in (sent, decoded))
+    quality, laid = compare_skin(sent_um, decoded_um, recorded_um, rate_hz)
     frequencies_hz, sent_db = third_octave_levels(sent_um, rate_hz)
     _, residual_db = third_octave_levels(sent_um - laid.aligned, rate_hz)
     return Fidelity(
@@ -120,34 +109,15 @@ def measure_fidelity(
         as_decoded=outcome.report.decoded_equals_offline,
         as_computed=outcome.report.dac_equals_offline,
         coding_snr_db=encoding.quality.snr_db,
-        decoded_snr_db=as_displacement.snr_db,
-        snr_db=against_sent.snr_db,
-        st_sim=against_sent.st_sim_2800,
-        playing_snr_db=against_decoded.snr_db,
+        decoded_snr_db=quality.decoded_snr_db,
+        snr_db=quality.snr_db,
+        st_sim=quality.st_sim,
+        playing_snr_db=quality.playing_snr_db,
         gain=laid.gain,
-        lag_ms=1e3 * (laid.lag_s - len(margin) / rate_hz),
+        lag_ms=1e3 * laid.lag_s,
         drift_ppm=laid.drift_ppm,
         packets=len(outcome.stream.packets),
         underruns=outcome.report.underruns,
         lost_packets=outcome.report.lost_packets,
         spectrum=Spectrum(tuple(frequencies_hz.tolist()), tuple(sent_db.tolist()), tuple(residual_db.tolist())),
     )
-
-
-def displacement_above_20_hz(recorded: Recording, rate_hz: int) -> Samples:
-    """Return what a sensor recorded as displacement in um, (n,) at `rate_hz`."""
-    from scipy import signal
-
-    # Resampled as they are, gravity, a sensor's distance and their drift would be steps at both ends.
-    level = replace(recorded, samples=signal.detrend(recorded.samples, axis=0))
-    samples = textures.resample(level, rate_hz).samples[:, 0]
-    if recorded.unit == "m/s^2":
-        return np.asarray(signal.lfilter(*displacement_filter(rate_hz), samples))
-    return _high_passed(samples, rate_hz)
-
-
-def _high_passed(displacement_um: Samples, rate_hz: int) -> Samples:
-    """Return displacement through the high-pass that is in `displacement_filter`, so that the two can be compared."""
-    from scipy import signal
-
-    return np.asarray(signal.lfilter(*signal.butter(4, HIGH_PASS_HZ, "highpass", fs=rate_hz), displacement_um))

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from vibrocast import codec, textures
 from vibrocast.codec.stream import as_stream
 from vibrocast.host import player
+from vibrocast.host.alignment import AlignmentError
 from vibrocast.host.controller import Controller, ControllerError
-from vibrocast.host.harness.alignment import AlignmentError
 from vibrocast.host.harness.sensors import Recorder
 from vibrocast.output.actuator import Actuator
 from vibrocast.textures import Recording

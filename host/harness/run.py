@@ -12,11 +12,11 @@ from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.device_protocol.messages import MessageError
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import bench_file
+from vibrocast.host.alignment import AlignmentError
 from vibrocast.host.bench_file import Bench
 from vibrocast.host.bench_limits import missed
 from vibrocast.host.controller import ConnectionLost, Controller, ControllerError
 from vibrocast.host.harness import measurements, page
-from vibrocast.host.harness.alignment import AlignmentError
 from vibrocast.host.harness.results import ACTUATOR, JSON, NAMES, PAGE, Results, compare, judged
 from vibrocast.host.harness.sensors import SensorError
 from vibrocast.host.provenance import Provenance

@@ -9,6 +9,10 @@ import pytest
 from click.testing import CliRunner, Result
 
 from vibrocast.host.cli.command_line import main
+from vibrocast.host.cli.exit_codes import LIMIT_MISSED
+from vibrocast.simulated_device.controller import Controller
+from vibrocast.simulated_device.faulty_link import FaultyDirection
+from vibrocast.simulated_device.serial_port import serial_port
 
 
 def run(*arguments: str, data: bytes = b"") -> Result:
@@ -18,7 +22,7 @@ def run(*arguments: str, data: bytes = b"") -> Result:
 def test_a_generated_texture_is_streamed() -> None:
     result = run("rough", "--seconds", "0.3", "--playout-delay-ms", "300")
     assert result.exit_code == 0, result.output
-    assert result.output.splitlines()[-1] == "underruns 0, lost packets 0"
+    assert re.search(r"^underruns 0, lost packets 0 of \d+, damaged frames 0 there, 0 back$", result.output, re.M)
 
 
 @pytest.mark.parametrize(
@@ -77,7 +81,7 @@ def test_samples_that_are_no_numbers_are_rejected() -> None:
 def test_a_model_is_flashed_and_streamed_with(arguments: list[str]) -> None:
     result = run("rough", "--seconds", "0.3", "--playout-delay-ms", "300", *arguments)
     assert result.exit_code == 0, result.output
-    assert result.output.splitlines()[-1] == "underruns 0, lost packets 0"
+    assert re.search(r"^underruns 0, lost packets 0 of \d+, damaged frames 0 there, 0 back$", result.output, re.M)
 
 
 def test_a_model_of_another_codec_is_rejected() -> None:
@@ -109,3 +113,45 @@ def test_a_rate_out_of_reach_is_rejected(arguments: list[str], exit_code: int, t
     result = run("rough", *arguments)
     assert result.exit_code == exit_code
     assert told in result.output
+
+
+def bench_file(folder: Path, address: str, limits: str = "") -> str:
+    """Write a bench file with a controller named "it" and return its name."""
+    path = folder / "bench.toml"
+    path.write_text(f'[[controllers]]\nname = "it"\naddress = "{address}"\n[limits]\n{limits}\n')
+    return str(path)
+
+
+class Damaged(Controller):
+    """A controller behind a wire that damages one in ten frames to it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._wire = FaultyDirection(3, flipped=0.1)
+
+    def receive(self, data: bytes, now_us: int) -> None:
+        super().receive(self._wire.carry(data), now_us)
+
+
+def test_lost_packets_and_damaged_frames_fail_and_are_named(tmp_path: Path) -> None:
+    report = tmp_path / "live.json"
+    with serial_port(Damaged()) as port:
+        result = run("rough", "--seconds", "2", "--device", f"serial:{port.name}", "--report", str(report))
+    written = json.loads(report.read_text())
+    assert written["lost_packets"] > 0.01 * written["packets"]
+    assert written["bad_frames"] > 0
+    assert result.exit_code == LIMIT_MISSED
+    assert "warning: frames were damaged on the wire; check cable" in result.output
+    assert re.search(r"error: limits missed: live: lost_percent = [\d.]+, max_lost_percent = 1;", result.output)
+
+
+def test_a_bench_file_gives_controller_and_limits(tmp_path: Path) -> None:
+    with serial_port(Damaged()) as port:
+        bench = bench_file(tmp_path, f"serial:{port.name}", "max_lost_percent = 100\nmax_bad_frames = 0")
+        result = run("rough", "--seconds", "1", "--bench", bench, "--device", "it")
+    assert result.exit_code == LIMIT_MISSED
+    assert re.search(r"error: limits missed: live: bad_frames = \d+, max_bad_frames = 0;", result.output)
+    assert (
+        run("rough", "--seconds", "0.5", "--bench", bench_file(tmp_path, "sim", "max_lost_percent = 100")).exit_code
+        == 0
+    )

@@ -8,6 +8,7 @@ import pytest
 
 from tests.harness.test_response import bench
 from vibrocast.host.harness import fidelity
+from vibrocast.host.skin_quality import displacement_above_20_hz
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.textures import GENERATORS, Recording
 
@@ -46,7 +47,6 @@ def test_gravity_distance_and_drift_of_a_sensor_leave_no_step(unit: str, offset:
     noise = np.random.default_rng(0).standard_normal((8000, 1))
     moved = noise + offset + drift * np.linspace(0, 1, 8000)[:, None]
     flat, other = (
-        fidelity.displacement_above_20_hz(Recording(samples, 10_000, unit, "sensor"), 2800)
-        for samples in (noise, moved)
+        displacement_above_20_hz(Recording(samples, 10_000, unit, "sensor"), 2800) for samples in (noise, moved)
     )
     np.testing.assert_allclose(other, flat, atol=1e-3 * float(np.std(flat)))

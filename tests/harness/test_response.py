@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from vibrocast.host.alignment import AlignmentError
 from vibrocast.host.controller import Controller
 from vibrocast.host.harness import response
-from vibrocast.host.harness.alignment import AlignmentError
 from vibrocast.host.harness.sensors import Recorder
 from vibrocast.output.actuator import (
     LRA,

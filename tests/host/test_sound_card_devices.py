@@ -195,7 +195,7 @@ def test_a_lost_card_ends_the_program_with_its_reason(mortal_sound_server: Sound
             wait_until(lambda: bool(np.abs(listener.newest(0.2)).max(initial=0) > 0))
         mortal_sound_server.remove(PAD)
         _, errors = program.communicate(timeout=30)
-    assert program.returncode == 1
+    assert program.returncode == 3
     assert f"error: the sound card '{PAD}' is gone; it was unplugged" in errors
 
 
