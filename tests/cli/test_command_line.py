@@ -28,6 +28,7 @@ from vibrocast.host import devices
 from vibrocast.host.bench_file import actuator_toml
 from vibrocast.host.cli import sections
 from vibrocast.host.cli.command_line import SECTIONS, SUBCOMMANDS, main
+from vibrocast.host.cli.exit_codes import LIMIT_MISSED
 from vibrocast.host.report import Report
 from vibrocast.output.actuator import ACTUATORS, Codes
 from vibrocast.simulated_device.controller import Controller
@@ -731,3 +732,23 @@ def test_an_unusable_number_is_reported_in_one_line(arguments: list[str], error:
     assert fails(2, "play", texture, *arguments) == (
         f"error: Invalid value for '{arguments[0]}': {error} See `main play --help`.\n"
     )
+
+
+def test_play_tells_both_qualities_and_why_they_differ(tmp_path: Path) -> None:
+    report_path, oak = tmp_path / "out.json", ROOT / "examples" / "oak.wav"
+    printed = succeeds("play", oak, "--report", report_path)
+    assert re.search(r"^at the skin +SNR [\d.]+ dB, without the codec [\d.]+ dB, gain 0.81; the decoded", printed, re.M)
+    report = json.loads(report_path.read_text())
+    assert report["skin"]["snr_db"] <= report["skin"]["decoded_snr_db"] < report["snr_db"] - 10
+    assert report["skin"]["playing_snr_db"] > 30
+    assert "the noise of acceleration at low frequencies weighs most" in report["skin_note"]
+    assert (report["schema"], report["bad_frames"], report["run"]["bench_sha256"]) == (2, 0, None)
+
+
+def test_limits_of_a_bench_file_judge_a_playback(texture: Path, tmp_path: Path) -> None:
+    bench = tmp_path / "bench.toml"
+    bench.write_text('[[controllers]]\nname = "it"\naddress = "sim"\n[limits]\nmin_snr_db = 99\n')
+    assert "snr_db = " in fails(LIMIT_MISSED, "play", texture, "--bench", bench)
+    bench.write_text('[[controllers]]\nname = "it"\naddress = "cortex-m4"\n[[actuators]]\nmodel = "lra"\n')
+    rejected = fails(2, "play", texture, "--bench", bench, "--device", "it")
+    assert "it drives piezo-stack, and the bench has lra there" in rejected
