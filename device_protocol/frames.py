@@ -51,7 +51,7 @@ class FrameReader:
             # Delimiters with nothing between them are allowed: a sender may begin with one, to end earlier noise.
             if not encoded:
                 continue
-            payload = _payload(encoded)
+            payload = payload_of(encoded)
             if payload:
                 payloads.append(payload)
             else:
@@ -65,7 +65,7 @@ class FrameReader:
         self._pending += piece[: _MAX_ENCODED_BYTES + 1 - len(self._pending)]
 
 
-def _payload(encoded: bytes) -> bytes:
+def payload_of(encoded: bytes) -> bytes:
     """Return the payload between two delimiters, or nothing if it is damaged, empty or too long."""
     if len(encoded) > _MAX_ENCODED_BYTES:
         return b""

@@ -1,4 +1,4 @@
-"""Writes the files that depend on the messages: C sources and tables of docs/reference/protocol.md.
+"""Writes the files that depend on the messages: C sources, Wireshark's dissector, tables of docs/reference/protocol.md.
 
 Run it after a change: `python -m vibrocast.device_protocol.generate`.
 """
@@ -18,6 +18,7 @@ from vibrocast.device_protocol.messages import FROM_HOST, RESPONSES, Described, 
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "reference" / "protocol.md"
+DISSECTOR = ROOT / "device_protocol" / "vibrocast.lua"
 CONTROLLER = ROOT / "firmware" / "controller"
 _NUMBERS = {"uint8_t": 1, "uint16_t": 2, "uint32_t": 4, "uint64_t": 8, "int64_t": 8}
 _TYPES = {"u8": "uint8_t", "u16": "uint16_t", "u32": "uint32_t", "u64": "uint64_t", "i64": "int64_t", "f32": "uint32_t"}
@@ -30,6 +31,7 @@ def generated_files() -> dict[Path, str]:
     """Return the required content of every generated file."""
     return {
         **{CONTROLLER / name: _in_c_file(name) for name in ("protocol.h", "messages.h", "messages.c")},
+        DISSECTOR: dissector(),
         PAGE: page(PAGE.read_text(encoding="utf-8")),
     }
 
@@ -174,6 +176,53 @@ def _writer(message: type[Message]) -> str:
 def _size(owner: type) -> str:
     """Return the number of bytes of a tag's value, an expression in C."""
     return " + ".join(term for field in wire_fields(owner) for term in _in_c(field, "value->").size)
+
+
+# ---- Wireshark's dissector in Lua ----
+
+_LUA_TYPES = {"u8": "uint8", "u16": "uint16", "u32": "uint32", "u64": "uint64", "i64": "int64", "f32": "float"}
+
+
+def dissector() -> str:
+    """Return the dissector: the template next to this module, with the fields of all messages."""
+    return pages.render(
+        Path(__file__).with_name("vibrocast.lua.jinja"),
+        messages=messages,
+        layout=layout,
+        all_messages=messages.ALL,
+        owners=(*messages.ALL, *_NESTED),
+        nested=_NESTED,
+        snake=_snake,
+        lua_fields=_lua_fields,
+        lua_values=_lua_values,
+        wire_fields=wire_fields,
+    )
+
+
+def _lua_values(field: WireField) -> str:
+    """Return the names of an enumeration's numbers as a table of Lua, "nil" for any other field."""
+    if not (isinstance(field.type, type) and issubclass(field.type, IntEnum)):
+        return "nil"
+    return "{" + ", ".join(f'[{member.value}] = "{member.name}"' for member in field.type) + "}"
+
+
+def _lua_fields(owner: type) -> list[tuple[str, str, str, str]]:
+    """Return name, kind for `read`, type of the ProtoField and names of values of each field but those in tags."""
+    found = []
+    for field in wire_fields(owner):
+        values = _lua_values(field)
+        match field.wire:
+            case Fixed() if field.type is bytes:
+                found.append((field.name, str(layout.SHA256_BYTES), "bytes", values))
+            case Fixed(name=wire):
+                found.append((field.name, wire, _LUA_TYPES[wire], values))
+            case Flag():
+                found.append((field.name, "u8", "uint8", values))
+            case Rest(name=kind):
+                found.append((field.name, kind, "string" if kind == "text" else "bytes", values))
+            case Part(name=kind):
+                found.append((field.name, kind, "uint32" if kind == "varint" else "string", values))
+    return found
 
 
 # ---- docs/reference/protocol.md ----

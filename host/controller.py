@@ -32,6 +32,7 @@ from vibrocast.device_protocol.messages import (
 from vibrocast.device_protocol.transports import Closing, DeviceGone, Transport, TransportError, selectable
 from vibrocast.host import event_loop
 from vibrocast.host.event_loop import Steps
+from vibrocast.host.tracing import TappedTransport
 
 if TYPE_CHECKING:
     from vibrocast.output.sound_card import CardUse
@@ -126,7 +127,10 @@ class Controller(Closing):
 
     def make_selectable(self) -> None:
         """Give the transport a file that an event loop can wait for, where it lacks one and can be given one."""
-        self._transport = selectable(self._transport)
+        if isinstance(self._transport, TappedTransport):
+            self._transport.make_selectable()
+        else:
+            self._transport = selectable(self._transport)
 
     @property
     def file(self) -> Any:

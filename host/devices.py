@@ -24,6 +24,7 @@ from vibrocast.device_protocol.transports import (
     open_transport,
 )
 from vibrocast.host.controller import Controller, ControllerError
+from vibrocast.host.tracing import TappedTransport
 
 if TYPE_CHECKING:
     from vibrocast.output.actuator import Actuator
@@ -130,7 +131,7 @@ def reach(address: str, runtime: str | None = None, actuator: "Actuator | None" 
             transport = _sound_card(address, runtime, actuator)
         else:
             transport = open_transport(address)
-        yield stack.enter_context(transport)
+        yield TappedTransport(stack.enter_context(transport), address)
 
 
 def simulated(runtime: str | None = None, actuator: "Actuator | None" = None) -> "SimulatedController":

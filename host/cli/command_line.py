@@ -1,10 +1,12 @@
 """The `vibrocast` command: finds the subcommand, loads it, and turns each error into one line and an exit code."""
 
+import contextlib
 import errno
 import importlib
 import re
 import sys
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
 import click
@@ -13,6 +15,8 @@ from vibrocast import extras
 from vibrocast.host.cli import exit_codes
 from vibrocast.host.printable import plain
 
+TRACE_OF_FAILURE = "vibrocast.trace_of_failure"
+"""Where a click.Context notes the file for the trace of a run that fails."""
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -119,15 +123,44 @@ class VibrocastCommand(click.Group):
         """Run a subcommand, its errors turned into click's own; with --debug they pass with their traceback."""
         try:
             return super().invoke(ctx)
-        except (click.ClickException, click.exceptions.Exit, click.Abort, BrokenPipeError):
+        except click.exceptions.Exit:
+            raise
+        except (click.ClickException, click.Abort, KeyboardInterrupt, BrokenPipeError):
+            keep_trace(ctx)
             raise
         except Exception as error:
+            keep_trace(ctx)
             if ctx.params["debug"]:
                 raise
             if isinstance(error, ModuleNotFoundError):
                 error = extras.explained(error) or error
             command = self.get_command(ctx, ctx.invoked_subcommand or "")
             raise explained(error, option_names(command)) from error
+
+
+def keep_trace(ctx: click.Context) -> None:
+    """Write the last frames of a run that failed, where the subcommand has named a file (`options.trace_failure`)."""
+    path = ctx.meta.get(TRACE_OF_FAILURE)
+    if path is None:
+        return
+    from vibrocast.host.tracing import tracer
+
+    if tracer.frames:
+        with contextlib.suppress(OSError):  # the failure itself is the news
+            tracer.save(path)
+            click.echo(f"trace of the last frames: {plain(str(path))}", err=True)
+
+
+def trace_file(ctx: click.Context, param: click.Parameter, value: str | None) -> Path | None:
+    """Return the file of a trace, or raise click.BadParameter for another suffix."""
+    if value is None:
+        return None
+    from vibrocast.device_protocol.trace import SUFFIXES
+
+    path = Path(value)
+    if path.suffix.lower() not in SUFFIXES:
+        raise click.BadParameter(f"{value!r} has another suffix than {' or '.join(SUFFIXES)}", ctx, param)
+    return path
 
 
 def option_names(command: click.Command | None) -> dict[str, str]:
@@ -193,8 +226,19 @@ def fail(message: str, exit_code: int) -> NoReturn:
 )
 @click.version_option(package_name="vibrocast")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
+@click.option(
+    "--trace",
+    "trace_path",
+    callback=trace_file,
+    metavar="FILE",
+    help="Write all frames of the links to controllers into a .pcapng or .jsonl file.",
+)
 @click.pass_context
-def main(ctx: click.Context, debug: bool) -> None:
+def main(ctx: click.Context, debug: bool, trace_path: Path | None) -> None:
     """Compress vibrotactile textures and play them in real time on an actuator."""
+    if trace_path is not None:
+        from vibrocast.host.tracing import tracer
+
+        ctx.with_resource(tracer.writing(trace_path))
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())

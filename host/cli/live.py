@@ -37,6 +37,7 @@ from vibrocast.host.cli.options import (
     model_option,
     own_actuator,
     setting_option,
+    trace_failure,
 )
 from vibrocast.host.cli.rate_options import RateOptions, rate_controlled_options
 from vibrocast.host.cli.sections import CODING, CONTROLLER, INPUT, OUTPUT, SectionedCommand, section
@@ -192,6 +193,7 @@ def live(
     if chosen.needs_model and model is None:
         model = default_model(chosen)
     actuator = own_actuator(address, actuator_name, bench)
+    trace_failure(report_path and report_path.with_suffix(".pcapng"))
     with devices.connect(address, actuator=actuator) as controller, progress.bar("streaming") as update:
         check_bench_actuator(bench, address, controller.description.actuator)
         if model is not None:

@@ -15,6 +15,7 @@ from vibrocast.host.cli.options import (
     fail_where_missed,
     grouped,
     plan_option,
+    trace_failure,
 )
 from vibrocast.host.cli.sensor_options import sensitivity_option, volts_option
 from vibrocast.host.harness import ACTUATOR, JSON, NAMES, PAGE
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from vibrocast.host.bench_file import Bench
 
 
+TRACE = "trace.pcapng"
 MAX_SHOWN = 6
 """Figures that are named where a run is not as the earlier one."""
 
@@ -150,6 +152,7 @@ def measure(
     bench = choose_controller(bench if plan_path is None else read_plan(plan_path).bench(), device)
     bench = calibrated(bench, calibration)
     before = None if earlier is None else read_results(earlier)
+    trace_failure(out / TRACE)
     results = measure_bench(bench, out, names, before)
     changes = [] if before is None else compare(before, results.document())
     for name, why in results.failed.items():

@@ -80,6 +80,14 @@ def parsed_setting(ctx: click.Context, param: click.Parameter, values: Sequence[
     return setting
 
 
+def trace_failure(path: Path | None) -> None:
+    """Keep the last frames in a file if the command fails; None = nowhere."""
+    from vibrocast.host.cli.command_line import TRACE_OF_FAILURE
+
+    if path is not None:
+        click.get_current_context().meta[TRACE_OF_FAILURE] = path
+
+
 def chosen_bench(ctx: click.Context, param: click.Parameter, value: Path | None) -> "Bench | None":
     """Return the bench of a file, and let `checked_address` take the names of its controllers."""
     if value is None:

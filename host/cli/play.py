@@ -33,6 +33,7 @@ from vibrocast.host.cli.options import (
     quality_options,
     recording_options,
     runtime_option,
+    trace_failure,
 )
 from vibrocast.host.cli.sections import CONTROLLER, OUTPUT, PLAYBACK, SectionedCommand, section
 from vibrocast.host.cli.steps import (
@@ -206,6 +207,7 @@ def play(
         play_profile(file.name, addresses[0], own, replace(stream, runtime=runtime), movement, outputs.plot_path)
         return
     source = read_source(file, quality, recording, runtime)
+    trace_failure(outputs.report_path and outputs.report_path.with_suffix(".pcapng"))
     names = devices.unique_names(addresses)
     sessions = {name: devices.connect(address, runtime, actuators[address]) for name, address in names.items()}
     with devices.open_all(sessions) as (controllers, failures):
