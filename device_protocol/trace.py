@@ -51,9 +51,9 @@ class TracedFrame:
             return None
 
     def as_json(self) -> dict[str, Any]:
-        """Return the frame ready for JSON: time, direction, message with its fields, and bytes in hexadecimal."""
+        """Return the frame ready for JSON: the message with its fields, and the bytes in hexadecimal."""
         document: dict[str, Any] = {
-            "time_s": self.time_ns / 1e9,
+            "time_ns": self.time_ns,
             "from": "host" if self.from_host else "controller",
             "link": self.link,
         }
@@ -203,7 +203,7 @@ def _read_lines(file: BinaryIO, path: Path) -> Iterator[TracedFrame]:
         try:
             frame = json.loads(line)
             yield TracedFrame(
-                round(1e9 * float(frame["time_s"])),
+                int(frame["time_ns"]),
                 frame["from"] == "host",
                 str(frame["link"]),
                 bytes.fromhex(frame["frame"]),

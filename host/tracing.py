@@ -34,13 +34,22 @@ class Tracer:
         """Take in a frame. Raises OSError where it cannot be written."""
         self._kept.append(frame)
         self._kept_bytes += len(frame.encoded)
-        while self._kept_bytes > KEPT_BYTES:
+        while self._kept_bytes > KEPT_BYTES and self._kept:
             self._kept_bytes -= len(self._kept.popleft().encoded)
         if self._file is not None and self._writer is not None:
             self._writer.write(frame)
             if time.monotonic() - self._flushed_s > _FLUSH_S:
                 self._file.flush()
                 self._flushed_s = time.monotonic()
+
+    def take(self) -> tuple[TracedFrame, ...]:
+        """Return the kept frames, once."""
+        taken = []
+        with contextlib.suppress(IndexError):
+            while True:  # another thread may add to them
+                taken.append(self._kept.popleft())
+        self._kept_bytes = 0
+        return tuple(taken)
 
     def forget(self) -> None:
         """Drop the kept frames."""

@@ -20,13 +20,14 @@ class PtyPort(RealTimePort):
     """Serves a controller on a pseudo-terminal.
 
     `name`: the port that a host opens; the link stays the same when the cable is pulled and plugged in again. A host
-    may close and open it at any time. Raises OSError if the system has no pseudo-terminals.
+    may close and open it at any time. `link`: that name, None = in a temporary folder. Raises OSError if the system has
+    no pseudo-terminals, and FileExistsError where a file has this name.
     """
 
-    def __init__(self, controller: Device) -> None:
+    def __init__(self, controller: Device, link: Path | None = None) -> None:
         super().__init__(controller)
         self._folder = tempfile.TemporaryDirectory(prefix="vibrocast-")
-        self.name = str(Path(self._folder.name) / "controller")
+        self.name = str(link or Path(self._folder.name) / "controller")
         self._orders: queue.SimpleQueue[tuple[Callable[[], None], threading.Event]] = queue.SimpleQueue()
         self._master = self._slave = -1
         self._connect()
@@ -71,7 +72,8 @@ class PtyPort(RealTimePort):
 
     def _disconnect(self) -> None:
         if self._master >= 0:
-            os.unlink(self.name)
+            with contextlib.suppress(FileNotFoundError):  # someone else may have deleted it
+                os.unlink(self.name)
             os.close(self._master)
             os.close(self._slave)
             self._master = self._slave = -1

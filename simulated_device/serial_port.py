@@ -1,6 +1,7 @@
 """The serial port of a simulated controller: a pseudo-terminal, or a socket on a system without them."""
 
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vibrocast.simulated_device.device import Device
@@ -15,12 +16,15 @@ def has_pseudo_terminals() -> bool:
     return find_spec("termios") is not None
 
 
-def serial_port(controller: Device) -> "PtyPort | SocketPort":
-    """Return a port that serves a controller; a host opens its `name` as a serial port. Raises OSError."""
+def serial_port(controller: Device, link: Path | None = None) -> "PtyPort | SocketPort":
+    """Return a port that serves a controller; a host opens its `name` as a serial port. Raises OSError.
+
+    `link`: this name, where the system has pseudo-terminals; None = any.
+    """
     if has_pseudo_terminals():
         from vibrocast.simulated_device.pty_port import PtyPort
 
-        return PtyPort(controller)
+        return PtyPort(controller, link)
     from vibrocast.simulated_device.socket_port import SocketPort
 
     return SocketPort(controller)

@@ -69,7 +69,6 @@ RETIRED_TERMS = {
     for pattern, term in {
         r"\btactor controllers?\b": "controller",
         r"\btactors?\b(?! controller)": "actuator",
-        r"\btraces?\b(?! (?:back|of an? error))": "recording (file), signal (samples), texture (stimulus)",
         r"\b(?:ladders?|rungs?)\b": "rate points, rate point",
         r"\bthrift\b": "rd-weight",
         r"\bcoarseness\b": "quantiser offset",

@@ -1,6 +1,5 @@
 """The `vibrocast` command: finds the subcommand, loads it, and turns each error into one line and an exit code."""
 
-import contextlib
 import errno
 import importlib
 import re
@@ -13,10 +12,9 @@ import click
 
 from vibrocast import extras
 from vibrocast.host.cli import exit_codes
+from vibrocast.host.cli.failure_trace import keep_trace
 from vibrocast.host.printable import plain
 
-TRACE_OF_FAILURE = "vibrocast.trace_of_failure"
-"""Where a click.Context notes the file for the trace of a run that fails."""
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -50,6 +48,11 @@ SECTIONS: Mapping[str, Mapping[str, Subcommand]] = {
         "flash": Subcommand("devices", "flash", "Upload a trained model to a controller."),
         "keys": Subcommand("keys", "keys", "Make keys, sign model images and check signatures."),
         "simulate": Subcommand("devices", "simulate", "Run a simulated controller until Ctrl-C."),
+    },
+    "See and break the wire": {
+        "monitor": Subcommand("wire", "monitor", "Show the frames between a host and a controller as they pass."),
+        "replay": Subcommand("wire", "replay", "Show the frames of a trace, or send them again."),
+        "proxy": Subcommand("wire", "proxy", "Put a wire with faults between a host and a controller."),
     },
     "Measure and compare": {
         "bench": Subcommand("bench", "bench", "Measure codecs and trained models on a folder of recordings."),
@@ -138,19 +141,6 @@ class VibrocastCommand(click.Group):
             raise explained(error, option_names(command)) from error
 
 
-def keep_trace(ctx: click.Context) -> None:
-    """Write the last frames of a run that failed, where the subcommand has named a file (`options.trace_failure`)."""
-    path = ctx.meta.get(TRACE_OF_FAILURE)
-    if path is None:
-        return
-    from vibrocast.host.tracing import tracer
-
-    if tracer.frames:
-        with contextlib.suppress(OSError):  # the failure itself is the news
-            tracer.save(path)
-            click.echo(f"trace of the last frames: {plain(str(path))}", err=True)
-
-
 def trace_file(ctx: click.Context, param: click.Parameter, value: str | None) -> Path | None:
     """Return the file of a trace, or raise click.BadParameter for another suffix."""
     if value is None:
@@ -180,6 +170,7 @@ def explained(error: Exception, options: Mapping[str, str]) -> click.ClickExcept
     from vibrocast.device_protocol.coded_stream import StreamError
     from vibrocast.device_protocol.messages import MessageError
     from vibrocast.device_protocol.model_image import ModelImageError
+    from vibrocast.device_protocol.trace import TraceError
     from vibrocast.device_protocol.transports import TransportError
     from vibrocast.files import InputFileError
     from vibrocast.firmware.native_core import CoreError
@@ -193,6 +184,7 @@ def explained(error: Exception, options: Mapping[str, str]) -> click.ClickExcept
         InputFileError,
         extras.MissingExtraError,
         StreamError,
+        TraceError,
         ModelImageError,
         models.ModelError,
         OSError,
@@ -231,7 +223,7 @@ def fail(message: str, exit_code: int) -> NoReturn:
     "trace_path",
     callback=trace_file,
     metavar="FILE",
-    help="Write all frames of the links to controllers into a .pcapng or .jsonl file.",
+    help="Write all frames into a .pcapng or .jsonl file.",
 )
 @click.pass_context
 def main(ctx: click.Context, debug: bool, trace_path: Path | None) -> None:

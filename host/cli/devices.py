@@ -1,6 +1,5 @@
 """The subcommands on controllers: `devices`, `flash`, `status` and `simulate`."""
 
-import sys
 import time
 from pathlib import Path
 
@@ -16,9 +15,11 @@ from vibrocast.host.cli.options import (
     chosen_model,
     device_option,
     json_option,
+    link_option,
     own_actuator,
     plan_option,
     runtime_option,
+    tell_address,
 )
 from vibrocast.host.cli.steps import needed, show
 from vibrocast.host.printable import plain
@@ -93,11 +94,17 @@ def status(address: str, actuator_name: str | None, as_json: bool) -> None:
     show_default=True,
     help="Let the controller's clock run fast.",
 )
+@link_option
 @click.option("--flash-file", type=OutputFile(), help="Keep model images in this file. Default: lost at the end.")
 @click.option("--public-key", type=INPUT, metavar="FILE", help="Take only model images that this key signed.")
 @runtime_option
 def simulate(
-    actuator: str, drift_ppm: int, flash_file: Path | None, public_key: Path | None, runtime: str | None
+    actuator: str,
+    drift_ppm: int,
+    link: Path | None,
+    flash_file: Path | None,
+    public_key: Path | None,
+    runtime: str | None,
 ) -> None:
     """Run a simulated controller until Ctrl-C.
 
@@ -115,8 +122,7 @@ def simulate(
     flash_memory = FlashMemory(FLASH_BYTES, path=flash_file)
     key = None if public_key is None else read_public_key(public_key)
     settings = Settings(actuator=ACTUATORS[actuator], drift_ppm=drift_ppm, runtime=runtime, public_key=key)
-    with serial_port(SimulatedController(settings, flash_memory)) as port:
-        click.echo(f"serial:{port.name}")
-        sys.stdout.flush()
+    with serial_port(SimulatedController(settings, flash_memory), link) as port:
+        tell_address(port.name)
         while True:
             time.sleep(1.0)  # on Windows, Ctrl-C interrupts no wait for an event

@@ -22,6 +22,7 @@ from vibrocast.files import atomic_write
 from vibrocast.host import devices, uploader
 from vibrocast.host import live as streaming
 from vibrocast.host.bench_limits import BenchLimits, Judged, lost_percent, missed
+from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import Number, OutputFile, Whole, positive
 from vibrocast.host.cli.options import (
     BadInput,
@@ -37,7 +38,6 @@ from vibrocast.host.cli.options import (
     model_option,
     own_actuator,
     setting_option,
-    trace_failure,
 )
 from vibrocast.host.cli.rate_options import RateOptions, rate_controlled_options
 from vibrocast.host.cli.sections import CODING, CONTROLLER, INPUT, OUTPUT, SectionedCommand, section

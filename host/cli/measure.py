@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from vibrocast import extras
+from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import FOLDER, INPUT
 from vibrocast.host.cli.options import (
     Regression,
@@ -15,7 +16,6 @@ from vibrocast.host.cli.options import (
     fail_where_missed,
     grouped,
     plan_option,
-    trace_failure,
 )
 from vibrocast.host.cli.sensor_options import sensitivity_option, volts_option
 from vibrocast.host.harness import ACTUATOR, JSON, NAMES, PAGE

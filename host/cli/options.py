@@ -18,7 +18,7 @@ from vibrocast.device_protocol.messages import ActuatorDescription
 from vibrocast.device_protocol.model_image import ModelImageError
 from vibrocast.host import devices
 from vibrocast.host.cli.exit_codes import BAD_INPUT, LIMIT_MISSED, REGRESSION
-from vibrocast.host.cli.option_types import INPUT, Number, Whole, positive
+from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, positive
 from vibrocast.host.cli.sections import CODING, section
 from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
 from vibrocast.output import actuator_files
@@ -78,14 +78,6 @@ def parsed_setting(ctx: click.Context, param: click.Parameter, values: Sequence[
             raise click.BadParameter(f"{name} is given twice; keep one", ctx, param)
         setting[name] = value
     return setting
-
-
-def trace_failure(path: Path | None) -> None:
-    """Keep the last frames in a file if the command fails; None = nowhere."""
-    from vibrocast.host.cli.command_line import TRACE_OF_FAILURE
-
-    if path is not None:
-        click.get_current_context().meta[TRACE_OF_FAILURE] = path
 
 
 def chosen_bench(ctx: click.Context, param: click.Parameter, value: Path | None) -> "Bench | None":
@@ -241,6 +233,17 @@ def check_bench_actuator(bench: "Bench | None", address: str, description: Actua
 plan_option = click.option(
     "--plan", "plan_path", type=INPUT, metavar="FILE", help="Take codecs and controllers from a plan file."
 )
+link_option = click.option(
+    "--link", type=OutputFile(), metavar="NAME", help="Name the port. Default: another one at each start."
+)
+
+
+def tell_address(port_name: str) -> None:
+    """Print the address of a port for other programs, at once."""
+    click.echo(f"serial:{port_name}")
+    sys.stdout.flush()
+
+
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 
 

@@ -17,6 +17,7 @@ from vibrocast.files import atomic_write
 from vibrocast.host import devices, player, profiles
 from vibrocast.host.bench_limits import missed
 from vibrocast.host.cli import planned
+from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, positive
 from vibrocast.host.cli.options import (
     BadInput,
@@ -33,7 +34,6 @@ from vibrocast.host.cli.options import (
     quality_options,
     recording_options,
     runtime_option,
-    trace_failure,
 )
 from vibrocast.host.cli.sections import CONTROLLER, OUTPUT, PLAYBACK, SectionedCommand, section
 from vibrocast.host.cli.steps import (

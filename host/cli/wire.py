@@ -1,0 +1,204 @@
+"""The subcommands that look into a wire or break it: `monitor`, `replay` and `proxy`."""
+
+import json
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from vibrocast.device_protocol.messages import Start, Status, pack
+from vibrocast.device_protocol.trace import TracedFrame, read_trace
+from vibrocast.device_protocol.transports import Transport, TransportError
+from vibrocast.host import devices
+from vibrocast.host.cli.option_types import INPUT, Number, Whole, positive
+from vibrocast.host.cli.options import checked_address, grouped, json_option, link_option, tell_address
+from vibrocast.host.frame_lines import line
+from vibrocast.host.printable import plain
+from vibrocast.host.tracing import tracer
+
+if TYPE_CHECKING:
+    from vibrocast.simulated_device.faulty_wire import Fault
+
+_POLL_S = 0.05
+# After the last frame of a replay, answers may come for so long.
+_ANSWERS_S = 0.5
+
+address_argument = click.argument("address", callback=checked_address)
+
+
+class Screen:
+    """Prints frames, as lines or as JSON; the first one begins the time."""
+
+    def __init__(self, as_json: bool) -> None:
+        self._as_json = as_json
+        self._began_ns: int | None = None
+
+    def show(self, frames: Iterable[TracedFrame]) -> None:
+        """Print frames."""
+        for frame in frames:
+            if self._began_ns is None:
+                self._began_ns = frame.time_ns
+            click.echo(json.dumps(frame.as_json()) if self._as_json else plain(line(frame, self._began_ns)))
+        sys.stdout.flush()
+
+
+@click.command()
+@address_argument
+@link_option
+@json_option
+def monitor(address: str, link: Path | None, as_json: bool) -> None:
+    """Show the frames between a host and a controller as they pass.
+
+    The command opens the controller at ADDRESS, and prints the address of another port on stderr. Pass that to the
+    program that you want to watch as its --device. Each line has the time, the direction, the message and its fields:
+    state, position, credit, buffer and the counters that are not 0.
+
+    --json prints one JSON object a line. `vibrocast --trace FILE monitor` also writes them.
+    """
+    serve(address, link, (), 0, Screen(as_json))
+
+
+def _option(kind: Number, name: str, text: str) -> Callable[..., Any]:
+    """Return an option that is 0 by default."""
+    return click.option(name, type=kind, default=0.0, show_default=True, help=text)
+
+
+@dataclass(frozen=True)
+class FaultOptions:
+    """One fault that lasts as long as the wire."""
+
+    lost: float
+    flipped: float
+    delay_ms: float
+    jitter_ms: float
+    bits_per_second: float | None
+
+
+share_option = partial(_option, Number("PART", 0, 1))
+delay_option = partial(_option, Number("ms", 0, 10_000))
+
+
+@click.command()
+@address_argument
+@link_option
+@grouped(
+    "given",
+    FaultOptions,
+    share_option("--lost", "Lose this part of the frames, 0 to 1."),
+    share_option("--flipped", "Damage this part of the frames, 0 to 1."),
+    delay_option("--delay-ms", "Delay each frame."),
+    delay_option("--jitter-ms", "Delay each by up to this much more."),
+    click.option("--rate-bps", "bits_per_second", type=positive("bit/s"), help="Limit the capacity, 8 bits to a byte."),
+)
+@click.option("--faults", "schedule", type=INPUT, metavar="FILE", help="Take a schedule of faults from a TOML file.")
+@click.option(
+    "--seed", type=Whole("NUMBER", 0, 2**31), default=0, show_default=True, help="Draw other faults at random."
+)
+def proxy(address: str, link: Path | None, given: FaultOptions, schedule: Path | None, seed: int) -> None:
+    """Put a wire with faults between a host and a controller.
+
+    The command opens the controller at ADDRESS, and prints the address of another port. Pass that to any program as its
+    --device. The options hold for both directions and all the time. A schedule names faults with their times, and can
+    pull the cable. The same seed gives the same faults for the same frames.
+    """
+    from vibrocast.simulated_device.faulty_wire import Fault, read_faults
+
+    faults = () if schedule is None else read_faults(schedule)
+    serve(address, link, (Fault(**vars(given)), *faults), seed, None)
+
+
+def serve(address: str, link: Path | None, faults: "Sequence[Fault]", seed: int, screen: Screen | None) -> None:
+    """Serve a controller behind a port of its own until Ctrl-C; raise what broke the way to it."""
+    from vibrocast.simulated_device.faulty_wire import FaultyWire, RemoteDevice
+    from vibrocast.simulated_device.serial_port import has_pseudo_terminals, serial_port
+
+    if any(fault.cut for fault in faults) and not has_pseudo_terminals():
+        raise TransportError("a cut cable needs pseudo-terminals, which this system lacks; leave out `cut`")
+    with devices.reach(address) as transport:
+        remote = RemoteDevice(transport)
+
+        def pull(is_out: bool) -> None:
+            # Not in the thread of the port, which this waits for.
+            threading.Thread(target=getattr(port, "unplug" if is_out else "plug"), daemon=True).start()
+
+        port = serial_port(FaultyWire(remote, faults, seed, pull), link)
+        try:
+            with port:
+                tell_address(port.name)
+                tracer.forget()
+                while remote.failure is None:
+                    time.sleep(_POLL_S)
+                    if screen is not None:
+                        screen.show(tracer.take())
+        except Exception:
+            if remote.failure is None:
+                raise
+        if remote.failure is not None:
+            raise remote.failure
+
+
+@click.command()
+@click.argument("trace", type=INPUT)
+@click.option(
+    "--device",
+    "address",
+    callback=lambda *given: given[2] and checked_address(*given),
+    metavar="ADDRESS",
+    help="Send the frames from the host to this controller, at their times.",
+)
+@json_option
+def replay(trace: Path, address: str | None, as_json: bool) -> None:
+    """Show the frames of a trace, or send them again.
+
+    Without --device, the command shows the frames of TRACE, a .pcapng or .jsonl file of `vibrocast --trace`. With it,
+    the frames from the host go to the controller at the times of the trace, and the command shows both directions.
+    """
+    screen, frames = Screen(as_json), list(read_trace(trace))
+    if address is None:
+        screen.show(frames)
+        return
+    with devices.reach(address) as transport:
+        tracer.forget()
+        send_again(transport, [each for each in frames if each.from_host], first_device_us(frames), screen)
+
+
+def first_device_us(frames: Iterable[TracedFrame]) -> int | None:
+    """Return the controller's time in the first Status of a trace; None without one."""
+    for frame in frames:
+        found = frame.message()
+        if found is not None and isinstance(found[1], Status):
+            return found[1].device_time_us
+    return None
+
+
+def send_again(transport: Transport, frames: Sequence[TracedFrame], before_us: int | None, screen: Screen) -> None:
+    """Send frames at their times. `before_us`: the controller's time then, by which that of a Start is moved."""
+    from vibrocast.device_protocol.frames import DELIMITER, write_frame
+
+    began_s = time.monotonic()
+    shift_us: int | None = None
+    for frame in frames:
+        due_s = began_s + (frame.time_ns - frames[0].time_ns) / 1e9
+        encoded = frame.encoded + DELIMITER
+        while True:
+            transport.read(max(0.0, min(_POLL_S, due_s - time.monotonic())))
+            if shift_us is None and before_us is not None and (now_us := first_device_us(tracer.frames)) is not None:
+                shift_us = now_us - before_us
+            screen.show(tracer.take())
+            if time.monotonic() >= due_s:
+                break
+        found = frame.message()
+        if found is not None and isinstance(found[1], Start) and found[1].device_time_us and shift_us is not None:
+            moved = Start(max(0, found[1].device_time_us + shift_us))
+            encoded = write_frame(pack(moved, found[0]))
+        transport.write(encoded)
+    until_s = time.monotonic() + _ANSWERS_S
+    while time.monotonic() < until_s:
+        transport.read(_POLL_S)
+    screen.show(tracer.take())

@@ -1,0 +1,93 @@
+"""`monitor`, `replay` and `proxy`: what passes a wire is shown, sent again, and damaged."""
+
+import contextlib
+import json
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from vibrocast.device_protocol.trace import read_trace
+from vibrocast.host.cli.command_line import main
+from vibrocast.simulated_device.serial_port import has_pseudo_terminals
+
+ROOT = Path(__file__).parents[2]
+needs_terminals = pytest.mark.skipif(not has_pseudo_terminals(), reason="the port is a pseudo-terminal")
+OAK = str(ROOT / "examples" / "oak.wav")
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+@contextlib.contextmanager
+def serving(*arguments: str) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
+    """Run a command that serves a port; yield the address that it prints first, and the process."""
+    command = [sys.executable, "-c", "from vibrocast.host.cli.entry import main; main()", *arguments]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT) as process:
+        assert process.stdout is not None
+        address = process.stdout.readline().strip()
+        try:
+            yield address, process
+        finally:
+            process.kill()
+
+
+@needs_terminals
+def test_what_passes_is_shown_with_state_credit_buffer_and_counters(tmp_path: Path) -> None:
+    link = tmp_path / "port"
+    with serving("monitor", "sim", "--link", str(link)) as (address, process):
+        assert address == f"serial:{link}"
+        played = run("play", OAK, "--device", address)
+        process.send_signal(signal.SIGINT)
+        shown, errors = process.communicate(timeout=30)
+    assert played.exit_code == 0, played.output
+    assert errors.strip() == "error: interrupted"
+    assert re.search(r"^ +0\.000000  host -> controller +#\d+ +Hello +major 2, minor 0$", shown, re.MULTILINE)
+    assert re.search(
+        r"controller -> host +#?\d* +Status +playing, stream \d+, position \d+, credit until \d+, buffered \d+", shown
+    )
+    assert "StreamData" in shown and "DAMAGED" not in shown
+    assert not link.exists()
+
+
+@needs_terminals
+def test_a_proxy_damages_frames_and_pulls_the_cable(tmp_path: Path) -> None:
+    schedule = tmp_path / "faults.toml"
+    schedule.write_text("[[faults]]\nflipped = 0.1\ndirection = 'to_controller'\n")
+    with serving("proxy", "sim", "--faults", str(schedule), "--seed", "3") as (address, _):
+        damaged = run("live", "rough", "--seconds", "2", "--device", address)
+    assert damaged.exit_code == 4
+    assert re.search(r"damaged frames [1-9]\d* there, 0 back", damaged.output)
+    schedule.write_text("[[faults]]\nat_s = 0.2\nfor_s = 60\ncut = true\n")
+    with serving("proxy", "sim", "--faults", str(schedule)) as (address, _):
+        cut = run("live", "rough", "--seconds", "2", "--device", address, "--report", tmp_path / "live.json")
+    assert cut.exit_code == 3
+    assert "cannot open serial port" in cut.output
+
+
+def test_a_trace_is_shown_and_sent_again(tmp_path: Path) -> None:
+    trace = tmp_path / "trace.jsonl"
+    assert run("--trace", trace, "play", OAK).exit_code == 0
+    frames = list(read_trace(trace))
+    shown = run("replay", trace).output.splitlines()
+    assert len(shown) == len(frames)
+    as_json = [json.loads(line) for line in run("replay", trace, "--json").output.splitlines()]
+    assert as_json == [frame.as_json() for frame in frames]
+    again = [json.loads(line) for line in run("replay", trace, "--device", "sim", "--json").output.splitlines()]
+    sent = [each["frame"] for each in again if each["from"] == "host"]
+    assert sent == [frame.encoded.hex() for frame in frames if frame.from_host]
+    last = [each["fields"] for each in again if each["message"] == "Status"][-1]
+    assert (last["state"], last["underruns"], last["lost_packets"]) == ("FINISHED", 0, 0)
+
+
+def test_another_file_is_no_trace(tmp_path: Path) -> None:
+    (tmp_path / "x.pcapng").write_bytes(b"RIFF")
+    failed = run("replay", tmp_path / "x.pcapng")
+    assert failed.exit_code == 2
+    assert failed.output.strip().endswith("no trace; give one that `vibrocast --trace FILE` wrote")

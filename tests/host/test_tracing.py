@@ -1,0 +1,70 @@
+"""Every link is tapped: frames are kept within a limit, written as they pass, and a failed run leaves the last ones."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from vibrocast.device_protocol.frames import write_frame
+from vibrocast.device_protocol.messages import HelloResponse, StatusRequest, pack
+from vibrocast.device_protocol.trace import TracedFrame, read_trace
+from vibrocast.host import devices, tracing
+from vibrocast.host.cli.command_line import main
+from vibrocast.host.tracing import TappedTransport, Tracer
+from vibrocast.simulated_device.controller import Controller
+from vibrocast.simulated_device.faulty_link import MemoryLink
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_frames_of_both_directions_are_seen() -> None:
+    tracer = Tracer()
+    link = TappedTransport(MemoryLink(Controller()), "memory", tracer)
+    frame = write_frame(pack(StatusRequest(), 7))
+    for piece in (frame[:3], frame[3:]):
+        link.write(piece)
+    link.read(0.1)
+    sent, answered = tracer.frames
+    assert (sent.from_host, sent.link, sent.message()) == (True, "memory", (7, StatusRequest()))
+    assert answered.from_host is False and answered.message() is not None
+
+
+def test_no_more_than_the_last_frames_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tracing, "KEPT_BYTES", 1000)
+    tracer = Tracer()
+    for number in range(100):
+        tracer.note(TracedFrame(number, True, "x", bytes(300)))
+    assert [frame.time_ns for frame in tracer.frames] == [97, 98, 99]
+    assert len(tracer.take()) == 3 and tracer.frames == ()
+
+
+@pytest.mark.parametrize("address", ["sim", "sim-usb"])
+def test_every_address_is_tapped(address: str, tmp_path: Path) -> None:
+    with tracing.tracer.writing(tmp_path / "trace.jsonl"), devices.connect(address) as controller:
+        controller.request_status()
+    found = [frame.message() for frame in read_trace(tmp_path / "trace.jsonl")]
+    names = [type(each[1]).__name__ for each in found if each is not None]
+    assert names == ["Hello", "HelloResponse", "StatusRequest", "Status"]
+
+
+def test_any_command_writes_a_trace(tmp_path: Path) -> None:
+    path = tmp_path / "trace.pcapng"
+    assert CliRunner().invoke(main, ["--trace", str(path), "status"]).exit_code == 0
+    hello, *_ = [found[1] for frame in read_trace(path) if not frame.from_host and (found := frame.message())]
+    assert isinstance(hello, HelloResponse)
+    other = CliRunner().invoke(main, ["--trace", str(tmp_path / "trace.txt"), "status"])
+    assert other.exit_code == 2 and "has another suffix than .pcapng or .jsonl" in other.output
+
+
+def test_a_failed_run_leaves_a_trace_next_to_its_report(tmp_path: Path) -> None:
+    bench, report = tmp_path / "bench.toml", tmp_path / "report.json"
+    bench.write_text('[[controllers]]\nname = "it"\naddress = "sim"\n[limits]\nmin_gain = 9\n')
+    arguments = ["play", str(ROOT / "examples" / "taps.wav"), "--report", str(report)]
+    assert CliRunner().invoke(main, arguments).exit_code == 0
+    assert not report.with_suffix(".pcapng").exists()
+    failed = CliRunner().invoke(main, [*arguments, "--bench", str(bench)])
+    assert re.search(r"^trace of the last frames: .*report\.pcapng$", failed.output, re.MULTILINE)
+    assert any(frame.message() for frame in read_trace(report.with_suffix(".pcapng")))
+    json.loads(report.read_text())

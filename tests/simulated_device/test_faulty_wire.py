@@ -1,0 +1,107 @@
+"""A wire with faults: each kind, its time, its direction, and the same again from the same seed."""
+
+from pathlib import Path
+
+import pytest
+
+from vibrocast.simulated_device.device import Device
+from vibrocast.simulated_device.faulty_wire import Fault, FaultsFileError, FaultyWire, RemoteDevice, read_faults
+
+FRAMES = [bytes([number, 1, 2, 3, 0]) for number in range(1, 201)]
+
+
+class Echo(Device):
+    """Sends back all that it receives, and keeps it with its time."""
+
+    def __init__(self) -> None:
+        self.received: list[tuple[int, bytes]] = []
+        self._waiting = b""
+
+    def receive(self, data: bytes, now_us: int) -> None:
+        self.received.append((now_us, data))
+        self._waiting += data
+
+    def advance(self, now_us: int) -> None:
+        """Do nothing."""
+
+    def transmit(self) -> bytes:
+        data, self._waiting = self._waiting, b""
+        return data
+
+
+def carried(*faults: Fault, seed: int = 1) -> tuple[list[tuple[int, bytes]], bytes]:
+    """Send a frame each ms; return what arrived at the controller, and what came back."""
+    echo = Echo()
+    wire, back = FaultyWire(echo, faults, seed), b""
+    for number in range(1000):
+        if number < len(FRAMES):
+            wire.receive(FRAMES[number], 1000 * number)
+        else:
+            wire.advance(1000 * number)
+        back += wire.transmit()
+    return echo.received, back
+
+
+def test_a_wire_without_faults_carries_all_at_once() -> None:
+    received, back = carried()
+    assert [at for at, _ in received] == [1000 * number for number in range(200)]
+    assert back == b"".join(FRAMES)
+
+
+def test_frames_are_lost_and_damaged_by_seed() -> None:
+    lossy = Fault(lost=0.1, direction="to_controller")
+    received, back = carried(lossy)
+    assert 160 < len(received) < 195
+    assert back == b"".join(data for _, data in received)
+    assert carried(lossy) == (received, back)
+    assert carried(lossy, seed=2) != (received, back)
+    flipped, _ = carried(Fault(flipped=0.1, direction="to_controller"))
+    assert 5 < sum(data not in FRAMES for _, data in flipped) < 40
+    there, back = carried(Fault(lost=0.1, direction="to_host"))
+    assert len(there) == 200 > back.count(0)
+
+
+def test_delay_and_capacity_make_frames_late_in_their_order() -> None:
+    received, _ = carried(Fault(delay_ms=20, jitter_ms=10, direction="to_controller"))
+    assert b"".join(data for _, data in received) == b"".join(FRAMES)
+    assert received[0][0] >= 20_000 and received[-1][0] <= 199_000 + 31_000
+    slow, _ = carried(Fault(bits_per_second=20_000, direction="to_controller"))  # a frame in 2 ms
+    assert slow[-1][0] == pytest.approx(400_000, abs=2000)
+
+
+def test_a_fault_lasts_as_long_as_it_says_and_a_cut_is_told() -> None:
+    told: list[bool] = []
+    echo = Echo()
+    wire = FaultyWire(echo, [Fault(at_s=0.05, for_s=0.1, cut=True)], on_cut=told.append)
+    for number, frame in enumerate(FRAMES):
+        wire.receive(frame, 7_000_000 + 1000 * number)  # the schedule begins with the first byte
+    assert b"".join(data for _, data in echo.received) == b"".join(FRAMES[:50] + FRAMES[150:])
+    assert told == [True, False]
+
+
+def test_a_schedule_is_read_and_its_mistakes_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "faults.toml"
+    path.write_text("[[faults]]\nat_s = 2\nfor_s = 0.5\ncut = true\n[[faults]]\nflipped = 0.02\n")
+    assert read_faults(path) == (Fault(at_s=2, for_s=0.5, cut=True), Fault(flipped=0.02))
+    for text, message in {
+        "[[faults]]\nlost = 2\n": "lost",
+        "[[faults]]\nloss = 0.1\n": "did you mean lost",
+        "[[faults]]\ndirection = 'up'\n": "one of to_controller, to_host, both",
+        "": "faults is missing",
+    }.items():
+        path.write_text(text)
+        with pytest.raises(FaultsFileError, match=message):
+            read_faults(path)
+
+
+def test_what_breaks_the_way_to_a_remote_controller_is_kept() -> None:
+    class Broken:
+        def write(self, data: bytes) -> None:
+            raise TransportError("gone")
+
+    from vibrocast.device_protocol.transports import TransportError
+
+    remote = RemoteDevice(Broken())  # type: ignore[arg-type]
+    with pytest.raises(TransportError):
+        remote.receive(b"x", 0)
+    assert str(remote.failure) == "gone"
