@@ -190,13 +190,15 @@ class _BenchFile(Table, frozen=True, kw_only=True):
 class Bench:
     """The parts of a bench; `controllers` has at least one entry, and `first` is the one under test.
 
-    `limits`: what a run must keep. `sha256`: of the bench file, hexadecimal; None without one.
+    `texture_names`: of files and generators, in the order of `scene`. `limits`: of a run. `sha256`: of the bench file,
+    hexadecimal; None without one.
     """
 
     controllers: tuple[BenchController, ...]
     actuators: tuple[BenchActuator, ...] = ()
     sensors: tuple[Sensor, ...] = ()
     textures: tuple[Callable[[], Recording], ...] = field(default=(), repr=False)
+    texture_names: tuple[str, ...] = (DEFAULT_TEXTURE,)
     limits: BenchLimits = field(default_factory=BenchLimits)
     sha256: str | None = None
 
@@ -241,6 +243,7 @@ def read_bench(path: Path, allow_programs: bool = False) -> Bench:
             read_actuators(file.actuators, names),
             sensors,
             tuple(located_loaders),
+            tuple(each.generate or Path(str(each.file)).stem for each in file.textures) or (DEFAULT_TEXTURE,),
             file.limits,
             hashlib.sha256(path.read_bytes()).hexdigest(),
         )

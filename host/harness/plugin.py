@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from vibrocast.host.bench_file import Bench
     from vibrocast.host.controller import Controller
     from vibrocast.host.end_to_end import Outcome
+    from vibrocast.host.harness.faulty_transport import FaultyTransport
     from vibrocast.output.actuator import Actuator
     from vibrocast.textures import Recording
 
@@ -34,6 +35,21 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
     group.addoption(
         "--vibrocast-allow-programs", action="store_true", help="let the bench file start programs as sensors"
+    )
+    group.addoption(
+        "--vibrocast-wait-s",
+        type=float,
+        default=0.0,
+        metavar="SECONDS",
+        help="wait so long for a controller that is absent, or that another process uses; default: 0",
+    )
+    group.addoption(
+        "--vibrocast-skip-missing", action="store_true", help="skip tests whose controller is still absent then"
+    )
+    group.addoption(
+        "--vibrocast-keep",
+        metavar="FOLDER",
+        help="keep the last frames on the wire of each failed test in this folder, as TEST.pcapng",
     )
     group.addoption("--vibrocast-plan", metavar="PLAN.toml", help="plan of `vibrocast plan`, in place of a bench file")
 
@@ -75,13 +91,71 @@ def vibrocast_bench(pytestconfig: pytest.Config) -> Bench:
         raise pytest.UsageError(str(error)) from error
 
 
-@pytest.fixture
-def vibrocast_device(vibrocast_bench: Bench) -> Iterator[Controller]:
-    """A session with the controller under test. Its output is brought to rest after the test."""
-    from vibrocast.host.bench_file import connect
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Repeat a test that asks for `vibrocast_texture` for each texture of the bench file."""
+    if "vibrocast_texture" in metafunc.fixturenames:
+        bench = _read(metafunc.config)
+        names = ("wood",) if bench is None else bench.texture_names
+        metafunc.parametrize("vibrocast_texture", range(len(names)), ids=names, indirect=True)
 
-    with connect(vibrocast_bench, vibrocast_bench.first) as session:
-        yield session
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
+    """Note for the fixtures whether a test has failed."""
+    outcome: Any = yield
+    if outcome.get_result().failed:
+        vars(item)["vibrocast_failed"] = True
+
+
+@pytest.fixture
+def vibrocast_wire(request: pytest.FixtureRequest, vibrocast_bench: Bench) -> Iterator[FaultyTransport]:
+    """The way to the controller under test; `damage` and `pull_cable` break it."""
+    import time
+
+    from vibrocast.device_protocol.transports import TransportError
+    from vibrocast.host import devices
+    from vibrocast.host.harness.faulty_transport import FaultyTransport
+    from vibrocast.host.tracing import tracer
+
+    config, first = request.config, vibrocast_bench.first
+    until_s = time.monotonic() + config.getoption("vibrocast_wait_s")
+    tracer.forget()
+    while True:
+        way = devices.reach(first.address, actuator=vibrocast_bench.actuator(first.name))
+        try:
+            transport = way.__enter__()
+            break
+        except TransportError as error:
+            if time.monotonic() >= until_s:
+                if config.getoption("vibrocast_skip_missing"):
+                    pytest.skip(str(error))
+                raise
+            time.sleep(0.1)
+    try:
+        yield FaultyTransport(transport)
+    finally:
+        way.__exit__(None, None, None)
+        folder = config.getoption("vibrocast_keep")
+        if folder is not None and vars(request.node).get("vibrocast_failed"):
+            Path(folder).mkdir(parents=True, exist_ok=True)
+            name = "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in request.node.name)
+            tracer.save(Path(folder) / f"{name}.pcapng")
+
+
+@pytest.fixture
+def vibrocast_device(vibrocast_bench: Bench, vibrocast_wire: FaultyTransport) -> Iterator[Controller]:
+    """A session with the controller under test. Its output is brought to rest after the test."""
+    import contextlib
+
+    from vibrocast.device_protocol.transports import TransportError
+    from vibrocast.host.bench_file import check_actuator
+    from vibrocast.host.controller import Controller, ControllerError
+
+    session = Controller(vibrocast_wire)
+    check_actuator(vibrocast_bench, vibrocast_bench.first, session.description.actuator)
+    yield session
+    vibrocast_wire.damage()
+    with contextlib.suppress(ControllerError, TransportError):  # a test may leave the cable out
         session.stop()
 
 
@@ -100,18 +174,19 @@ def vibrocast_play(
     """A function that encodes a texture, plays it and compares: `vibrocast_play(texture, **options)`.
 
     The options are those of `vibrocast.codec.encoding.encode_recording`. It returns an Outcome, whose `report` is a
-    Report.
+    Report. The test fails where the playback misses limits of the bench file.
     """
     from vibrocast.codec.encoding import encode_recording
     from vibrocast.host import end_to_end
     from vibrocast.host.bench_file import driven_actuator
+    from vibrocast.host.bench_limits import missed
 
     first = vibrocast_bench.first
     driven = driven_actuator(vibrocast_bench, first, vibrocast_device.description.actuator)
 
     def play_texture(texture: Recording, **options: Any) -> Outcome:
         encoding = encode_recording(texture, live=True, **options)
-        return end_to_end.play(
+        outcome = end_to_end.play(
             vibrocast_device,
             first.address,
             texture.name,
@@ -120,6 +195,9 @@ def vibrocast_play(
             actuator=driven,
             skin_model=vibrocast_actuator,
         )
+        if lines := missed(vibrocast_bench.limits, outcome.report.judged()):
+            pytest.fail(f"limits missed: {'; '.join(lines)}")
+        return outcome
 
     return play_texture
 
@@ -128,3 +206,11 @@ def vibrocast_play(
 def vibrocast_scene(vibrocast_bench: Bench) -> tuple[Recording, ...]:
     """The textures of the bench file; a generated one without a bench file."""
     return vibrocast_bench.scene()
+
+
+@pytest.fixture
+def vibrocast_texture(request: pytest.FixtureRequest, vibrocast_bench: Bench) -> Recording:
+    """One texture of the bench file; the test runs once for each, and the texture's name is in its own."""
+    loaders = vibrocast_bench.textures
+    texture: Recording = loaders[request.param]() if loaders else vibrocast_bench.scene()[0]
+    return texture

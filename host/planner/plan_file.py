@@ -183,7 +183,8 @@ class Plan:
         """Return controllers, actuators and the textures over time as a bench; a texture raises as its `recording`."""
         controllers = tuple(BenchController(each.name, each.address) for each in self.controllers)
         over_time = tuple(each.recording for each in self.textures if not each.over_position)
-        return Bench(controllers, self.actuators, textures=over_time)
+        names = tuple(each.name for each in self.textures if not each.over_position)
+        return Bench(controllers, self.actuators, textures=over_time, texture_names=names)
 
 
 def prepared(

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from vibrocast.device_protocol.trace import read_trace
+
 pytest_plugins = "pytester"
 
 USERS_TEST = """
@@ -143,3 +145,60 @@ def test_a_project_that_does_not_use_the_plugin_is_left_alone(
 def test_installing_vibrocast_installs_the_plugin() -> None:
     project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
     assert project["entry-points"]["pytest11"] == {"vibrocast": "vibrocast.host.harness.plugin"}
+
+
+def users_run(pytester: pytest.Pytester, test: str, bench: str, *arguments: str) -> pytest.RunResult:
+    """Run a user's test on a bench."""
+    pytester.makepyfile(test)
+    pytester.path.joinpath("bench.toml").write_text(bench)
+    return pytester.runpytest_subprocess(*LOADED, "--vibrocast-bench=bench.toml", *arguments)
+
+
+SIM = '[[controllers]]\nname = "it"\naddress = "sim"\n'
+TWO = '[[textures]]\ngenerate = "rough"\nseconds = 0.5\n[[textures]]\ngenerate = "taps"\nseconds = 0.5\n'
+
+
+def test_each_texture_is_a_test_of_its_own(pytester: pytest.Pytester) -> None:
+    test = "def test_it(vibrocast_texture): assert vibrocast_texture.name.startswith(('rough', 'taps'))"
+    result = users_run(pytester, test, SIM + TWO, "-v")
+    result.assert_outcomes(passed=2)
+    result.stdout.fnmatch_lines(["*test_it[[]rough] PASSED*", "*test_it[[]taps] PASSED*"])
+
+
+def test_a_missed_limit_fails_a_test_and_keeps_its_frames(pytester: pytest.Pytester) -> None:
+    test = "def test_it(vibrocast_play, vibrocast_scene): vibrocast_play(vibrocast_scene[0])"
+    bench = SIM + TWO + "[limits]\nmin_gain = 9\n"
+    result = users_run(pytester, test, bench, "--vibrocast-keep", "kept")
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["*limits missed: rough*: gain = *, min_gain = 9*"])
+    frames = list(read_trace(pytester.path / "kept" / "test_it.pcapng"))
+    assert any(frame.from_host for frame in frames) and any(frame.message() for frame in frames)
+
+
+def test_a_test_breaks_the_wire(pytester: pytest.Pytester) -> None:
+    test = """
+def test_lost_frames_are_noticed(vibrocast_play, vibrocast_wire, vibrocast_scene):
+    vibrocast_wire.damage(lost=0.2, direction="to_controller", seed=1)
+    report = vibrocast_play(vibrocast_scene[0]).report
+    assert report.lost_packets and not report.decoded_equals_offline
+
+def test_a_pulled_cable_is_survived(vibrocast_play, vibrocast_wire, vibrocast_device, vibrocast_scene):
+    vibrocast_device.request_status()
+    vibrocast_wire.pull_cable(0.1)
+    import pytest
+    from vibrocast.device_protocol.transports import TransportError
+    with pytest.raises(TransportError, match="pulled the cable"):
+        vibrocast_device.request_status()
+    vibrocast_device.reconnect(5.0)
+    assert vibrocast_play(vibrocast_scene[0]).report.dac_equals_offline
+"""
+    users_run(pytester, test, SIM + TWO + "[limits]\nmax_lost_percent = 100\n").assert_outcomes(passed=2)
+
+
+def test_an_absent_controller_is_waited_for_and_then_skipped(pytester: pytest.Pytester) -> None:
+    test = "def test_it(vibrocast_device): pass"
+    bench = '[[controllers]]\nname = "it"\naddress = "serial:nowhere"\n'
+    users_run(pytester, test, bench).assert_outcomes(errors=1)
+    result = users_run(pytester, test, bench, "--vibrocast-wait-s", "0.3", "--vibrocast-skip-missing", "-rs")
+    result.assert_outcomes(skipped=1)
+    result.stdout.fnmatch_lines(["*cannot open serial port nowhere*"])
