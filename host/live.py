@@ -411,10 +411,16 @@ class LiveStream:
         if self._wire_bytes is None:
             self.send_packets([renumbered(packet, self._refreshed_at) for packet in self._encoder.finish()])
             self.say_end()
-        assert self._wire_bytes is not None
         if self.packets_sent:
             self._wait_for_the_end()
+        return self.result()
+
+    def result(self) -> LiveResult:
+        """Return what has happened so far."""
         streams = [*self.earlier, self.status]
+        wire_bytes = self._wire_bytes
+        if wire_bytes is None:
+            wire_bytes = self.controller.bytes_sent - self._wire_bytes_before
         return LiveResult(
             status=self.status,
             underruns=sum(status.underruns for status in streams),
@@ -426,7 +432,7 @@ class LiveStream:
             streams=len(streams),
             seconds=self.seconds,
             payload_bytes=self.payload_bytes,
-            wire_bytes=self._wire_bytes,
+            wire_bytes=wire_bytes,
         )
 
     def _wait_for_the_end(self) -> None:

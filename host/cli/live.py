@@ -44,6 +44,7 @@ from vibrocast.host.cli.sections import CODING, CONTROLLER, INPUT, OUTPUT, Secti
 from vibrocast.host.cli.steps import describe_card, warn_of_underruns
 from vibrocast.host.provenance import Provenance
 from vibrocast.host.report import SCHEMA
+from vibrocast.host.soak import Watch
 from vibrocast.textures.recording import MAX_CHANNELS
 
 if TYPE_CHECKING:
@@ -209,19 +210,21 @@ def live(
             )
         playout_delay_s = None if playout_delay_ms is None else playout_delay_ms / 1e3
         stream = streaming.LiveStream(controller, signal_format, coding=live_coding, playout_delay_s=playout_delay_s)
+        watch = Watch(stream)
         # Shorter than long packets, so that what the controller sends meanwhile is read.
         block_samples = min(stream.packet_samples, math.ceil(MAX_BLOCK_S * rate_hz))
         blocks: Iterator[NDArray[np.float64]]
         total_s = None
         if source != STANDARD_INPUT:
-            blocks = (block for _, block in streaming.paced(stream, texture.samples, block_samples))
+            blocks = watch.blocks(streaming.paced(stream, texture.samples, block_samples))
             total_s = texture.seconds
         else:
             blocks = raw_blocks(samples.sample_format, samples.channels, full_scale, block_samples)
         if highpass_hz is not None and textures.is_vibration(signal_format.unit):
             blocks = map(textures.LiveHighPass(rate_hz, highpass_hz), blocks)
 
-        def show(_: Status) -> None:
+        def show(now: Status) -> None:
+            watch.note(now)
             part = None if total_s is None else min(1.0, stream.seconds / total_s)
             length = "" if total_s is None else f" of {total_s:.1f}"
             rate_bps = 8 * stream.payload_bytes / stream.seconds if stream.seconds else 0.0
@@ -231,10 +234,11 @@ def live(
             result = streaming.play(stream, blocks, progress=show)
         except streaming.LiveError as error:
             raise BadInput(str(error)) from error
-    if report_path:
-        report = json.dumps(figures(result, stream, bench), indent=2, allow_nan=False)
-        with atomic_write(report_path) as partial:
-            partial.write_text(report + "\n", encoding="utf-8")
+        finally:
+            # Of a stream that was cut, too.
+            watch.close()
+            if report_path:
+                write_report(report_path, figures(stream.result(), stream, watch, bench))
     delay_ms = 1000 * stream.playout_delay_s
     if target is not None:
         click.echo(
@@ -250,6 +254,11 @@ def live(
     if card := stream.controller.sound_card:
         click.echo(f"sound card {describe_card(card)}")
         warn_of_underruns(card)
+    for minute in watch.minutes:
+        if minute.cause is not None:
+            late = "" if minute.host_late_ms is None else f", host up to {minute.host_late_ms:.0f} ms late"
+            lost = f"underruns {minute.underruns}, lost packets {minute.lost_packets}, restarts {minute.restarts}"
+            click.echo(f"from {minute.from_s:.0f} s: {lost}{late}; cause: {minute.cause}")
     if result.bad_frames or result.bad_frames_back:
         click.echo("warning: frames were damaged on the wire; check cable, connectors and baud rate", err=True)
     elif result.lost_packets or result.dropped_packets:
@@ -268,7 +277,9 @@ def judged(result: streaming.LiveResult) -> Iterator[Judged]:
     yield Judged("bad_frames", "live", result.bad_frames + result.bad_frames_back)
 
 
-def figures(result: streaming.LiveResult, stream: streaming.LiveStream, bench: "Bench | None" = None) -> dict[str, Any]:
+def figures(
+    result: streaming.LiveResult, stream: streaming.LiveStream, watch: Watch, bench: "Bench | None"
+) -> dict[str, Any]:
     """Return the report of a live stream, ready for JSON; docs/reference/report.md explains each figure."""
     card, hello = stream.controller.sound_card, stream.controller.description
     return {
@@ -293,7 +304,14 @@ def figures(result: streaming.LiveResult, stream: streaming.LiveStream, bench: "
         "streams": result.streams,
         "device": {"build": hello.build, "hardware": hello.hardware, "serial_number": hello.serial_number},
         "sound_card": None if card is None else asdict(card),
+        "minutes": [asdict(minute) for minute in watch.minutes],
     }
+
+
+def write_report(path: Path, document: dict[str, Any]) -> None:
+    """Write a report as JSON, whole or not at all. Raises OSError."""
+    with atomic_write(path) as partial:
+        partial.write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def raw_blocks(

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
+from vibrocast.host import soak
 from vibrocast.host.cli.command_line import main
 from vibrocast.host.cli.exit_codes import LIMIT_MISSED
 from vibrocast.simulated_device.controller import Controller
@@ -50,7 +51,8 @@ def test_raw_samples_are_streamed_to_their_end(name: str, kind: str) -> None:
         kind
     )
     data = samples.tobytes() + b"\0"  # half a sample at the end is no sample
-    result = run("-", "--format", name, "--channels", "2", "--unit", "um", "--full-scale", "20", data=data)
+    given = ("--format", name, "--channels", "2", "--unit", "um", "--full-scale", "20", "--playout-delay-ms", "300")
+    result = run("-", *given, data=data)
     assert result.exit_code == 0, result.output
 
 
@@ -155,3 +157,35 @@ def test_a_bench_file_gives_controller_and_limits(tmp_path: Path) -> None:
         run("rough", "--seconds", "0.5", "--bench", bench_file(tmp_path, "sim", "max_lost_percent = 100")).exit_code
         == 0
     )
+
+
+def test_minutes_are_counted_and_an_interrupted_stream_leaves_its_report(tmp_path: Path) -> None:
+    report = tmp_path / "live.json"
+    assert run("rough", "--seconds", "0.5", "--playout-delay-ms", "300", "--report", str(report)).exit_code == 0
+    (minute,) = json.loads(report.read_text())["minutes"]
+    assert (minute["packets"], minute["cause"]) == (88, None)
+    assert 0 < minute["margin_ms"] <= 310 and minute["host_late_ms"] >= 0
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("vibrocast.host.soak.Watch.note", interrupted)
+        assert run("rough", "--seconds", "30", "--report", str(report)).exit_code == 130
+    assert 0 < json.loads(report.read_text())["seconds"] < 30
+
+
+@pytest.mark.parametrize(
+    ("counts", "cause"),
+    [
+        ({}, None),
+        ({"bad_frames": 3}, None),
+        ({"lost_packets": 1, "host_late_ms": 2.0}, "wire"),
+        ({"lost_packets": 1, "host_late_ms": 8.0}, "host"),
+        ({"lost_packets": 1, "host_late_ms": 8.0, "bad_frames": 1}, "wire"),
+        ({"underruns": 1, "output_gaps": 1, "host_late_ms": 8.0}, "device"),
+        ({"restarts": 1}, "wire"),
+    ],
+)
+def test_a_minute_names_what_made_it_lose_something(counts: dict[str, float], cause: str | None) -> None:
+    assert soak.cause(soak.Minute(0.0, **counts), playout_delay_ms=10.0) == cause  # type: ignore[arg-type]

@@ -1,0 +1,105 @@
+"""Watches a long live stream minute by minute: losses and their cause, lateness of the host, the margin left."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from vibrocast.codec import Signal
+from vibrocast.device_protocol.messages import State, Status
+from vibrocast.host.live import LiveStream
+
+MINUTE_S = 60.0
+
+
+@dataclass
+class Minute:
+    """A minute of a live stream, from `from_s` on. Counts are of this minute.
+
+    `host_late_ms`: by how much the host handled a block too late, at most; None where blocks have no time of their own.
+    `margin_ms`: the least time that packets lay ready at the controller; None where it never played.
+    """
+
+    from_s: float
+    packets: int = 0
+    underruns: int = 0
+    lost_packets: int = 0
+    dropped_packets: int = 0
+    restarts: int = 0
+    bad_frames: int = 0
+    bad_frames_back: int = 0
+    output_gaps: int = 0
+    host_late_ms: float | None = None
+    margin_ms: float | None = None
+    cause: str | None = None
+
+
+@dataclass(frozen=True)
+class _Counts:
+    packets: int
+    underruns: int
+    lost_packets: int
+    dropped_packets: int
+    restarts: int
+    bad_frames: int
+    bad_frames_back: int
+    output_gaps: int
+
+    @classmethod
+    def of(cls, stream: LiveStream) -> "_Counts":
+        """Return the counts of a stream so far."""
+        result, statuses = stream.result(), (*stream.earlier, stream.status)
+        return cls(
+            result.packets,
+            result.underruns,
+            result.lost_packets,
+            result.dropped_packets,
+            result.streams - 1,
+            result.bad_frames,
+            result.bad_frames_back,
+            sum(status.output_gaps for status in statuses),
+        )
+
+
+class Watch:
+    """Notes what happens to a live stream; `minutes`: those that have ended, and the one under way."""
+
+    def __init__(self, stream: LiveStream) -> None:
+        self._stream = stream
+        self._before = _Counts.of(stream)
+        self.minutes = [Minute(0.0)]
+
+    def blocks(self, paced: Iterator[tuple[float, Signal]]) -> Iterator[Signal]:
+        """Yield paced blocks, and note how late the host is with each."""
+        for due_s, block in paced:
+            late_ms = 1e3 * (self._stream.controller.clock() - due_s)
+            minute = self.minutes[-1]
+            minute.host_late_ms = max(late_ms, minute.host_late_ms or 0.0)
+            yield block
+
+    def note(self, status: Status) -> None:
+        """Take in a status; begin another minute when one has ended."""
+        minute = self.minutes[-1]
+        if status.state == State.PLAYING and status.buffered_samples:
+            ready_ms = 1e3 * status.buffered_samples / self._stream.format.rate_hz
+            minute.margin_ms = ready_ms if minute.margin_ms is None else min(ready_ms, minute.margin_ms)
+        if self._stream.seconds >= minute.from_s + MINUTE_S:
+            self.close()
+            self.minutes.append(Minute(minute.from_s + MINUTE_S))
+
+    def close(self) -> None:
+        """Count the minute under way."""
+        minute, now = self.minutes[-1], _Counts.of(self._stream)
+        for name, count in vars(now).items():
+            setattr(minute, name, max(0, count - getattr(self._before, name)))
+        minute.cause = cause(minute, 1e3 * self._stream.playout_delay_s)
+        self._before = now
+
+
+def cause(minute: Minute, playout_delay_ms: float) -> str | None:
+    """Return what made a minute lose something: "host", "wire" or "device"; None where it lost nothing."""
+    if not (minute.underruns or minute.lost_packets or minute.restarts or minute.output_gaps):
+        return None
+    if minute.output_gaps:
+        return "device"
+    if minute.bad_frames or minute.bad_frames_back:
+        return "wire"
+    return "host" if minute.host_late_ms is not None and minute.host_late_ms > playout_delay_ms / 2 else "wire"
