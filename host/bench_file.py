@@ -63,11 +63,20 @@ FileNames = Annotated[
 ]
 
 
+Program = Annotated[tuple[str, ...], Meta(min_length=1, description="a list of a program and its arguments")]
+
+
 class BenchController(Table, frozen=True):
     """A controller of the bench. `address`: as `host.devices.connect` takes it."""
 
     name: Text
     address: Address
+
+
+class PoweredController(BenchController, frozen=True):
+    """A controller whose power a program, `power_cycle` with its arguments, takes away and gives back; None = none."""
+
+    power_cycle: Program | None = None
 
 
 @dataclass(frozen=True)
@@ -95,9 +104,7 @@ class Sensor(Table, frozen=True, kw_only=True):
     kind: Annotated[str, one_of(SENSOR_KINDS)]
     controller: str | None = None
     channel: Annotated[int, within(1, 16, "channel of the controller")] = 1
-    command: (
-        Annotated[tuple[str, ...], Meta(min_length=1, description="a list of a program and its arguments")] | None
-    ) = None
+    command: Program | None = None
     input: Annotated[str, Meta(pattern=r"\A(serial:|audio:).+\Z", description=_INPUT)] | None = None
     suffix: Annotated[str, one_of(SUFFIXES)] = ".wav"
     rate_hz: RateHz | None = None
@@ -179,7 +186,7 @@ class _BenchTexture(TextureTable, frozen=True, kw_only=True):
 
 
 class _BenchFile(Table, frozen=True, kw_only=True):
-    controllers: Annotated[tuple[BenchController, ...], Meta(min_length=1)]
+    controllers: Annotated[tuple[PoweredController, ...], Meta(min_length=1)]
     actuators: tuple[ActuatorTable, ...] = ()
     sensors: tuple[Sensor, ...] = ()
     textures: tuple[_BenchTexture, ...] = ()
@@ -233,7 +240,9 @@ def read_bench(path: Path, allow_programs: bool = False) -> Bench:
             "sensors", file.sensors, lambda each: structs.replace(each, controller=one_named(each.controller, names))
         )
         check_places("sensors", sensors)
-        check_programs({f"sensor {each.name}": each.program for each in sensors if each.program}, allow_programs)
+        programs = {f"sensor {each.name}": each.program for each in sensors if each.program}
+        programs |= {f"controller {each.name}": each.power_cycle[0] for each in file.controllers if each.power_cycle}
+        check_programs(programs, allow_programs)
         loaders = read_each("textures", file.textures, partial(_loader, path.parent))
         located_loaders = (
             partial(_loaded, f"{path}: [[textures]] {number}", load) for number, load in enumerate(loaders, 1)

@@ -160,6 +160,29 @@ def vibrocast_device(vibrocast_bench: Bench, vibrocast_wire: FaultyTransport) ->
 
 
 @pytest.fixture
+def vibrocast_power_cycle(vibrocast_bench: Bench, vibrocast_device: Controller) -> Callable[..., None]:
+    """A function that takes the device's power away and gives it back, by the program in the bench file.
+
+    It waits until the device answers again, for `within_s` at most, 30 by default. Without a program, the test is
+    skipped.
+    """
+    from vibrocast.host.bench_file import PoweredController
+
+    first = vibrocast_bench.first
+    program = first.power_cycle if isinstance(first, PoweredController) else None
+    if program is None:
+        pytest.skip(f"controller {first.name} has no power_cycle in the bench file")
+
+    def power_cycle(within_s: float = 30.0) -> None:
+        import subprocess
+
+        subprocess.run(program, stdin=subprocess.DEVNULL, check=True, timeout=within_s)
+        vibrocast_device.reconnect(within_s)
+
+    return power_cycle
+
+
+@pytest.fixture
 def vibrocast_actuator(vibrocast_bench: Bench, vibrocast_device: Controller) -> Actuator:
     """The model of the actuator on the controller's first channel: from the bench file, or from the controller."""
     from vibrocast.host.bench_file import actuator_of

@@ -19,10 +19,12 @@ from vibrocast.host.bench_file import (
     BenchActuator,
     BenchController,
     TextureTable,
+    actuator_differences,
     one_named,
     read_actuators,
 )
-from vibrocast.output.actuator import Actuator
+from vibrocast.host.devices import FIRMWARE
+from vibrocast.output.actuator import PIEZO_STACK, Actuator
 from vibrocast.output.actuator_files import ActuatorTable
 from vibrocast.textures import Profile, Recording, TextureError
 from vibrocast.textures.dataset import entries
@@ -334,9 +336,23 @@ def read_scene(path: Path) -> Scene:
             threshold_path=_threshold(path.parent, file.skin),
         )
         _check_channels(scene)
+        _check_actuators(scene)
         found = tuple(chain.from_iterable(read_each("textures", file.textures, partial(_textures, scene))))
         check_names("textures", [texture.name for texture in found])
         return replace(scene, textures=found)
+
+
+def _check_actuators(scene: Scene) -> None:
+    """Raise ValueError for an actuator behind firmware that has another one compiled in."""
+    firmware = {each.name: each.address for each in scene.controllers if each.address in FIRMWARE}
+    for number, entry in enumerate(scene.actuators, 1):
+        if entry.controller not in firmware:
+            continue
+        if differences := actuator_differences(entry.model, PIEZO_STACK):
+            raise ValueError(
+                f"[[actuators]] {number}: {firmware[entry.controller]} drives {PIEZO_STACK.name}, compiled in: "
+                f"{'; '.join(differences)}; plan for that, or for sim"
+            )
 
 
 def together(recordings: list[Recording]) -> Recording:

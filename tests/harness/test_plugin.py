@@ -202,3 +202,17 @@ def test_an_absent_controller_is_waited_for_and_then_skipped(pytester: pytest.Py
     result = users_run(pytester, test, bench, "--vibrocast-wait-s", "0.3", "--vibrocast-skip-missing", "-rs")
     result.assert_outcomes(skipped=1)
     result.stdout.fnmatch_lines(["*cannot open serial port nowhere*"])
+
+
+def test_power_is_cycled_by_the_program_of_the_bench_file(pytester: pytest.Pytester) -> None:
+    test = """
+def test_it(vibrocast_power_cycle, vibrocast_device):
+    vibrocast_power_cycle()
+    assert open("cycled").read() == "yes"
+    vibrocast_device.request_status()
+"""
+    users_run(pytester, test, SIM).assert_outcomes(skipped=1)
+    relay = f'power_cycle = [{sys.executable!r}, \'-c\', \'open("cycled", "w").write("yes")\']\n'
+    refused = users_run(pytester, test, SIM + relay)
+    refused.stderr.fnmatch_lines(["*controller it starts the program *; *--vibrocast-allow-programs*"])
+    users_run(pytester, test, SIM + relay, "--vibrocast-allow-programs").assert_outcomes(passed=1)
