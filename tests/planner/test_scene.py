@@ -182,7 +182,7 @@ def test_three_axes_need_a_choice(tmp_path: Path) -> None:
 
 
 def test_an_actuator_that_the_firmware_lacks_is_rejected_before_planning(tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match="cortex-m4 drives piezo-stack, compiled in: .*; plan for that, or for sim"):
+    with pytest.raises(SceneError, match=r"cortex-m4 drives piezo-stack, compiled in: .*; plan for that, or for sim"):
         scene(tmp_path, actuator='[[actuators]]\nmodel = "lra"\n')
     on_sim = '[[controllers]]\nname = "one"\naddress = "sim"\n'
     assert scene(tmp_path, controller=on_sim, actuator='[[actuators]]\nmodel = "lra"\n').actuators[0].model.quality
