@@ -1,5 +1,6 @@
 """Compares displacement at the skin with the texture: with the codec and without it, as played and as it could be."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,12 +49,24 @@ def compare_skin(
     on_decoded = align(decoded_um, padded, rate_hz)
     playing = metrics.measure(decoded_um[:, None], on_decoded.aligned[:, None], rate_hz, perceptual=False)
     if sent_um is None:
-        return SkinQuality(None, None, playing.snr_db, None, on_decoded.gain), _unpadded(on_decoded, margin, rate_hz)
+        quality = SkinQuality(None, None, _finite(playing.snr_db), None, _finite(on_decoded.gain))
+        return quality, _unpadded(on_decoded, margin, rate_hz)
     laid = align(sent_um, padded, rate_hz)
     at_skin = metrics.measure(sent_um[:, None], laid.aligned[:, None], rate_hz, perceptual=perceptual)
     decoded = metrics.measure(sent_um[:, None], decoded_um[:, None], rate_hz, perceptual=False)
-    quality = SkinQuality(at_skin.snr_db, decoded.snr_db, playing.snr_db, at_skin.st_sim_2800, laid.gain)
+    quality = SkinQuality(
+        snr_db=_finite(at_skin.snr_db),
+        decoded_snr_db=_finite(decoded.snr_db),
+        playing_snr_db=_finite(playing.snr_db),
+        st_sim=at_skin.st_sim_2800,
+        gain=_finite(laid.gain),
+    )
     return quality, _unpadded(laid, margin, rate_hz)
+
+
+def _finite(value: float | None) -> float | None:
+    """Return a figure, or None for the infinite SNR of an exact copy, and where a gain is no number."""
+    return value if value is not None and math.isfinite(value) else None
 
 
 def _unpadded(laid: Alignment, margin: Samples, rate_hz: int) -> Alignment:

@@ -187,10 +187,11 @@ def together(bench: Bench) -> list[Together]:
 def misfits(bench: Bench, fitted: Any) -> list[str]:
     """Return how the actuator that a sensor measured differs from the bench's, in words.
 
-    `fitted`: the measured response, None = not measured. Without a sensor, it is that of the model itself.
+    `fitted`: the measured response, None = not measured. Without a sensor, it is that of the model itself. Without a
+    bench file, the actuator is what the fit begins with, and nothing to be held to.
     """
     expected = bench.actuator(bench.first.name)
-    if fitted is None or expected is None:
+    if fitted is None or expected is None or bench.sha256 is None:
         return []
     differences = bench_file.actuator_differences(expected, fitted.actuator)
     return [f"response: {difference}; check the actuator and its cable" for difference in differences]
