@@ -32,31 +32,19 @@ class Minute:
     cause: str | None = None
 
 
-@dataclass(frozen=True)
-class _Counts:
-    packets: int
-    underruns: int
-    lost_packets: int
-    dropped_packets: int
-    restarts: int
-    bad_frames: int
-    bad_frames_back: int
-    output_gaps: int
-
-    @classmethod
-    def of(cls, stream: LiveStream) -> "_Counts":
-        """Return the counts of a stream so far."""
-        result, statuses = stream.result(), (*stream.earlier, stream.status)
-        return cls(
-            result.packets,
-            result.underruns,
-            result.lost_packets,
-            result.dropped_packets,
-            result.streams - 1,
-            result.bad_frames,
-            result.bad_frames_back,
-            sum(status.output_gaps for status in statuses),
-        )
+def _counts(stream: LiveStream) -> dict[str, int]:
+    """Return the counts of a stream so far, by the fields of Minute."""
+    result = stream.result()
+    return {
+        "packets": result.packets,
+        "underruns": result.underruns,
+        "lost_packets": result.lost_packets,
+        "dropped_packets": result.dropped_packets,
+        "restarts": result.streams - 1,
+        "bad_frames": result.bad_frames,
+        "bad_frames_back": result.bad_frames_back,
+        "output_gaps": sum(status.output_gaps for status in (*stream.earlier, stream.status)),
+    }
 
 
 class Watch:
@@ -64,7 +52,7 @@ class Watch:
 
     def __init__(self, stream: LiveStream) -> None:
         self._stream = stream
-        self._before = _Counts.of(stream)
+        self._before = _counts(stream)
         self.minutes = [Minute(0.0)]
 
     def blocks(self, paced: Iterator[tuple[float, Signal]]) -> Iterator[Signal]:
@@ -87,9 +75,9 @@ class Watch:
 
     def close(self) -> None:
         """Count the minute under way."""
-        minute, now = self.minutes[-1], _Counts.of(self._stream)
-        for name, count in vars(now).items():
-            setattr(minute, name, max(0, count - getattr(self._before, name)))
+        minute, now = self.minutes[-1], _counts(self._stream)
+        for name, count in now.items():
+            setattr(minute, name, max(0, count - self._before[name]))
         minute.cause = cause(minute, 1e3 * self._stream.playout_delay_s)
         self._before = now
 
