@@ -51,11 +51,6 @@ class Tracer:
         self._kept_bytes = 0
         return tuple(taken)
 
-    def forget(self) -> None:
-        """Drop the kept frames."""
-        self._kept.clear()
-        self._kept_bytes = 0
-
     def save(self, path: Path) -> None:
         """Write the kept frames, whole or not at all. Raises OSError."""
         with atomic_write(path) as partial, partial.open("wb") as file:

@@ -119,7 +119,7 @@ def vibrocast_wire(request: pytest.FixtureRequest, vibrocast_bench: Bench) -> It
 
     config, first = request.config, vibrocast_bench.first
     until_s = time.monotonic() + config.getoption("vibrocast_wait_s")
-    tracer.forget()
+    tracer.take()
     while True:
         way = devices.reach(first.address, actuator=vibrocast_bench.actuator(first.name))
         try:
