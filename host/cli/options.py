@@ -238,10 +238,10 @@ link_option = click.option(
 )
 
 
-def tell_address(port_name: str) -> None:
-    """Print the address of a port for other programs, at once."""
-    click.echo(f"serial:{port_name}")
-    sys.stdout.flush()
+def tell_address(port_name: str, err: bool = False) -> None:
+    """Print the address of a port for other programs, at once. `err`: on stderr, where stdout is for something else."""
+    click.echo(f"serial:{port_name}", err=err)
+    (sys.stderr if err else sys.stdout).flush()
 
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")

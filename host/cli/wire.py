@@ -130,13 +130,13 @@ def serve(address: str, link: Path | None, faults: "Sequence[Fault]", seed: int,
         port = serial_port(FaultyWire(remote, faults, seed, pull), link)
         try:
             with port:
-                tell_address(port.name)
-                tracer.forget()
+                tell_address(port.name, err=screen is not None)
+                tracer.take()
                 while remote.failure is None:
                     time.sleep(_POLL_S)
                     if screen is not None:
                         screen.show(tracer.take())
-        except Exception:
+        except TransportError:  # the port says that its controller has failed
             if remote.failure is None:
                 raise
         if remote.failure is not None:
@@ -164,7 +164,7 @@ def replay(trace: Path, address: str | None, as_json: bool) -> None:
         screen.show(frames)
         return
     with devices.reach(address) as transport:
-        tracer.forget()
+        tracer.take()
         send_again(transport, [each for each in frames if each.from_host], first_device_us(frames), screen)
 
 

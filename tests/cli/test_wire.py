@@ -30,8 +30,10 @@ def serving(*arguments: str) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
     """Run a command that serves a port; yield the address that it prints first, and the process."""
     command = [sys.executable, "-c", "from vibrocast.host.cli.entry import main; main()", *arguments]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT) as process:
-        assert process.stdout is not None
-        address = process.stdout.readline().strip()
+        # Standard output of `monitor` is for frames alone.
+        told = process.stderr if arguments[0] == "monitor" else process.stdout
+        assert told is not None
+        address = told.readline().strip()
         try:
             yield address, process
         finally:
