@@ -1,7 +1,9 @@
 """All codecs by name; encodes whole signals with a given setting, and decodes them."""
 
+import copy
 import math
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from functools import cached_property
 from typing import TypeAlias
 
@@ -225,6 +227,11 @@ def _check_model(codec: Codec, given: bool) -> None:
         raise CodecError(f"the codec {codec.name} needs a model; give one of its model images")
 
 
+EXCERPT = 8
+"""A signal this many times as long as an excerpt has one."""
+_EXCERPT_PIECE = 1024
+
+
 class Source:
     """A signal ready to be coded at any setting, as a file or as a live stream.
 
@@ -278,6 +285,22 @@ class Source:
                 return self._coded(encoder, packets)
             tried_samples = encoder.packet_samples
             framing = Framing(-(-framing.packet_samples // 2), 2 * framing.refresh_packets)
+
+    def excerpt(self, samples: int) -> "Source | None":
+        """Return pieces from all over a long signal, about this many samples per channel, to be coded as parts of it.
+
+        They keep its `format`, so that a setting means the same. None for a signal that is not EXCERPT times as long.
+        """
+        pieces = samples // _EXCERPT_PIECE
+        if len(self.samples) < EXCERPT * samples or pieces < 1:
+            return None
+        self.resolved({})  # the codec's choices are those for the whole signal
+        starts = np.linspace(0, len(self.samples) - _EXCERPT_PIECE, pieces).astype(int)
+        excerpt = copy.copy(self)
+        excerpt.samples = np.concatenate([self.samples[start : start + _EXCERPT_PIECE] for start in starts])
+        excerpt.format = replace(self.format, samples=None if self._live else len(excerpt.samples))
+        excerpt._progress = lambda part: None
+        return excerpt
 
     def encode_rate_controlled(self, setting: Setting, policy: Policy, framing: Framing) -> CodedSignal:
         """Code in one pass, like a live stream, with a policy that controls the rate.

@@ -100,9 +100,7 @@ class Stream:
         if not isinstance(data, bytes | bytearray | memoryview):
             raise StreamError(f"`data` is of type {type(data).__name__}; pass the bytes of a .vct file")
         header, packets = coded_stream.unpack_file(bytes(data))
-        if image is None and header.image_hash and (model := models.by_hash(header.image_hash)):
-            image = model.image
-        return cls(header, tuple(packets), image)
+        return cls(header, tuple(packets), shipped_image(header) if image is None else image)
 
     def save(self, path: str | Path) -> None:
         """Write a .vct file, whole or not at all.
@@ -352,6 +350,12 @@ def as_stream(coded: codec.CodedSignal, unit: str, image: bytes | None = None) -
         b"" if image is None else image_hash(image),
     )
     return Stream(header, coded.packets, image)
+
+
+def shipped_image(header: StreamHeader) -> bytes | None:
+    """Return the packed model image that a stream was coded for, if it ships; None without one."""
+    model = models.by_hash(header.image_hash) if header.image_hash else None
+    return None if model is None else model.image
 
 
 def image_hash(image: bytes) -> bytes:

@@ -3,8 +3,10 @@
 import bisect
 import itertools
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TypeAlias
 
 import numpy as np
 
@@ -29,6 +31,9 @@ _NEIGHBOURS = 3
 """
 _STEPS_BETWEEN = 8
 """Steps from one rate point to the next, if the setting is a fraction."""
+_InExcerpt: TypeAlias = Callable[[Source], Callable[[CodedSignal], float]]
+_EXCERPT_SAMPLES = 1 << 15
+"""In a long signal, a search begins in this many samples of each channel."""
 
 
 def channel_snrs_db(reference: Signal, decoded: Signal) -> list[float | None]:
@@ -90,23 +95,37 @@ def encode_to_snr(source: Source, target_db: float, setting: Setting | None = No
         return source.encode(_rate_points(source, setting)[0])
     tables = source.model.tables if source.model is not None else None
 
+    @lru_cache(maxsize=1)  # decoding takes as long as coding
+    def ratios_db(coded: CodedSignal) -> list[float | None]:
+        return channel_snrs_db(source.samples, decode(coded, tables))
+
     def excesses_db(coded: CodedSignal) -> list[float]:
         """Return the excess of each channel over the target; 0 for silent ones, which have none."""
-        ratios = channel_snrs_db(source.samples, decode(coded, tables))
-        return [0.0 if ratio is None else ratio - target_db for ratio in ratios]
+        return [0.0 if ratio is None else ratio - target_db for ratio in ratios_db(coded)]
 
     def mean_excess(coded: CodedSignal) -> float:
-        ratio = snr_db(source.samples, decode(coded, tables))
-        return math.inf if ratio is None else ratio - target_db
+        heard = [ratio for ratio in ratios_db(coded) if ratio is not None]
+        return sum(heard) / len(heard) - target_db if heard else math.inf
+
+    def in_excerpt(excerpt: Source) -> Callable[[CodedSignal], float]:
+        """Return the mean excess that the noise in an excerpt leads to, at the level of the whole signal."""
+        levels = np.array(source.format.gains) * np.array(source.format.rms)
+
+        def excess_db(coded: CodedSignal) -> float:
+            noise = np.sqrt(np.mean(np.square(excerpt.samples - decode(coded, tables)), axis=0))
+            heard = noise > 0
+            return float(np.mean(20 * np.log10(levels[heard] / noise[heard]))) - target_db if heard.any() else math.inf
+
+        return excess_db
 
     if not setting and source.codec.step_range:
-        found = _search(source, mean_excess, _SNR)
+        found = _search(source, mean_excess, _SNR, in_excerpt)
         best, least = _balance(source, found, excesses_db)
     elif _differs_by_channel(source, setting):
         best = _choose_for_each(source, setting, excesses_db)
         least = excesses_db(best)
     else:
-        best = _choose(source, setting, lambda coded: min(excesses_db(coded)), _SNR)
+        best = _choose(source, setting, lambda coded: min(excesses_db(coded)), _SNR, in_excerpt)
         least = excesses_db(best)
     if min(least) < -SNR_TOLERANCE_DB:
         raise TargetUnreachable(
@@ -198,9 +217,9 @@ def encode_to_rate(
         return math.log(rate(coded)) - math.log(bits_per_second)
 
     if not setting and source.codec.step_range:
-        best = _search(source, excess, _RATE).coded
+        best = _search(source, excess, _RATE, lambda excerpt: excess).coded
     else:
-        best = _choose(source, setting, excess, _RATE)
+        best = _choose(source, setting, excess, _RATE, lambda excerpt: excess)
     if _RATE.misses(excess(best)):
         raise TargetUnreachable(
             f"a rate of {bits_per_second:.0f} bit/s cannot be met; this signal takes at least {rate(best):.0f} bit/s "
@@ -261,12 +280,33 @@ def _choose(
     setting: Setting | None,
     excess: Callable[[CodedSignal], float],
     goal: "_Goal",
+    in_excerpt: "_InExcerpt",
 ) -> CodedSignal:
     """Code where the excess changes its sign; at every rate point if no setting there is good enough.
 
-    The excess rises on the whole from rate point to rate point. Returns the result that the goal prefers.
+    The excess rises on the whole from rate point to rate point. Returns the result that the goal prefers. In a long
+    signal, an excerpt tells where that is, and the signal itself only the last steps.
     """
     settings, steps = _steps_between(source, _rate_points(source, setting))
+    excerpt = source.excerpt(_EXCERPT_SAMPLES)
+    if excerpt is None:
+        index, tried = _best_of(source, settings, steps, excess, goal)
+        return tried[index][0]
+    index, _ = _best_of(excerpt, settings, steps, in_excerpt(excerpt), goal)
+    tried = {}
+    while index in range(len(settings)) and index not in tried:
+        coded = source.encode(settings[index])
+        tried[index] = coded, excess(coded)
+        if goal.meets(tried[index][1]):
+            break
+        index += 1 if tried[index][1] < goal.low else -1
+    return min(tried.values(), key=lambda each: goal.preference(each[1]))[0]
+
+
+def _best_of(
+    source: Source, settings: list[Setting], steps: int, excess: Callable[[CodedSignal], float], goal: "_Goal"
+) -> tuple[int, dict[int, tuple[CodedSignal, float]]]:
+    """Return the setting that the goal prefers near the change of sign, or among rate points, and what was coded."""
     tried: dict[int, tuple[CodedSignal, float]] = {}
 
     def excess_at(index: int) -> float:
@@ -283,7 +323,7 @@ def _choose(
     best = min(every[max(0, crossing - _NEIGHBOURS) : crossing + _NEIGHBOURS], key=preference)
     if preference(best)[0]:
         best = min(every[::steps], key=preference)
-    return tried[best][0]
+    return best, tried
 
 
 def _choose_for_each(
@@ -327,11 +367,20 @@ class _Goal:
     """The excess over a target that meets it: from `low` to `high`.
 
     `ceiling`: an excess above `high` is on the wrong side; otherwise one below `low` is. The other side is second best.
+    `per_octave`: by about how much the excess falls with an octave of steps.
     """
 
     low: float
     high: float
     ceiling: bool
+    per_octave: float
+
+    def codes_to(self, excess: float, fall: float) -> int:
+        """Return by how many step codes a search moves from an excess to the middle of those that meet the target.
+
+        `fall`: of the excess from one code to the next.
+        """
+        return round((excess - (self.low + self.high) / 2) / fall)
 
     def misses(self, excess: float) -> bool:
         """Return whether an excess lies on the wrong side."""
@@ -346,56 +395,79 @@ class _Goal:
         return self.misses(excess), abs(excess)
 
 
-_SNR = _Goal(-SNR_TOLERANCE_DB, SNR_TOLERANCE_DB, ceiling=False)
-_RATE = _Goal(math.log1p(-RATE_TOLERANCE), 0.0, ceiling=True)
+_SNR = _Goal(-SNR_TOLERANCE_DB, SNR_TOLERANCE_DB, ceiling=False, per_octave=5.0)
+_RATE = _Goal(math.log1p(-RATE_TOLERANCE), 0.0, ceiling=True, per_octave=0.6)
 """A rate is never exceeded: the excess is the logarithm of rate over target."""
 
 
 @dataclass(frozen=True)
 class _Found:
-    """The result of a search: the coded signal, its excess, and the step and rd_weight that made it."""
+    """The result of a search: the coded signal, its excess, and the step code and rd_weight that made it."""
 
     coded: CodedSignal
     excess: float
-    step: float
+    exponent: int
     rd_weight: float
 
+    @property
+    def step(self) -> float:
+        """The step of its code."""
+        return float(2 ** (self.exponent / _STEPS_PER_OCTAVE))
 
-def _search(source: Source, excess: Callable[[CodedSignal], float], goal: _Goal) -> _Found:
+
+def _search(
+    source: Source,
+    excess: Callable[[CodedSignal], float],
+    goal: _Goal,
+    in_excerpt: "_InExcerpt | None" = None,
+    rd_weights: Sequence[float] = _RD_WEIGHTS,
+) -> _Found:
     """Find the step, the same for all channels, whose `excess` is nearest zero; on the whole it falls with the step.
 
     The codec must have a `step_range`. The result, which the goal prefers, lies on its wrong side only if every step
-    does.
+    does. `in_excerpt`: returns the excess in an excerpt; in a long signal the search begins there.
     """
     best: _Found | None = None
     step_range = source.codec.step_range
     assert step_range is not None, "its steps can be searched"
+    guess, fall = None, goal.per_octave / _STEPS_PER_OCTAVE
+    if in_excerpt is not None and (excerpt := source.excerpt(_EXCERPT_SAMPLES)):
+        excess_in_excerpt = in_excerpt(excerpt)
+        begun = _search(excerpt, excess_in_excerpt, goal, rd_weights=_RD_WEIGHTS[:1])
+        beyond = replace(begun, exponent=begun.exponent + _STEPS_PER_OCTAVE // 2)
+        coarser = excerpt.encode(_setting(source, beyond.step, beyond.rd_weight))
+        fall = max((begun.excess - excess_in_excerpt(coarser)) / (_STEPS_PER_OCTAVE // 2), fall / 4)
+        guess = begun.exponent + goal.codes_to(begun.excess, fall)
+    is_long = guess is not None
 
     # Rounding for the best rate makes the excess jump, most of all for signals of few coefficients. If the sign changes
     # in a jump, the search tests other weights of bits against error: their jumps lie elsewhere.
-    for rd_weight in _RD_WEIGHTS if "rd_weight" in source.codec.parameters else _RD_WEIGHTS[:1]:
+    for rd_weight in rd_weights if "rd_weight" in source.codec.parameters else rd_weights[:1]:
         finest, coarsest = (round(_STEPS_PER_OCTAVE * math.log2(limit)) for limit in step_range(source.format))
         above = below = math.nan  # excess next to the finest and the coarsest step that are left
         interpolates = False
         while finest <= coarsest:
             width = coarsest - finest
             exponent = (finest + coarsest) // 2
-            if interpolates:
+            if guess is not None:
+                exponent = min(max(guess, finest), coarsest)
+            elif interpolates:
                 exponent = finest + round(width * min(max(above / (above - below), 0.0), 1.0))
-            step = 2 ** (exponent / _STEPS_PER_OCTAVE)
-            coded = source.encode(_setting(source, step, rd_weight))
-            found = _Found(coded, excess(coded), step, rd_weight)
+            coded = source.encode(_setting(source, 2 ** (exponent / _STEPS_PER_OCTAVE), rd_weight))
+            found = _Found(coded, excess(coded), exponent, rd_weight)
             if best is None or goal.preference(found.excess) < goal.preference(best.excess):
                 best = found
-            if goal.meets(best.excess, part=0.5):
+            if goal.meets(best.excess, part=1.0 if is_long else 0.5):
                 return best
             if found.excess > 0:
                 finest, above = exponent + 1, found.excess
             else:
                 coarsest, below = exponent - 1, found.excess
             # Interpolation converges fast, unless one end stays where it is, or the excess jumps: then halve.
+            is_bracketed = math.isfinite(above - below)
+            guess = exponent + goal.codes_to(found.excess, fall) if is_long and not is_bracketed else None
             halved = 2 * (coarsest - finest) <= width
-            interpolates = rd_weight == _RD_WEIGHTS[0] and halved and math.isfinite(above - below)
+            interpolates = rd_weight == _RD_WEIGHTS[0] and halved and is_bracketed
         if best is not None and (goal.meets(best.excess) or goal.misses(best.excess)):
             break
     assert best is not None, "there is a step to try"

@@ -21,8 +21,9 @@ class BenchLimits(Table, frozen=True, kw_only=True):
     """Figures that a run must keep; None = not judged.
 
     SNR, gain and ST-SIM: at the skin. `max_lost_percent`: of the packets of a live stream or a playback.
-    `max_bad_frames`: damaged on the wire, in both directions. `min_load_samples_per_s`: the largest load that is held.
-    `max_drift_ppm`: of the controller's clock, in either direction.
+    `max_latency_ms` ends at the DAC, `max_sensor_latency_ms` at a sensor's sample in this computer. `max_bad_frames`:
+    damaged on the wire, in both directions. `min_load_samples_per_s`: the largest load that is held. `max_drift_ppm`:
+    of the controller's clock, in either direction.
     """
 
     min_snr_db: Decibels | None = None
@@ -30,6 +31,7 @@ class BenchLimits(Table, frozen=True, kw_only=True):
     max_gain: Gain | None = None
     min_st_sim: Similarity | None = None
     max_latency_ms: Milliseconds | None = None
+    max_sensor_latency_ms: Milliseconds | None = None
     max_jitter_ms: Milliseconds | None = None
     max_underruns: Count | None = None
     max_lost_percent: Percent | None = DEFAULT_MAX_LOST_PERCENT

@@ -1,5 +1,6 @@
 """Client session with a controller: requests, retries, notifications."""
 
+import logging
 import random
 import time
 from collections.abc import Callable
@@ -36,6 +37,8 @@ from vibrocast.host.tracing import TappedTransport
 
 if TYPE_CHECKING:
     from vibrocast.output.sound_card import CardUse
+
+_log = logging.getLogger(__name__)
 
 # docs/reference/protocol.md, "Sequence numbers"
 ANSWER_TIMEOUT_S = 0.1
@@ -175,6 +178,7 @@ class Controller(Closing):
                 f"{description.actuator}); update its firmware"
             )
         self.description = description
+        _log.info("session with %s, %s", description.hardware, description.build)
 
     def open_session(self) -> None:
         """Open a session, or open it again; sets `description`. Raises as `request`."""
@@ -221,6 +225,7 @@ class Controller(Closing):
                 if answer is not None:
                     asked, answered = type(message).__name__, type(answer).__name__
                     raise ControllerError(f"the controller answers {asked} with {answered}; update its firmware")
+            _log.debug("no answer to %s within %g s", type(message).__name__, answer_timeout_s)
         raise _no_answer()
 
     def request(
@@ -253,6 +258,7 @@ class Controller(Closing):
         Raises the last TransportError or ControllerError after `within_s`.
         """
         deadline_s = self.clock() + within_s
+        _log.warning("connection lost; it is opened again for %g s", within_s)
         while True:
             try:
                 self._transport.reopen()

@@ -1,9 +1,8 @@
 """Plays a coded stream on a device, reads back what it did, compares with the same computed here, and reports."""
 
-import contextlib
 import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
 from typing import Any, TypeVar
@@ -19,14 +18,13 @@ from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader
 from vibrocast.device_protocol.messages import ActuatorDescription
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import devices, player, uploader
-from vibrocast.host.alignment import AlignmentError
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.event_loop import run_all
 from vibrocast.host.limits import fitted
 from vibrocast.host.picture import Trace
 from vibrocast.host.provenance import Provenance
 from vibrocast.host.report import SCHEMA, ActuatorUse, DeviceDescription, Latency, Report, Touch
-from vibrocast.host.skin_quality import SkinQuality, compare_skin, displacement_above_20_hz, high_passed, note
+from vibrocast.host.skin_quality import compare_channels, note
 from vibrocast.output.actuator import ACTUATORS, Actuator, Codes
 from vibrocast.output.rendering import Drive, displacement_filter, render
 from vibrocast.textures import Recording
@@ -41,7 +39,6 @@ DECODED_FULL_SCALE = 32768
 # The skin moves between the DAC's samples too, and the picture shows it.
 SKIN_OVERSAMPLING = 4
 # The skin is compared over the first minute of a playback.
-SKIN_COMPARED_S = 60
 
 
 @dataclass(frozen=True)
@@ -123,10 +120,11 @@ def play_together(
     underruns_before = {}
     for key, member in members.items():
         try:
+            _drive_s(stream.header, member.actuator or actuator_model(member.controller.description.actuator))
+            fitting = fitted(member.controller, stream)
             if stream.image is not None:
                 uploader.provide(member.controller, member.address, stream.image)
-            _drive_s(stream.header, member.actuator or actuator_model(member.controller.description.actuator))
-            sent[key] = fitted(member.controller, stream)
+            sent[key] = fitting
         except (ControllerError, TransportError, StreamError) as error:
             outcomes[key] = error
             continue
@@ -280,23 +278,10 @@ def _compared(
 
 def _with_skin(report: Report, traces: Sequence[Trace]) -> Report:
     """Return a report with the quality at the skin, the mean over its channels that are not silent."""
-    rate_hz = report.stream_rate_hz
-    qualities = []
-    for channel in range(report.channels):
-        *asked, skin = (trace.displacement_um[:, channel] for trace in traces)
-        moved = Recording(skin[:, None], traces[-1].displacement_rate_hz, "um", "skin")
-        *sent, decoded = (high_passed(each[: SKIN_COMPARED_S * rate_hz], rate_hz) for each in asked)
-        skin_um = displacement_above_20_hz(moved, rate_hz)[: len(decoded)]
-        with contextlib.suppress(AlignmentError):
-            quality, _ = compare_skin(sent[0] if sent else None, decoded, skin_um, rate_hz, perceptual=False)
-            qualities.append(quality)
-    if not qualities:
+    *asked, skin = (trace.displacement_um for trace in traces)
+    skin_quality = compare_channels(asked, report.stream_rate_hz, skin, traces[-1].displacement_rate_hz)
+    if skin_quality is None:
         return report
-    known = {
-        each.name: [value for quality in qualities if (value := getattr(quality, each.name)) is not None]
-        for each in fields(SkinQuality)
-    }
-    skin_quality = SkinQuality(**{name: float(np.mean(values)) if values else None for name, values in known.items()})
     limits = report.actuator
     limited = limits.clipped_samples + limits.voltage_limited + limits.slew_limited + limits.power_limited
     unit = traces[0].unit

@@ -9,7 +9,7 @@ from vibrocast.device_protocol.messages import (
 )
 from vibrocast.device_protocol.trace import TracedFrame
 
-_COUNTERS = (
+COUNTERS = (
     "bad_frames",
     "underruns",
     "lost_packets",
@@ -36,7 +36,7 @@ def line(frame: TracedFrame, began_ns: int) -> str:
 
 def _fields(message: Message) -> str:
     if isinstance(message, Status):
-        counts = [f"{name} {count}" for name in _COUNTERS if (count := getattr(message, name))]
+        counts = [f"{name} {count}" for name in COUNTERS if (count := getattr(message, name))]
         return ", ".join(
             [
                 f"{message.state.name.lower()}, stream {message.stream}, position {message.position}",

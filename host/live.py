@@ -14,7 +14,7 @@ from vibrocast.codec.rate_controlled import added_bytes
 from vibrocast.codec.stream import image_hash
 from vibrocast.device_protocol.coded_stream import StreamHeader, renumbered
 from vibrocast.device_protocol.messages import EndStream, Start, State, Status
-from vibrocast.device_protocol.transports import TransportError
+from vibrocast.device_protocol.transports import DeviceGone, TransportError
 from vibrocast.host.controller import ANSWER_TIMEOUT_S, ConnectionLost, Controller, ControllerError
 from vibrocast.host.limits import check_limits, check_packet
 from vibrocast.host.link import STATUS_INTERVAL_S, Link, frame_bytes
@@ -24,6 +24,8 @@ from vibrocast.host.stream_session import configure_steps, stopped_on_error
 # How long a packet lies on the controller before it is needed: sending may be late by this. All of it is delay.
 PLAYOUT_DELAY_S = 0.01
 REFRESH_S = 0.25
+# A source hands over blocks of at most this, so that the controller is heard between them.
+MAX_BLOCK_S = 0.01
 # The share of the link's capacity that a stream may take, so that its packets do not queue.
 LINK_SHARE = 0.9
 
@@ -124,6 +126,7 @@ class LiveStream:
     `needed_bps`: the most that the stream can use of the link; None = the policy's rate. `header`, `stream`,
     `packets_sent` (dropped ones included), `status`: of the stream under way. `carried_bps`: the rate at which the link
     carries packets in time. `begun`: streams so far; `earlier`: the last status of each of those before this one.
+    `on_packets`: is called with packets before they are sent.
     Raises CodecError, LiveError, StreamError for a stream that the controller rejects, ControllerError, TransportError.
     """
 
@@ -167,6 +170,7 @@ class LiveStream:
             # that; what controls its rate has coded some already.
             encoder.encode(np.zeros((self.packet_samples, self.format.channels)))
         self._gain, self._compensation = gain, compensation
+        self.on_packets: Callable[[Sequence[bytes]], None] | None = None
         self._floods = 0  # streams in a row
         self._configure()
         self._wire_bytes_before = controller.bytes_sent
@@ -199,8 +203,9 @@ class LiveStream:
 
     def begin_again(self) -> None:
         """Set up another stream in place of the one under way; its first packet will start it."""
-        self.earlier.append(self.status)
+        before = self.status
         self._configure()
+        self.earlier.append(before)
 
     def _packet_samples(self, asked: int | None, max_packet_s: float) -> int:
         """Return the samples in a packet, to be rounded up to whole blocks: asked for, for the rate, or the fewest."""
@@ -281,6 +286,8 @@ class LiveStream:
 
     def send_packets(self, packets: Sequence[bytes]) -> None:
         """Send packets at once, each in a frame of its own; Start goes with the first, so that none waits for it."""
+        if self.on_packets is not None:
+            self.on_packets(packets)
         for packet in packets:
             now_s = self._link.now_s(self.controller.clock())
             self._session.send((packet,))
@@ -470,11 +477,24 @@ def play(
             try:
                 stream.send(block)
             except (TransportError, ConnectionLost):
-                stream.controller.reconnect(reconnect_s)
-                stream.begin_again()
+                _go_on(stream, reconnect_s)
             if progress is not None:
                 progress(stream.status)
         return stream.finish()
+
+
+def _go_on(stream: LiveStream, within_s: float) -> None:
+    """Connect again and begin another stream, as often as it takes. Raises the last error after `within_s`."""
+    clock = stream.controller.clock
+    deadline_s = clock() + within_s
+    while True:
+        stream.controller.reconnect(max(0.0, deadline_s - clock()))
+        try:
+            stream.begin_again()
+            return
+        except (TransportError, ConnectionLost) as error:
+            if isinstance(error, DeviceGone) or clock() >= deadline_s:
+                raise
 
 
 def paced(

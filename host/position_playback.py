@@ -236,6 +236,14 @@ def computed(stream: Stream, played: Played, actuator: Actuator) -> Computed:
     return Computed(heights * (np.array(stream.header.gains) / 32768), codes)
 
 
+@dataclass(frozen=True)
+class Stroke:
+    """A playback under a hand, and `as_computed`: whether the DAC's codes are those computed (None: unknown)."""
+
+    played: Played
+    as_computed: bool | None
+
+
 def as_computed(played: Played, expected: Computed, actuator: Actuator) -> bool | None:
     """Return whether the DAC's codes are those computed, up to the way to rest at the end.
 

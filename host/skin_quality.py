@@ -1,19 +1,23 @@
 """Compares displacement at the skin with the texture: with the codec and without it, as played and as it could be."""
 
+import contextlib
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast import textures
 from vibrocast.evaluation import metrics
-from vibrocast.host.alignment import Alignment, align
+from vibrocast.host.alignment import Alignment, AlignmentError, align
 from vibrocast.output.rendering import HIGH_PASS_HZ, displacement_filter
 from vibrocast.textures import Recording
 
 Samples = NDArray[np.float64]
 
+COMPARED_S = 60
+"""Of a signal: a longer comparison takes long, and would say the same."""
 # An SNR that is lower by less than this needs no reason.
 _NOTED_DB = 1.0
 # The actuator's part counts where its error is at least a quarter of the power of the codec's.
@@ -62,6 +66,30 @@ def compare_skin(
         gain=_finite(laid.gain),
     )
     return quality, _unpadded(laid, margin, rate_hz)
+
+
+def compare_channels(
+    asked_um: Sequence[Samples], rate_hz: int, skin_um: Samples, skin_rate_hz: float
+) -> SkinQuality | None:
+    """Compare the beginning of displacements (n, channels) at the skin; return the mean over channels that move.
+
+    `asked_um`: the texture's, if known, and the decoded one, at `rate_hz`. None where the skin does not move alike.
+    """
+    qualities = []
+    for channel in range(skin_um.shape[1]):
+        moved = Recording(skin_um[:, channel : channel + 1], skin_rate_hz, "um", "skin")
+        *sent, decoded = (high_passed(each[: COMPARED_S * rate_hz, channel], rate_hz) for each in asked_um)
+        at_skin = displacement_above_20_hz(moved, rate_hz)[: len(decoded)]
+        with contextlib.suppress(AlignmentError):
+            quality, _ = compare_skin(sent[0] if sent else None, decoded, at_skin, rate_hz, perceptual=False)
+            qualities.append(quality)
+    if not qualities:
+        return None
+    known = {
+        each.name: [value for quality in qualities if (value := getattr(quality, each.name)) is not None]
+        for each in fields(SkinQuality)
+    }
+    return SkinQuality(**{name: float(np.mean(values)) if values else None for name, values in known.items()})
 
 
 def _finite(value: float | None) -> float | None:

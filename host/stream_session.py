@@ -1,6 +1,7 @@
 """One stream on a controller, for every sender: configure, note the credit, send packets, read status and captures."""
 
 import contextlib
+import logging
 import math
 from collections.abc import Iterator, Sequence
 
@@ -25,7 +26,10 @@ from vibrocast.device_protocol.messages import (
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.event_loop import Steps
+from vibrocast.host.frame_lines import COUNTERS
 from vibrocast.host.limits import explained
+
+_log = logging.getLogger(__name__)
 
 READ_BACK_S = 60.0
 """For so long at most a capture is read back after playing."""
@@ -50,6 +54,7 @@ class StreamSession:
         self.controller = controller
         self.number = number
         self.credit_until = 0
+        self.status = status
         self._take(status)
 
     def send(self, packets: Sequence[bytes], iteration: int = 0) -> None:
@@ -85,8 +90,17 @@ class StreamSession:
             raise ControllerError(
                 "the controller reports a fault of its hardware and has stopped; switch it off and on"
             )
+        self._log(status)
         self.status = status
         self.credit_until = max(self.credit_until, status.credit_until)
+
+    def _log(self, status: Status) -> None:
+        """Log what has changed since the last status."""
+        if status.state != self.status.state:
+            _log.info("stream %d is %s at %d", status.stream, status.state.name.lower(), status.position)
+        for name in COUNTERS:
+            if (count := getattr(status, name)) > getattr(self.status, name):
+                _log.warning("stream %d: %s %d at %d", status.stream, name, count, status.position)
 
 
 def configure_steps(
@@ -116,6 +130,13 @@ def configure_steps(
         accepted = yield from controller.request_steps(configure, Status)
     except ControllerError as error:
         raise explained(controller, header, error) from error
+    _log.info(
+        "stream %d set up: codec %d, %d channels at %d Hz",
+        configure.stream,
+        header.codec_identifier,
+        header.channels,
+        header.rate_hz,
+    )
     return StreamSession(controller, configure.stream, accepted)
 
 

@@ -1,7 +1,9 @@
 """Flashes a model image into a controller: transfer, verify, test, confirm; goes on where a cut left it."""
 
 import contextlib
+import logging
 from collections.abc import Callable
+from dataclasses import replace
 
 from vibrocast import models
 from vibrocast.device_protocol.coded_stream import IMAGE_HASH_BYTES
@@ -29,6 +31,7 @@ _SLOT_TIMEOUT_S = 0.5
 _MAX_CUTS = 20
 _RESTART_S = 10.0
 _RESTART_PAUSE_S = 0.1
+_log = logging.getLogger(__name__)
 _RUNNING = (SlotState.TESTING, SlotState.CONFIRMED)
 
 
@@ -62,6 +65,7 @@ def flash(
     if slot is None:
         slot = _free_slot(controller)
     begin = FlashBegin(slot, len(image), identity, model.hardware)
+    _log.info("uploads %s %s, %d bytes, to slot %d", model.name, model.version, len(image), slot)
     resumed_at, cuts = -1, 0
     while True:
         received = 0
@@ -77,6 +81,7 @@ def flash(
             if received <= resumed_at or cuts == _MAX_CUTS:
                 raise  # nothing was gained since the last cut, or too little
             resumed_at, cuts = received, cuts + 1
+            _log.warning("upload cut at byte %d", received)
             controller.reconnect(reconnect_s)
     if verified.sha256 != identity or verified.state != SlotState.VERIFIED:
         raise ControllerError(f"verification failed for slot {slot}: data differs; upload it again")
@@ -88,6 +93,22 @@ def running(controller: Controller) -> ImageDescription | None:
     """Return the model image that the controller said in its last hello that it runs, None if it runs none."""
     found = {image.state: image for image in controller.description.images}
     return next((found[state] for state in _RUNNING if state in found), None)
+
+
+def run_again(controller: Controller, before: ImageDescription) -> None:
+    """Start an image that ran before and is still in its slot, and confirm it.
+
+    Raises ControllerError, also where the slot holds another one by now, and TransportError.
+    """
+    controller.open_session()
+    found = running(controller)
+    if found is not None and (found.slot, found.sha256) == (before.slot, before.sha256):
+        return
+    held = {image.slot: image.sha256 for image in controller.description.images}
+    if held.get(before.slot) != before.sha256:
+        raise ControllerError(f"slot {before.slot} no longer holds the image {before.name}; upload it again")
+    _start_test(controller, replace(before, state=SlotState.TESTING))
+    _confirm(controller, replace(before, state=SlotState.CONFIRMED))
 
 
 def provide(controller: Controller, address: str, image: bytes) -> None:

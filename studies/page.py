@@ -13,6 +13,7 @@ from vibrocast.evaluation.points import Row
 from vibrocast.extras import MissingExtraError
 from vibrocast.files import atomic_write
 from vibrocast.firmware.build import BuildError
+from vibrocast.host.controller import ControllerError
 from vibrocast.textures import TextureError
 from vibrocast.textures.dataset import DatasetError
 
@@ -31,8 +32,8 @@ def errors_in_one_line() -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise click.ClickException(f"{error.filename}: {error.strerror}") from error
-    except (BuildError, CodecError, DatasetError, MissingExtraError, TextureError) as error:
+        raise click.ClickException(f"{error.filename}: {error.strerror}" if error.filename else str(error)) from error
+    except (BuildError, ControllerError, CodecError, DatasetError, MissingExtraError, TextureError) as error:
         raise click.ClickException(str(error)) from error
 
 

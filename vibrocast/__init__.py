@@ -2,10 +2,13 @@
 
 # ruff: noqa: F403, F405 - type checkers find the names of __all__ in the API
 
+import logging
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from vibrocast.api import *
+
+logging.getLogger(__name__).addHandler(logging.NullHandler())  # a program that uses this package decides
 
 __all__ = [
     "Actuator",

@@ -3,7 +3,7 @@
 import datetime
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ from vibrocast import extras, progress, textures
 from vibrocast.codec import CodecError
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.device_protocol.model_image import ModelImageError
+from vibrocast.host.cli.answers import tell, wants_json
 from vibrocast.host.cli.option_types import FOLDER, INPUT, Whole
 from vibrocast.host.cli.options import (
     BadInput,
@@ -238,8 +239,10 @@ def bench(
         results = bench.results_folder(out)
         held_out = results_page.read_held_out(results)
         write_rows(results / "skipped.csv", found.skipped, dataset.Skipped)
-        click.echo(
-            f"{len(traces)} recordings, {len(chosen)} curves, {sum(len(each.settings) for each in chosen)} settings"
+        tell(
+            f"{len(traces)} recordings, {len(chosen)} curves, {sum(len(each.settings) for each in chosen)} settings",
+            recordings=len(traces),
+            curves=len(chosen),
         )
         work: Any = partial(workers.on_cores, processes=workers.cores())
         if run.scheduler:
@@ -279,18 +282,21 @@ def bench(
     show(measurements)
     tried = {point.codec for point in points} | {failure.codec for failure in failures}
     if left_out := [method.name for method in chosen if method.physical and method.name not in tried]:
-        click.echo(
-            f"left out, because no recording states a physical unit (--unit, --full-scale): {', '.join(left_out)}"
-        )
+        tell(f"left out, because no recording states a physical unit (--unit, --full-scale): {', '.join(left_out)}")
     if drifting := [name for name, part in removed.items() if part > MUCH_REMOVED]:
-        click.echo(
+        tell(
             f"removed below {textures.HIGHPASS_HZ:g} Hz: more than {MUCH_REMOVED:.0%} of the energy of {drifting[0]}"
             f"{others(drifting)} (--keep-dc codes it)"
         )
     relative = [name for name, unit in units.items() if unit == "full scale"]
     if recording.unit not in (None, "full scale") and relative:
-        click.echo(f"relative to full scale: {relative[0]}{others(relative)}; --unit needs --full-scale or a manifest")
-    click.echo(f"{out / bench.PAGE}: the charts and tables; their figures are in {results}")
+        tell(f"relative to full scale: {relative[0]}{others(relative)}; --unit needs --full-scale or a manifest")
+    tell(
+        f"{out / bench.PAGE}: the charts and tables; their figures are in {results}",
+        page=str(out / bench.PAGE),
+        results=str(results),
+        failures=[asdict(each) for each in failures],
+    )
     if failures:
         show_failures(failures)
         raise click.ClickException(
@@ -319,7 +325,9 @@ def progress_reporter(update: progress.Update) -> "Callable[[CellCounts], None]"
 
 
 def show(measurements: "Measurements") -> None:
-    """Print a table of the curves: mean bits per sample at some SNRs, median times and delay."""
+    """Print a table of the curves: mean bits per sample at some SNRs, median times and delay; in JSON, nothing."""
+    if wants_json():
+        return
     from statistics import fmean, median
 
     from rich.box import SIMPLE

@@ -1,12 +1,10 @@
 """The subcommands `codecs` and `models`, which list both."""
 
-import json
-
 import click
 
 from vibrocast import codec, models
 from vibrocast.device_protocol.model_image import sha256
-from vibrocast.host.cli.options import json_option
+from vibrocast.host.cli.answers import answer, wants_json
 from vibrocast.host.cli.steps import show
 from vibrocast.host.printable import plain
 
@@ -14,8 +12,7 @@ _COLUMNS = ("name", "codec", "width", "image bytes", "SNR dB", "bit/sample")
 
 
 @click.command()
-@json_option
-def codecs(as_json: bool) -> None:
+def codecs() -> None:
     """List the codecs and their parameters."""
     facts = {
         known.name: {
@@ -30,7 +27,7 @@ def codecs(as_json: bool) -> None:
     }
     # Parameters are named as --setting takes them.
     lines = {name: [f"{key}: {text}" for key, text in about.items()] for name, about in facts.items()}
-    show(facts if as_json else lines, as_json)
+    show(facts if wants_json() else lines)
     for name, cause in codec.CODECS.failures.items():
         click.echo(
             plain(f"warning: the codec {name} cannot be loaded: {cause}; repair or remove its package"), err=True
@@ -38,12 +35,10 @@ def codecs(as_json: bool) -> None:
 
 
 @click.command("models")
-@click.option("--json", "as_json", is_flag=True, help="Print the cards of the models as JSON.")
-def list_models(as_json: bool) -> None:
+def list_models() -> None:
     """List the shipped models, with rate and quality."""
-    if as_json:
-        cards = {model.name: {**model.card, "image_sha256": sha256(model.image).hex()} for model in models.shipped()}
-        click.echo(json.dumps(cards, indent=2, allow_nan=False))
+    if wants_json():
+        answer({model.name: {**model.card, "image_sha256": sha256(model.image).hex()} for model in models.shipped()})
         return
     rows = [_COLUMNS, *map(_row, models.shipped())]
     widths = [max(len(row[column]) for row in rows) for column in range(len(_COLUMNS))]

@@ -2,9 +2,13 @@
 
 import errno
 import importlib
+import logging
 import re
+import shlex
 import sys
+import time
 from collections.abc import Mapping
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
@@ -12,9 +16,12 @@ import click
 
 from vibrocast import extras
 from vibrocast.host.cli import exit_codes
+from vibrocast.host.cli.answers import print_answer, with_json
 from vibrocast.host.cli.failure_trace import keep_trace
+from vibrocast.host.cli.option_types import OutputFile
 from vibrocast.host.printable import plain
 
+LOG_LEVELS = ("debug", "info", "warning", "error")
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -51,7 +58,7 @@ SECTIONS: Mapping[str, Mapping[str, Subcommand]] = {
     },
     "See and break the wire": {
         "monitor": Subcommand("wire", "monitor", "Show the frames between a host and a controller as they pass."),
-        "replay": Subcommand("wire", "replay", "Show the frames of a trace, or send them again."),
+        "replay": Subcommand("wire", "replay", "Show the frames of a trace, decode them, or send them again."),
         "proxy": Subcommand("wire", "proxy", "Put a wire with faults between a host and a controller."),
     },
     "Measure and compare": {
@@ -114,7 +121,7 @@ class VibrocastCommand(click.Group):
         module, attribute, _ = SUBCOMMANDS[cmd_name]
         command = getattr(importlib.import_module(f"vibrocast.host.cli.{module}"), attribute)
         assert isinstance(command, click.Command)
-        return command
+        return with_json(command)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the names and summaries of the subcommands by section, without loading them."""
@@ -125,11 +132,13 @@ class VibrocastCommand(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         """Run a subcommand, its errors turned into click's own; with --debug they pass with their traceback."""
         try:
-            return super().invoke(ctx)
+            result = super().invoke(ctx)
         except click.exceptions.Exit:
+            print_answer(ctx)
             raise
-        except (click.ClickException, click.Abort, KeyboardInterrupt, BrokenPipeError):
+        except (click.ClickException, click.Abort, KeyboardInterrupt, BrokenPipeError) as error:
             keep_trace(ctx)
+            print_answer(ctx, error)
             raise
         except Exception as error:
             keep_trace(ctx)
@@ -138,7 +147,11 @@ class VibrocastCommand(click.Group):
             if isinstance(error, ModuleNotFoundError):
                 error = extras.explained(error) or error
             command = self.get_command(ctx, ctx.invoked_subcommand or "")
-            raise explained(error, option_names(command)) from error
+            told = explained(error, option_names(command))
+            print_answer(ctx, told)
+            raise told from error
+        print_answer(ctx)
+        return result
 
 
 def trace_file(ctx: click.Context, param: click.Parameter, value: str | None) -> Path | None:
@@ -151,6 +164,19 @@ def trace_file(ctx: click.Context, param: click.Parameter, value: str | None) ->
     if path.suffix.lower() not in SUFFIXES:
         raise click.BadParameter(f"{value!r} has another suffix than {' or '.join(SUFFIXES)}", ctx, param)
     return path
+
+
+def keep_log(path: Path, level: str) -> None:
+    """Append the log of this program to a file. `level`: one of LOG_LEVELS. Raises OSError."""
+    handler = logging.FileHandler(path, encoding="utf-8")
+    formatter = logging.Formatter("%(asctime)s.%(msecs)03dZ %(levelname)s %(name)s: %(message)s", "%Y-%m-%dT%H:%M:%S")
+    formatter.converter = time.gmtime
+    handler.setFormatter(formatter)
+    logger = logging.getLogger("vibrocast")
+    for earlier in [each for each in logger.handlers if isinstance(each, logging.FileHandler)]:
+        logger.removeHandler(earlier)
+    logger.addHandler(handler)
+    logger.setLevel(level.upper())
 
 
 def option_names(command: click.Command | None) -> dict[str, str]:
@@ -209,7 +235,9 @@ def explained(error: Exception, options: Mapping[str, str]) -> click.ClickExcept
 
 def fail(message: str, exit_code: int) -> NoReturn:
     """Print one line on stderr, whatever it quotes, and exit."""
-    click.echo(f"error: {plain(' '.join(message.split()))}", err=True)
+    line = plain(" ".join(message.split()))
+    logging.getLogger(__name__).error("%s; exit code %d", line, exit_code)
+    click.echo(f"error: {line}", err=True)
     sys.exit(exit_code)
 
 
@@ -225,9 +253,22 @@ def fail(message: str, exit_code: int) -> NoReturn:
     metavar="FILE",
     help="Write all frames into a .pcapng or .jsonl file.",
 )
+@click.option(
+    "--log", "log_path", type=OutputFile(), metavar="FILE", help="Append what happens to a file, with times in UTC."
+)
+@click.option(
+    "--log-level",
+    type=click.Choice(LOG_LEVELS),
+    default="info",
+    show_default=True,
+    help="Choose what --log keeps.",
+)
 @click.pass_context
-def main(ctx: click.Context, debug: bool, trace_path: Path | None) -> None:
+def main(ctx: click.Context, debug: bool, trace_path: Path | None, log_path: Path | None, log_level: str) -> None:
     """Compress vibrotactile textures and play them in real time on an actuator."""
+    if log_path is not None:
+        keep_log(log_path, log_level)
+        logging.getLogger(__name__).info("vibrocast %s: %s", version("vibrocast"), shlex.join(sys.argv[1:]))
     if trace_path is not None:
         from vibrocast.host.tracing import tracer
 

@@ -1,6 +1,5 @@
 """The subcommand `conformance`: tests a controller against the whole protocol, and writes a report to publish."""
 
-import datetime
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +11,7 @@ from rich.table import Table
 from vibrocast import extras, progress
 from vibrocast.host import devices
 from vibrocast.host.cli import exit_codes
+from vibrocast.host.cli.answers import add, tell, wants_json
 from vibrocast.host.cli.option_types import FOLDER
 from vibrocast.host.cli.options import BadInput, actuator_option, device_option, own_actuator
 from vibrocast.host.printable import plain
@@ -26,10 +26,7 @@ if TYPE_CHECKING:
 @click.option("--out", type=FOLDER, help="Write the report into this folder. Default: none is written.")
 @click.option("--no-flash", is_flag=True, help="Write no model image; requirements on them are not applicable.")
 @click.option("--quick", is_flag=True, help="Leave out tests that take more than a second.")
-@click.option("--date", "dated", is_flag=True, help="Put today's date into the report.")
-def conformance(
-    address: str, actuator_name: str | None, out: Path | None, no_flash: bool, quick: bool, dated: bool
-) -> None:
+def conformance(address: str, actuator_name: str | None, out: Path | None, no_flash: bool, quick: bool) -> None:
     """Test a controller against the protocol.
 
     The requirements are those of docs/reference/protocol.md. The tests play textures, and write the spare slot for
@@ -43,19 +40,21 @@ def conformance(
 
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)  # an error is better known before the tests than after
-    date = datetime.date.today().isoformat() if dated else None
     try:
         with (
             devices.reach(address, actuator=own_actuator(address, actuator_name)) as transport,
             progress.bar("testing") as update,
         ):
-            report = run_suite(TappedLink(transport, may_flash=not no_flash), quick, update, date)
+            report = run_suite(TappedLink(transport, may_flash=not no_flash), quick, update)
     except NotTestable as error:
         raise BadInput(str(error)) from error
-    show(report)
+    if wants_json():
+        add(report.facts())
+    else:
+        show(report)
     if out is not None:
         report.write(out)
-        click.echo(f"report: {out / PAGE}")
+        tell(f"report: {out / PAGE}")
     if not report.conforming:
         raise click.exceptions.Exit(exit_codes.HOST_BUSY if report.undecided else exit_codes.FAILED)
 

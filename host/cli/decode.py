@@ -7,8 +7,9 @@ import click
 
 from vibrocast import models, progress, textures
 from vibrocast.codec.stream import read_stream, write_profile, write_recording
+from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import INPUT, OutputFile
-from vibrocast.host.cli.options import json_option, model_option, runtime_option
+from vibrocast.host.cli.options import model_option, runtime_option
 from vibrocast.host.cli.steps import files_of, reject_overwriting, show
 
 
@@ -41,19 +42,30 @@ def decode(file: Path, out: Path, sample_format: str, model: models.Model | None
     if stream.header.spatial and out.suffix.lower() == ".csv":
         with progress.bar("decoding") as update:
             profile = write_profile(out, stream, progress=update)
-        click.echo(f"{out}: {profile.length_mm:g} mm, a height every {profile.spacing_um:g} um")
+        tell(
+            f"{out}: {profile.length_mm:g} mm, a height every {profile.spacing_um:g} um",
+            out=str(out),
+            length_mm=profile.length_mm,
+            spacing_um=profile.spacing_um,
+        )
         return
     with progress.bar("decoding") as update:
         full_scale = write_recording(out, stream, sixteen_bit, progress=update)
     header = stream.header
     unit = f"1.0 is {full_scale:g} {header.unit}" if out.suffix.lower() == ".wav" else f"in {header.unit}"
-    click.echo(f"{out}: {stream.seconds:.3f} s at {header.rate_hz} Hz, {unit}")
+    tell(
+        f"{out}: {stream.seconds:.3f} s at {header.rate_hz} Hz, {unit}",
+        out=str(out),
+        seconds=stream.seconds,
+        rate_hz=header.rate_hz,
+        unit=header.unit,
+        full_scale=full_scale,
+    )
 
 
 @click.command()
 @click.argument("file", type=INPUT)
-@json_option
 @model_option
-def info(file: Path, as_json: bool, model: models.Model | None) -> None:
+def info(file: Path, model: models.Model | None) -> None:
     """Show the codec, rate and content of a .vct file."""
-    show(read_stream(file, model.image if model else None).facts(), as_json)
+    show(read_stream(file, model.image if model else None).facts())

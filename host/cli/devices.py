@@ -8,13 +8,13 @@ import click
 from vibrocast import models, progress
 from vibrocast.host import devices, uploader
 from vibrocast.host.cli import planned
+from vibrocast.host.cli.answers import add, tell, wants_json
 from vibrocast.host.cli.option_types import INPUT, OutputFile, Whole
 from vibrocast.host.cli.options import (
     BadInput,
     actuator_option,
     chosen_model,
     device_option,
-    json_option,
     link_option,
     own_actuator,
     plan_option,
@@ -30,6 +30,9 @@ from vibrocast.output.actuator import ACTUATORS, PIEZO_STACK
 def list_devices() -> None:
     """List addresses: simulated, serial, USB and sound cards."""
     found = devices.available()
+    add(found)
+    if wants_json():
+        return
     width = max(map(len, found))
     for address, description in found.items():
         click.echo(plain(f"{address:{width}}  {description}"))
@@ -50,33 +53,34 @@ def flash(model: models.Model | None, plan_path: Path | None, address: str) -> N
     With --plan, the command uploads the models that the plan needs.
     """
     if plan_path is None:
-        click.echo(uploaded(needed(model, "MODEL"), address))
+        upload(needed(model, "MODEL"), address)
         return
     needs = list(planned.needed_models(plan_path))
     for name, planned_address, needed_model in needs:
-        click.echo(f"{name}: {uploaded(needed_model, planned_address)}")
+        upload(needed_model, planned_address, name)
     if not needs:
-        click.echo(f"{plan_path}: no texture needs a model; nothing to upload")
+        tell(f"{plan_path}: no texture needs a model; nothing to upload")
 
 
-def uploaded(model: models.Model, address: str) -> str:
-    """Upload a model to the controller at an address; return the image that it runs then, in words."""
+def upload(model: models.Model, address: str, name: str = "") -> None:
+    """Upload a model to the controller at an address, of this `name` in a plan; tell which image it runs then."""
     with devices.connect(address) as controller, progress.bar("uploading") as update:
         slot = uploader.flash(controller, model.image, progress=lambda done, total: update(done / total))
         checked = controller.description.public_key
     signature = f"number {slot.number}, signature checked" if checked else "no signature checked"
-    return f"{slot.name} {slot.version} runs from slot {slot.slot}, confirmed; {signature}"
+    facts = {"model": slot.name, "version": slot.version, "slot": slot.slot, "sha256": slot.sha256.hex()}
+    told = f"{slot.name} {slot.version} runs from slot {slot.slot}, confirmed; {signature}"
+    tell(f"{name}: {told}" if name else told, **({name: facts} if name else facts))
 
 
 @click.command()
 @device_option
 @actuator_option
-@json_option
-def status(address: str, actuator_name: str | None, as_json: bool) -> None:
+def status(address: str, actuator_name: str | None) -> None:
     """Show the properties and state of a controller."""
     with devices.connect(address, actuator=own_actuator(address, actuator_name)) as controller:
         facts = devices.facts(controller)
-    show(facts, as_json)
+    show(facts)
 
 
 @click.command()

@@ -1,6 +1,7 @@
 """The subcommand `encode`: codes a recording, a height profile or a texture of a plan into a .vct file."""
 
 import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from vibrocast.codec import rate_controlled
 from vibrocast.codec.encoding import Encoding
 from vibrocast.host import profiles
 from vibrocast.host.cli import planned
+from vibrocast.host.cli.answers import add, tell, wants_json
 from vibrocast.host.cli.option_types import INPUT, OutputFile, positive
 from vibrocast.host.cli.options import (
     QualityOptions,
@@ -78,9 +80,11 @@ def encode(
             )
         encoding = encoded_profile(profiles.recording_of(file, **vars(recording)), quality, slowest_hand_speed_mm_s)
         facts = encoding.stream.facts()
-        click.echo(
+        tell(
             f"{out}: {facts['size_bytes']} bytes, {facts['length_mm']:.3f} mm, {facts['samples_per_metre']} samples "
-            f"per metre, {facts['bits_per_mm']:.0f} bit/mm"
+            f"per metre, {facts['bits_per_mm']:.0f} bit/mm",
+            out=str(out),
+            **facts,
         )
         encoding.stream.save(out)
         return
@@ -97,7 +101,12 @@ def write_encoding(out: Path, encoding: Encoding) -> None:
     stream = encoding.stream
     model = f", model {stream.model_name}" if stream.image else ""
     size = f"{stream.size_bytes} bytes, {stream.bits_per_second:.0f} bit/s{model}"
-    click.echo(f"{out}: {size}, {describe_quality(encoding.quality)}")
+    tell(
+        f"{out}: {size}, {describe_quality(encoding.quality)}",
+        out=str(out),
+        **stream.facts(),
+        quality=asdict(encoding.quality),
+    )
 
 
 def encode_rate_controlled(
@@ -116,7 +125,10 @@ def encode_rate_controlled(
         f"padding {100 * outcome.padding:.1f} %",
         "packets": f"{1000 * outcome.packet_s:.1f} ms each, {describe_packets(outcome)}",
     }
-    show(lines)
+    if wants_json():
+        add({"out": str(out), **stream.facts(), "rate_control": asdict(outcome)})
+    else:
+        show(lines)
 
 
 def describe_rate(target: rate_controlled.RateTarget, outcome: rate_controlled.Outcome) -> str:

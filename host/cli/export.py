@@ -13,6 +13,7 @@ from vibrocast import extras, models, progress
 from vibrocast.files import atomic_folder
 from vibrocast.firmware.keys import read_private_key
 from vibrocast.host import signatures
+from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.keys import number_option
 from vibrocast.host.cli.option_types import FOLDER, INPUT
 from vibrocast.host.cli.options import BadInput, command_run, grouped
@@ -190,7 +191,11 @@ def export(
         (partial / models.CARD).write_text(model_card.as_json(card), encoding="utf-8")
         (partial / "card.md").write_text(page, encoding="utf-8")
     point = card["results"]["point"]
-    click.echo(
+    tell(
         f"{out}: {name}, image of {len(image)} bytes, {point['snr_db']:.1f} dB at "
-        f"{point['bits_per_sample']:.2f} bit/sample"
+        f"{point['bits_per_sample']:.2f} bit/sample",
+        out=str(out),
+        model=name,
+        image_bytes=len(image),
+        **point,
     )

@@ -8,6 +8,7 @@ from vibrocast import textures
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.files import atomic_write
+from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import Number, OutputFile, Whole, positive
 from vibrocast.textures.recording import Signal
 
@@ -53,7 +54,12 @@ def generate(
         profile = textures.surface_profile(kind, seed, seconds, hand_speed_mm_s, rate_hz)
         with atomic_write(out) as partial:
             textures.save_profile(partial, profile)
-        click.echo(f"{out}: {profile.length_mm:g} mm, a height every {profile.spacing_um:g} um")
+        tell(
+            f"{out}: {profile.length_mm:g} mm, a height every {profile.spacing_um:g} um",
+            out=str(out),
+            length_mm=profile.length_mm,
+            spacing_um=profile.spacing_um,
+        )
         return
     speed_mm_s: float | Signal = hand_speed_mm_s
     if speed_variation:
@@ -61,4 +67,11 @@ def generate(
     recording = textures.GENERATORS[kind](seed, seconds, speed_mm_s, rate_hz)
     with atomic_write(out) as partial:
         full_scale = textures.save(partial, recording, sixteen_bit=True)
-    click.echo(f"{out}: {recording.seconds:.3f} s at {recording.rate_hz:g} Hz, 1.0 is {full_scale:g} {recording.unit}")
+    tell(
+        f"{out}: {recording.seconds:.3f} s at {recording.rate_hz:g} Hz, 1.0 is {full_scale:g} {recording.unit}",
+        out=str(out),
+        seconds=recording.seconds,
+        rate_hz=recording.rate_hz,
+        unit=recording.unit,
+        full_scale=full_scale,
+    )

@@ -11,6 +11,7 @@ from vibrocast.device_protocol.model_image import MAX_NUMBER
 from vibrocast.files import atomic_write
 from vibrocast.firmware import keys as key_files
 from vibrocast.host import signatures
+from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import INPUT, OutputFile, Whole
 from vibrocast.host.cli.options import BadInput, chosen_model
 from vibrocast.host.cli.steps import files_of, reject_overwriting
@@ -51,14 +52,16 @@ def new(key: Path) -> None:
             raise BadInput(f"{path} exists, and a key cannot be made again; name another file")
     key_files.write_private_key(key, private_key)
     key_files.write_public_key(public_path, key_files.public_key(private_key))
-    click.echo(f"{public_path}: public key {key_files.public_key(private_key).hex()}")
+    public_key = key_files.public_key(private_key).hex()
+    tell(f"{public_path}: public key {public_key}", file=str(public_path), public_key=public_key)
 
 
 @keys.command()
 @click.argument("key", metavar="KEY", type=INPUT)
 def show(key: Path) -> None:
     """Print the public key of a file in hexadecimal digits."""
-    click.echo(key_files.read_public_key(key).hex())
+    public_key = key_files.read_public_key(key).hex()
+    tell(public_key, public_key=public_key)
 
 
 @keys.command()
@@ -77,7 +80,14 @@ def sign(model: models.Model, key: Path, number: int, out: Path) -> None:
     image = signatures.signed(model.image, private_key, number)
     with atomic_write(out) as partial:
         partial.write_bytes(image)
-    click.echo(plain(f"{out}: {model.name}, number {number}, by {key_files.public_key(private_key).hex()}"))
+    public_key = key_files.public_key(private_key).hex()
+    tell(
+        plain(f"{out}: {model.name}, number {number}, by {public_key}"),
+        out=str(out),
+        model=model.name,
+        number=number,
+        public_key=public_key,
+    )
 
 
 @keys.command()
@@ -92,4 +102,11 @@ def verify(model: models.Model, public_key: Path) -> None:
     """
     key = key_files.read_public_key(public_key)
     image = signatures.check(model.image, key)
-    click.echo(plain(f"{model.path}: {image.name} {image.version}, number {image.number}, by {key.hex()}"))
+    tell(
+        plain(f"{model.path}: {image.name} {image.version}, number {image.number}, by {key.hex()}"),
+        file=str(model.path),
+        model=image.name,
+        version=image.version,
+        number=image.number,
+        public_key=key.hex(),
+    )

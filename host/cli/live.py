@@ -19,14 +19,16 @@ from vibrocast.codec.live_format import live_format
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.device_protocol.messages import Status
 from vibrocast.files import atomic_write
-from vibrocast.host import devices, uploader
+from vibrocast.host import devices, end_to_end, uploader
 from vibrocast.host import live as streaming
-from vibrocast.host.bench_limits import BenchLimits, Judged, lost_percent, missed
+from vibrocast.host.bench_limits import BenchLimits, missed
+from vibrocast.host.cli.answers import add, tell
 from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import Number, OutputFile, Whole, positive
 from vibrocast.host.cli.options import (
     BadInput,
     actuator_option,
+    bench_actuator,
     bench_option,
     check_bench_actuator,
     chosen_highpass_hz,
@@ -41,10 +43,11 @@ from vibrocast.host.cli.options import (
 )
 from vibrocast.host.cli.rate_options import RateOptions, rate_controlled_options
 from vibrocast.host.cli.sections import CODING, CONTROLLER, INPUT, OUTPUT, SectionedCommand, section
-from vibrocast.host.cli.steps import describe_card, warn_of_underruns
+from vibrocast.host.cli.steps import describe_card, describe_skin, warn_of_underruns
+from vibrocast.host.live_quality import CodedBeginning, LiveQuality
+from vibrocast.host.live_watch import Watch, judged
 from vibrocast.host.provenance import Provenance
 from vibrocast.host.report import SCHEMA
-from vibrocast.host.soak import Watch
 from vibrocast.textures.recording import MAX_CHANNELS
 
 if TYPE_CHECKING:
@@ -53,7 +56,6 @@ if TYPE_CHECKING:
 # By name: the type in NumPy's words, and the number that stands for full scale.
 FORMATS = {"int16": ("<i2", 32768.0), "float32": ("<f4", 1.0)}
 STANDARD_INPUT = "-"
-MAX_BLOCK_S = 0.01
 
 
 @dataclass(frozen=True)
@@ -210,9 +212,8 @@ def live(
             )
         playout_delay_s = None if playout_delay_ms is None else playout_delay_ms / 1e3
         stream = streaming.LiveStream(controller, signal_format, coding=live_coding, playout_delay_s=playout_delay_s)
-        watch = Watch(stream)
-        # Shorter than long packets, so that what the controller sends meanwhile is read.
-        block_samples = min(stream.packet_samples, math.ceil(MAX_BLOCK_S * rate_hz))
+        watch, beginning = Watch(stream), CodedBeginning(stream)
+        block_samples = min(stream.packet_samples, math.ceil(streaming.MAX_BLOCK_S * rate_hz))
         blocks: Iterator[NDArray[np.float64]]
         total_s = None
         if source != STANDARD_INPUT:
@@ -223,6 +224,8 @@ def live(
         if highpass_hz is not None and textures.is_vibration(signal_format.unit):
             blocks = map(textures.LiveHighPass(rate_hz, highpass_hz), blocks)
 
+        blocks = beginning.blocks(blocks)
+
         def show(now: Status) -> None:
             watch.note(now)
             part = None if total_s is None else min(1.0, stream.seconds / total_s)
@@ -230,35 +233,43 @@ def live(
             rate_bps = 8 * stream.payload_bytes / stream.seconds if stream.seconds else 0.0
             update(part, f"{stream.seconds:.1f}{length} s  {rate_bps / 1000:.2f} kbit/s  underruns {stream.underruns}")
 
+        quality = None
         try:
             result = streaming.play(stream, blocks, progress=show)
+            moved = bench_actuator(bench, address) if bench is not None and actuator is None else actuator
+            quality = beginning.quality(end_to_end.member(controller, address, moved), model)
         except streaming.LiveError as error:
             raise BadInput(str(error)) from error
         finally:
-            # Of a stream that was cut, too.
+            # Of a stream that was cut, too, but then at once.
             watch.close()
+            document = figures(stream.result(), stream, watch, bench, quality)
             if report_path:
-                write_report(report_path, figures(stream.result(), stream, watch, bench))
+                write_report(report_path, document)
     delay_ms = 1000 * stream.playout_delay_s
+    add(document)
     if target is not None:
-        click.echo(
+        tell(
             f"packets {result.payload_bps:.0f} bit/s, with frames {result.wire_bps:.0f} bit/s "
             f"(+{100 * result.wire_adds:.1f} %); packets of {1000 * stream.packet_s:.1f} ms, playout delay "
             f"{delay_ms:.0f} ms; {result.dropped_packets} packets not sent, because too late"
         )
     restarts = f", restarts {result.streams - 1}" if result.streams > 1 else ""
-    click.echo(
+    tell(
         f"underruns {result.underruns}, lost packets {result.lost_packets} of {result.packets}{restarts}, "
         f"damaged frames {result.bad_frames} there, {result.bad_frames_back} back"
     )
+    if quality is not None:
+        skin = f"; at the skin {describe_skin(quality.skin, quality.skin_note)}" if quality.skin else ""
+        tell(f"SNR {'unknown' if quality.snr_db is None else f'{quality.snr_db:.2f} dB'}{skin}")
     if card := stream.controller.sound_card:
-        click.echo(f"sound card {describe_card(card)}")
+        tell(f"sound card {describe_card(card)}")
         warn_of_underruns(card)
     for minute in watch.minutes:
         if minute.cause is not None:
             late = "" if minute.host_late_ms is None else f", host up to {minute.host_late_ms:.0f} ms late"
             lost = f"underruns {minute.underruns}, lost packets {minute.lost_packets}, restarts {minute.restarts}"
-            click.echo(f"from {minute.from_s:.0f} s: {lost}{late}; cause: {minute.cause}")
+            tell(f"from {minute.from_s:.0f} s: {lost}{late}; cause: {minute.cause}")
     if result.bad_frames or result.bad_frames_back:
         click.echo("warning: frames were damaged on the wire; check cable, connectors and baud rate", err=True)
     elif result.lost_packets or result.dropped_packets:
@@ -267,18 +278,15 @@ def live(
             f"above {delay_ms:.0f}",
             err=True,
         )
-    fail_where_missed(missed(BenchLimits() if bench is None else bench.limits, judged(result)))
-
-
-def judged(result: streaming.LiveResult) -> Iterator[Judged]:
-    """Yield the figures of a live stream that limits judge."""
-    yield Judged("underruns", "live", result.underruns)
-    yield Judged("lost_percent", "live", lost_percent(result.lost_packets, result.packets))
-    yield Judged("bad_frames", "live", result.bad_frames + result.bad_frames_back)
+    fail_where_missed(missed(BenchLimits() if bench is None else bench.limits, judged(result, quality)))
 
 
 def figures(
-    result: streaming.LiveResult, stream: streaming.LiveStream, watch: Watch, bench: "Bench | None"
+    result: streaming.LiveResult,
+    stream: streaming.LiveStream,
+    watch: Watch,
+    bench: "Bench | None",
+    quality: LiveQuality | None,
 ) -> dict[str, Any]:
     """Return the report of a live stream, ready for JSON; docs/reference/report.md explains each figure."""
     card, hello = stream.controller.sound_card, stream.controller.description
@@ -295,6 +303,9 @@ def figures(
         "payload_bits_per_second": result.payload_bps,
         "wire_bits_per_second": result.wire_bps,
         "wire_adds": result.wire_adds,
+        "snr_db": None if quality is None else quality.snr_db,
+        "skin": None if quality is None or quality.skin is None else asdict(quality.skin),
+        "skin_note": None if quality is None else quality.skin_note,
         "underruns": result.underruns,
         "packets": result.packets,
         "lost_packets": result.lost_packets,

@@ -1,12 +1,13 @@
 """The subcommand `measure`: measures a controller on its bench, reports, and compares with an earlier run."""
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from vibrocast import extras
+from vibrocast.host.cli.answers import add, tell
 from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import FOLDER, INPUT
 from vibrocast.host.cli.options import (
@@ -157,11 +158,12 @@ def measure(
     changes = [] if before is None else compare(before, results.document())
     for name, why in results.failed.items():
         click.echo(f"not measured: {name}: {why}", err=True)
+    add(results.document() | {"changes": [asdict(change) for change in changes]})
     for name, value in figures(results.document()):
-        click.echo(described(name, value))
+        tell(described(name, value))
     for warning in warnings(results.document()):
         click.echo(f"warning: {warning}", err=True)
-    click.echo(f"{out / PAGE}")
+    tell(f"{out / PAGE}", page=str(out / PAGE))
     if results.failed:
         raise click.ClickException(
             f"not all could be measured: {', '.join(results.failed)}; the lines above say why, and --only repeats some"

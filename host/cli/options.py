@@ -1,6 +1,7 @@
 """Options that several subcommands share, how they are read, and the error of bad input."""
 
 import functools
+import json
 import shlex
 import sys
 from collections.abc import Callable, Sequence
@@ -17,6 +18,7 @@ from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.device_protocol.messages import ActuatorDescription
 from vibrocast.device_protocol.model_image import ModelImageError
 from vibrocast.host import devices
+from vibrocast.host.cli.answers import wants_json
 from vibrocast.host.cli.exit_codes import BAD_INPUT, LIMIT_MISSED, REGRESSION
 from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, positive
 from vibrocast.host.cli.sections import CODING, section
@@ -240,11 +242,9 @@ link_option = click.option(
 
 def tell_address(port_name: str, err: bool = False) -> None:
     """Print the address of a port for other programs, at once. `err`: on stderr, where stdout is for something else."""
-    click.echo(f"serial:{port_name}", err=err)
+    address = f"serial:{port_name}"
+    click.echo(json.dumps({"address": address}) if wants_json() else address, err=err)
     (sys.stderr if err else sys.stdout).flush()
-
-
-json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 
 
 allow_programs_option = click.option(

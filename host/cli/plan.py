@@ -1,6 +1,5 @@
 """The subcommand `plan`: chooses how each texture of a scene is coded, and says why."""
 
-import json
 from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -8,6 +7,7 @@ from tempfile import TemporaryDirectory
 import click
 
 from vibrocast import extras, progress
+from vibrocast.host.cli.answers import answer, wants_json
 from vibrocast.host.cli.option_types import FOLDER, INPUT
 from vibrocast.host.cli.planned import play as play_plan
 from vibrocast.host.printable import plain
@@ -19,8 +19,7 @@ FORECAST_CSV, FORECAST_JSON = "forecast.csv", "forecast.json"
 @click.argument("scene_path", metavar="SCENE.toml", type=INPUT)
 @click.option("--out", type=FOLDER, help="Write plan, picture and tables into this folder.")
 @click.option("--play", "plays", is_flag=True, help="Play the plan, and compare measurement with forecast.")
-@click.option("--json", "as_json", is_flag=True, help="Print the answer as JSON.")
-def plan(scene_path: Path, out: Path | None, plays: bool, as_json: bool) -> None:
+def plan(scene_path: Path, out: Path | None, plays: bool) -> None:
     """Choose the cheapest codec settings that meet your requirements.
 
     Prints the choice for each texture with its reason, and the three nearest alternatives. --out writes the plan
@@ -42,9 +41,9 @@ def plan(scene_path: Path, out: Path | None, plays: bool, as_json: bool) -> None
         page.write_tables(out, choices)
         page.draw(out / page.PICTURE, scene, choices)
     answers = list(zip(choices, planned.textures, strict=True))
-    if as_json and not plays:
-        click.echo(json.dumps([page.document(choice, texture) for choice, texture in answers], indent=2))
-    if not as_json:
+    if wants_json():
+        answer([page.document(choice, texture) for choice, texture in answers])
+    else:
         click.echo("\n\n".join(page.summary(scene.asked, choice, texture) for choice, texture in answers))
         if out is not None:
             click.echo(f"\n{plain(str(out))}: {page.PLAN}, {page.PICTURE}, {page.CANDIDATES}, {page.BANDS}")
@@ -54,4 +53,4 @@ def plan(scene_path: Path, out: Path | None, plays: bool, as_json: bool) -> None
             # From the file, which holds all that the plan says.
             planner.write_plan(folder / page.PLAN, planned)
             written = planner.read_plan(folder / page.PLAN)
-            play_plan(written, (), folder / FORECAST_JSON, folder / FORECAST_CSV, as_json)
+            play_plan(written, (), folder / FORECAST_JSON, folder / FORECAST_CSV)

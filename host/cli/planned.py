@@ -12,6 +12,7 @@ from msgspec import structs
 
 from vibrocast import models, progress
 from vibrocast.files import atomic_write
+from vibrocast.host.cli.answers import answer, wants_json
 from vibrocast.host.printable import plain
 
 if TYPE_CHECKING:  # modules that plan take a second to load; other commands need not wait for them
@@ -46,12 +47,10 @@ def read(path: Path, allowed: Sequence[str]) -> "Plan":
     return replace(plan, controllers=tuple(structs.replace(each, address=address) for each, address in pairs))
 
 
-def play(
-    plan: "Plan", names: Sequence[str], report: Path | None, table: Path | None = None, as_json: bool = False
-) -> None:
+def play(plan: "Plan", names: Sequence[str], report: Path | None, table: Path | None = None) -> None:
     """Play textures of a plan, all if none is named; print forecast and measured, and write them as JSON and CSV.
 
-    `as_json`: print them as JSON. Raises click.ClickException where something was not as planned.
+    Raises click.ClickException where something was not as planned.
     """
     from vibrocast.host import planner
     from vibrocast.host.planner import comparison
@@ -63,13 +62,14 @@ def play(
         except planner.PartlyPlayedError as error:
             played, failure = error.played, error
     compared = comparison.rows(played)
-    document = json.dumps([comparison.document(each) for each in played], indent=2, allow_nan=False)
+    documents = [comparison.document(each) for each in played]
     if report is not None:
         with atomic_write(report) as partial:
-            partial.write_text(document + "\n", encoding="utf-8")
+            partial.write_text(json.dumps(documents, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     if table is not None:
         comparison.write_csv(table, compared)
-    for line in [document] if as_json else map(plain, comparison.lines(compared)):
+    answer(documents)
+    for line in () if wants_json() else map(plain, comparison.lines(compared)):
         click.echo(line)
     told = comparison.failures(played, compared) + ([] if failure is None else [str(failure)])
     if told:

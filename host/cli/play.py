@@ -17,6 +17,7 @@ from vibrocast.files import atomic_write
 from vibrocast.host import devices, player, profiles
 from vibrocast.host.bench_limits import missed
 from vibrocast.host.cli import planned
+from vibrocast.host.cli.answers import add, answer, wants_json
 from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, positive
 from vibrocast.host.cli.options import (
@@ -39,6 +40,7 @@ from vibrocast.host.cli.sections import CONTROLLER, OUTPUT, PLAYBACK, SectionedC
 from vibrocast.host.cli.steps import (
     describe_card,
     describe_quality,
+    describe_skin,
     encoded,
     encoded_profile,
     files_of,
@@ -257,7 +259,10 @@ def play(
         outcome.report.write(outputs.report_path)
     if outputs.plot_path:
         picture.draw(outputs.plot_path, f"{file.name} on {addresses[0]}", outcome.caption, outcome.traces)
-    show(summary(outcome, stream))
+    if wants_json():
+        add(asdict(outcome.report))
+    else:
+        show(summary(outcome, stream))
     if outcome.report.touch.level_db <= 0:
         click.echo("warning: nobody would feel this; raise --gain-db, or check --unit and --full-scale", err=True)
     if outcome.report.sound_card:
@@ -303,23 +308,24 @@ def report_each(outcomes: "dict[str, end_to_end.Outcome | Exception]", report_pa
     Raises ControllerError if one failed, or played something else than was sent.
     """
     reports = {name: each if isinstance(each, Exception) else each.report for name, each in outcomes.items()}
+    documents = [
+        {"device": {"address": name}, "error": str(each)} if isinstance(each, Exception) else asdict(each)
+        for name, each in reports.items()
+    ]
     if report_path:
         with atomic_write(report_path) as partial:
-            documents = [
-                {"device": {"address": name}, "error": str(each)} if isinstance(each, Exception) else asdict(each)
-                for name, each in reports.items()
-            ]
             partial.write_text(json.dumps(documents, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    show(
-        {
-            name: f"FAILED: {each}"
-            if isinstance(each, Exception)
-            else f"played {each.loops} time(s), underruns {each.underruns}, lost packets {each.lost_packets}, "
-            f"reconnects {each.reconnects}, decoded as sent {ANSWERS[each.decoded_equals_offline]}, "
-            f"DAC as computed {ANSWERS[each.dac_equals_offline]}"
-            for name, each in reports.items()
-        }
-    )
+    answer(documents)
+    lines = {
+        name: f"FAILED: {each}"
+        if isinstance(each, Exception)
+        else f"played {each.loops} time(s), underruns {each.underruns}, lost packets {each.lost_packets}, "
+        f"reconnects {each.reconnects}, decoded as sent {ANSWERS[each.decoded_equals_offline]}, "
+        f"DAC as computed {ANSWERS[each.dac_equals_offline]}"
+        for name, each in reports.items()
+    }
+    if not wants_json():
+        show(lines)
     failed = [name for name, each in reports.items() if isinstance(each, Exception) or each.differs]
     if failed:
         raise ControllerError(
@@ -402,17 +408,6 @@ def playing(update: progress.Update, bits_per_second: float) -> Callable[[str, p
     return tell
 
 
-def describe_skin(report: Report) -> str:
-    """Return the SNR and the gain at the skin, and why the SNR differs from that of the codec, in words."""
-    skin = report.skin
-    if skin is None:
-        return "not compared: the skin hardly moves as the texture does"
-    ratio = f"SNR {skin.snr_db:.2f} dB" if skin.snr_db is not None else "SNR unknown"
-    alone = f", without the codec {skin.playing_snr_db:.2f} dB" if skin.playing_snr_db is not None else ""
-    gain = f", gain {skin.gain:.2f}" if skin.gain is not None else ""
-    return f"{ratio}{alone}{gain}" + (f"; {report.skin_note}" if report.skin_note else "")
-
-
 def describe_touch(touch: Touch) -> str:
     """Return how far the skin's vibration exceeds the detection threshold, in words."""
     if touch.level_db > 0:
@@ -451,7 +446,7 @@ def summary(outcome: "end_to_end.Outcome", given: Stream) -> dict[str, object]:
         + (f", model {report.model}" if report.model else ""),
         "packets": describe_packets(outcome.stream, given),
         "quality": describe_quality(report),
-        "at the skin": describe_skin(report),
+        "at the skin": describe_skin(report.skin, report.skin_note),
         "wire": f"{report.wire_bytes} bytes sent, {report.wire_bytes_back} received, damaged frames "
         f"{report.bad_frames} there, {report.bad_frames_back} back",
         "latency": f"{latency.algorithmic:.1f} ms codec + {latency.buffered:.1f} ms buffer, "

@@ -7,6 +7,7 @@ import click
 from vibrocast import progress
 from vibrocast.device_protocol.transports import BAUD
 from vibrocast.host import recorder
+from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import OutputFile, Whole, positive
 from vibrocast.host.cli.sections import INPUT, OUTPUT, SectionedCommand, section
 from vibrocast.host.cli.sensor_options import sensitivity_option, volts_option
@@ -76,7 +77,14 @@ def record(
         click.echo(f"warning: {warning}", err=True)
     named = f" ({', '.join(source.axes)})" if source.axes else ""
     peaks = ", ".join(f"{peak:.3g}" for peak in recorded.peaks)
-    click.echo(
+    tell(
         f"{out}: {recorded.seconds:.3f} s at {source.rate_hz} Hz, {source.channels} channel(s){named}, "
-        f"peak {peaks} {source.unit}"
+        f"peak {peaks} {source.unit}",
+        out=str(out),
+        seconds=recorded.seconds,
+        rate_hz=source.rate_hz,
+        channels=source.channels,
+        unit=source.unit,
+        peaks=list(recorded.peaks),
+        warnings=list(recorded.warnings),
     )

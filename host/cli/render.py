@@ -1,6 +1,6 @@
 """The subcommand `render`: writes the drive signal of a texture for an actuator into a WAV file, for any player."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import click
@@ -9,6 +9,7 @@ from vibrocast import textures
 from vibrocast.codec.stream import MAX_GAIN_DB
 from vibrocast.files import atomic_write
 from vibrocast.host import devices
+from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole
 from vibrocast.host.cli.options import (
     BadInput,
@@ -114,11 +115,18 @@ def render(file: Path, out: Path, drive: DriveOptions, quality: QualityOptions, 
             textures.save(partial, signal, sixteen_bit=True, note=f"drive of {actuator.name}, 1.0 is {volts:g} V")
         except textures.TextureError as error:
             raise textures.TextureError(str(error).replace(str(partial), str(out))) from error
-    click.echo(
+    tell(
         f"{out}: {len(codes) / actuator.dac_rate_hz:.3f} s at {actuator.dac_rate_hz} Hz, {signal.channels} channel(s), "
-        f"1.0 is {volts:g} V at {actuator.name}"
+        f"1.0 is {volts:g} V at {actuator.name}",
+        out=str(out),
+        seconds=len(codes) / actuator.dac_rate_hz,
+        rate_hz=actuator.dac_rate_hz,
+        channels=signal.channels,
+        actuator=actuator.name,
+        full_scale_volts=volts,
     )
-    click.echo(
+    tell(
         f"clipped {limited.compensation_clipped}, limited by voltage {limited.voltage_limited}, slew "
-        f"{limited.slew_limited}, power {limited.power_limited} samples"
+        f"{limited.slew_limited}, power {limited.power_limited} samples",
+        limited=asdict(limited),
     )

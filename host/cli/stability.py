@@ -9,6 +9,7 @@ import click
 from vibrocast import extras, progress
 from vibrocast.codec import CodecError
 from vibrocast.device_protocol.model_image import ModelImageError
+from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import FOLDER, INPUT
 from vibrocast.host.cli.options import (
     BadInput,
@@ -97,11 +98,11 @@ def stability(
     outcomes = Counter("as required" if cell.sound else OUTCOMES[cell.outcome] for cell in cells)
     counts = ", ".join(f"{outcomes[name]} {name}" for name in ("as required", *OUTCOMES.values()) if outcomes[name])
     for each in failures[:MAX_FAILURES]:
-        click.echo(f"{each.failure}: {each.methods} ({each.boundary})\n  remedy: {each.remedy}")
+        tell(f"{each.failure}: {each.methods} ({each.boundary})\n  remedy: {each.remedy}")
     if len(failures) > MAX_FAILURES:
-        click.echo(f"{len(failures) - MAX_FAILURES} more failures are on the page")
-    click.echo(f"{len(cells)} conditions: {counts}")
-    click.echo(f"page: {out / page.PAGE}")
+        tell(f"{len(failures) - MAX_FAILURES} more failures are on the page")
+    tell(f"{len(cells)} conditions: {counts}", conditions=len(cells), outcomes=dict(outcomes))
+    tell(f"page: {out / page.PAGE}", page=str(out / page.PAGE), failures=[vars(each) for each in failures])
 
 
 def load_all(recordings: Path, options: RecordingOptions) -> tuple[Recording, ...]:

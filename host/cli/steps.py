@@ -1,6 +1,5 @@
 """Steps that several subcommands share: check arguments, encode with a progress bar, print facts."""
 
-import json
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,9 +12,11 @@ from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, Encoding, encode_re
 from vibrocast.codec.stream import CodingQuality
 from vibrocast.codec.threshold import TACTILE_BAND_HZ
 from vibrocast.host import profiles
+from vibrocast.host.cli.answers import add, wants_json
 from vibrocast.host.cli.options import QualityOptions
 from vibrocast.host.printable import plain
 from vibrocast.host.report import Report
+from vibrocast.host.skin_quality import SkinQuality
 from vibrocast.output.sound_card import CardUse
 
 _Argument = TypeVar("_Argument")
@@ -87,6 +88,16 @@ def describe_quality(quality: CodingQuality | Report) -> str:
     )
 
 
+def describe_skin(skin: SkinQuality | None, note: str | None) -> str:
+    """Return the SNR and the gain at the skin, and why the SNR differs from that of the codec, in words."""
+    if skin is None:
+        return "not compared: the skin hardly moves as the texture does"
+    ratio = f"SNR {skin.snr_db:.2f} dB" if skin.snr_db is not None else "SNR unknown"
+    alone = f", without the codec {skin.playing_snr_db:.2f} dB" if skin.playing_snr_db is not None else ""
+    gain = f", gain {skin.gain:.2f}" if skin.gain is not None else ""
+    return f"{ratio}{alone}{gain}" + (f"; {note}" if note else "")
+
+
 def describe_card(card: CardUse) -> str:
     """Return how a sound card plays, in words."""
     channels = ", ".join(map(str, card.channels))
@@ -105,10 +116,10 @@ def warn_of_underruns(card: CardUse) -> None:
         )
 
 
-def show(facts: Mapping[str, object], as_json: bool = False) -> None:
-    """Print names and values, one pair a line, a list's items below each other; or all as JSON."""
-    if as_json:
-        click.echo(json.dumps(facts, indent=2, allow_nan=False))
+def show(facts: Mapping[str, object]) -> None:
+    """Print names and values, one pair a line, a list's items below each other; in JSON, add them to the answer."""
+    if wants_json():
+        add(facts)
         return
     width = max(map(len, facts))
     for name, value in facts.items():

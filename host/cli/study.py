@@ -9,6 +9,7 @@ import click
 from vibrocast import extras, progress
 from vibrocast.files import atomic_write
 from vibrocast.host import devices
+from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import FOLDER, INPUT, Number, Whole
 from vibrocast.host.cli.options import BadInput, device_option
 from vibrocast.host.cli.sections import CONTROLLER, OUTPUT, RUN, SectionedCommand, section
@@ -62,7 +63,7 @@ def check(study_path: Path, address: str, actuator_name: str | None, out: Path |
     reject_problems(read, actuator, prepared)
     if out is not None:
         keep(out, study_path, prepared, actuator)
-    click.echo(f"{len(prepared)} stimuli can be compared on {actuator.name}")
+    tell(f"{len(prepared)} stimuli can be compared on {actuator.name}")
 
 
 @study.command(cls=SectionedCommand)
@@ -160,7 +161,11 @@ def simulate(study_path: Path, participants: int, noise: float, actuator_name: s
         for number in range(1, participants + 1):
             simulate_participant(read, prepared, skin_of, number, participant_folder(out, number), settings)
             update(number / participants)
-    click.echo(f"{participants} simulated observers answered; `vibrocast study report {out}` analyses them")
+    tell(
+        f"{participants} simulated observers answered; `vibrocast study report {out}` analyses them",
+        participants=participants,
+        out=str(out),
+    )
 
 
 @study.command(cls=SectionedCommand)
@@ -171,7 +176,8 @@ def report(folder: Path, out: Path | None) -> None:
     extras.require("study")
     from vibrocast.host.study.report import write_report
 
-    click.echo(str(write_report(folder, out or folder / "report")))
+    page = str(write_report(folder, out or folder / "report"))
+    tell(page, page=page)
 
 
 def chosen_actuator(read: Study, name: str | None) -> Actuator:

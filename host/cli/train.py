@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from vibrocast import extras, progress
+from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import FOLDER, INPUT, Whole
 from vibrocast.host.cli.options import BadInput
 
@@ -64,7 +65,7 @@ def train(
         if len(trainings) == 1 and not scheduler:
             with progress.bar("training") as update:
                 (outcome,) = (run(update, threads) for run in trainings.values())
-            click.echo(outcome)
+            tell(str(outcome), trainings=[str(outcome)])
             return
     except (configuration.ConfigurationError, dataset.DatasetError, ModelError) as error:
         raise BadInput(str(error)) from error
@@ -82,6 +83,7 @@ def run_sweep(trainings: dict[str, Any], scheduler: str | None) -> None:
         work = partial(workers.on_cluster, address=scheduler, version=cells.program_version)
     tasks: Iterator[Any] = iter(trainings.items())
     failed = []
+    ended: list[str] = []
     try:
         with progress.bar("training") as update, closing(work(tasks)) as outcomes:
             update(0, f"0 of {len(trainings)}")
@@ -90,7 +92,8 @@ def run_sweep(trainings: dict[str, Any], scheduler: str | None) -> None:
                     failed.append(name)
                     click.echo(f"failed: {name}: {outcome}", err=True)
                 else:
-                    click.echo(outcome)
+                    ended.append(str(outcome))
+                    tell(str(outcome), trainings=ended)
                 update(done / len(trainings), f"{done} of {len(trainings)}")
     except workers.WorkersError as error:
         raise click.ClickException(str(error)) from error

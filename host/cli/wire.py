@@ -8,16 +8,18 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import click
 
+from vibrocast import progress, textures
 from vibrocast.device_protocol.messages import Start, Status, pack
 from vibrocast.device_protocol.trace import TracedFrame, read_trace
 from vibrocast.device_protocol.transports import Transport, TransportError
 from vibrocast.host import devices
-from vibrocast.host.cli.option_types import INPUT, Number, Whole, positive
-from vibrocast.host.cli.options import checked_address, grouped, json_option, link_option, tell_address
+from vibrocast.host.cli.answers import tell, wants_json
+from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, positive
+from vibrocast.host.cli.options import BadInput, checked_address, grouped, link_option, tell_address
 from vibrocast.host.frame_lines import line
 from vibrocast.host.printable import plain
 from vibrocast.host.tracing import tracer
@@ -29,14 +31,16 @@ _POLL_S = 0.05
 # After the last frame of a replay, answers may come for so long.
 _ANSWERS_S = 0.5
 
+See: TypeAlias = Callable[[Iterable[TracedFrame]], None]
+
 address_argument = click.argument("address", callback=checked_address)
 
 
 class Screen:
     """Prints frames, as lines or as JSON; the first one begins the time."""
 
-    def __init__(self, as_json: bool) -> None:
-        self._as_json = as_json
+    def __init__(self) -> None:
+        self._as_json = wants_json()
         self._began_ns: int | None = None
 
     def show(self, frames: Iterable[TracedFrame]) -> None:
@@ -51,8 +55,11 @@ class Screen:
 @click.command()
 @address_argument
 @link_option
-@json_option
-def monitor(address: str, link: Path | None, as_json: bool) -> None:
+@click.option("--web", is_flag=True, help="Show signals, spectra and state on a page for your browser.")
+@click.option(
+    "--port", type=Whole("NUMBER", 0, 65_535), default=0, show_default=True, help="Serve it here; 0 takes a free port."
+)
+def monitor(address: str, link: Path | None, web: bool, port: int) -> None:
     """Show the frames between a host and a controller as they pass.
 
     The command opens the controller at ADDRESS, and prints the address of another port on stderr. Pass that to the
@@ -60,8 +67,19 @@ def monitor(address: str, link: Path | None, as_json: bool) -> None:
     state, position, credit, buffer and the counters that are not 0.
 
     --json prints one JSON object a line. `vibrocast --trace FILE monitor` also writes them.
+
+    --web prints the address of a page instead. It helps where an actuator buzzes strangely.
     """
-    serve(address, link, (), 0, Screen(as_json))
+    if not web:
+        serve(address, link, (), 0, Screen().show)
+        return
+    from vibrocast.host.wire_page import wire_page
+    from vibrocast.host.wire_view import WireView
+
+    view = WireView()
+    with wire_page(view.document, port) as page:
+        click.echo(f"page: {page}", err=True)
+        serve(address, link, (), 0, view.note)
 
 
 def _option(kind: Number, name: str, text: str) -> Callable[..., Any]:
@@ -113,8 +131,11 @@ def proxy(address: str, link: Path | None, given: FaultOptions, schedule: Path |
     serve(address, link, (Fault(**vars(given)), *faults), seed, None)
 
 
-def serve(address: str, link: Path | None, faults: "Sequence[Fault]", seed: int, screen: Screen | None) -> None:
-    """Serve a controller behind a port of its own until Ctrl-C; raise what broke the way to it."""
+def serve(address: str, link: Path | None, faults: "Sequence[Fault]", seed: int, see: "See | None") -> None:
+    """Serve a controller behind a port of its own until Ctrl-C; raise what broke the way to it.
+
+    `see` takes the frames as they pass.
+    """
     from vibrocast.simulated_device.faulty_wire import FaultyWire, RemoteDevice
     from vibrocast.simulated_device.serial_port import has_pseudo_terminals, serial_port
 
@@ -130,12 +151,12 @@ def serve(address: str, link: Path | None, faults: "Sequence[Fault]", seed: int,
         port = serial_port(FaultyWire(remote, faults, seed, pull), link)
         try:
             with port:
-                tell_address(port.name, err=screen is not None)
+                tell_address(port.name, err=see is not None)
                 tracer.take()
                 while remote.failure is None:
                     time.sleep(_POLL_S)
-                    if screen is not None:
-                        screen.show(tracer.take())
+                    if see is not None:
+                        see(tracer.take())
         except TransportError:  # the port says that its controller has failed
             if remote.failure is None:
                 raise
@@ -146,26 +167,49 @@ def serve(address: str, link: Path | None, faults: "Sequence[Fault]", seed: int,
 @click.command()
 @click.argument("trace", type=INPUT)
 @click.option(
+    "--decode",
+    "out",
+    type=OutputFile(*textures.SAVED_SUFFIXES),
+    metavar="FILE",
+    help="Decode the last stream into a file, up to a missing packet.",
+)
+@click.option(
     "--device",
     "address",
     callback=lambda *given: given[2] and checked_address(*given),
     metavar="ADDRESS",
     help="Send the frames from the host to this controller, at their times.",
 )
-@json_option
-def replay(trace: Path, address: str | None, as_json: bool) -> None:
-    """Show the frames of a trace, or send them again.
+def replay(trace: Path, out: Path | None, address: str | None) -> None:
+    """Show the frames of a trace, decode them, or send them again.
 
-    Without --device, the command shows the frames of TRACE, a .pcapng or .jsonl file of `vibrocast --trace`. With it,
+    Without an option, the command shows the frames of TRACE, a .pcapng or .jsonl file of `vibrocast --trace`. With it,
     the frames from the host go to the controller at the times of the trace, and the command shows both directions.
     """
-    screen, frames = Screen(as_json), list(read_trace(trace))
+    screen, frames = Screen(), list(read_trace(trace))
+    if out is not None:
+        decode_last(frames, trace, out)
+        return
     if address is None:
         screen.show(frames)
         return
     with devices.reach(address) as transport:
         tracer.take()
         send_again(transport, [each for each in frames if each.from_host], first_device_us(frames), screen)
+
+
+def decode_last(frames: Sequence[TracedFrame], trace: Path, out: Path) -> None:
+    """Decode the last stream of a trace into a file. Raises BadInput, StreamError, CodecError, OSError."""
+    from vibrocast.codec.stream import write_recording
+    from vibrocast.host.trace_streams import streams_of
+
+    streams = streams_of(frames)
+    if not streams:
+        raise BadInput(f"{trace}: no stream was set up in it; trace the whole command")
+    stream = streams[-1].stream()
+    with progress.bar("decoding") as update:
+        write_recording(out, stream, progress=update)
+    tell(f"{out}: {stream.seconds:.3f} s at {stream.header.rate_hz} Hz", out=str(out), seconds=stream.seconds)
 
 
 def first_device_us(frames: Iterable[TracedFrame]) -> int | None:

@@ -4,7 +4,7 @@ import html
 import json
 import re
 from collections import Counter
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from enum import Enum
 from importlib.metadata import version
 from itertools import groupby
@@ -17,9 +17,11 @@ from vibrocast.files import atomic_write
 from vibrocast.host import devices
 from vibrocast.host.conformance.fixtures import SECTIONS
 from vibrocast.host.printable import plain
+from vibrocast.host.provenance import Provenance
 
 PAGE = "conformance.md"
 JSON = "conformance.json"
+SCHEMA = 1
 
 
 class Outcome(Enum):
@@ -53,12 +55,12 @@ class Finding:
 
 @dataclass(frozen=True)
 class Report:
-    """The findings on a controller. `left_out`: tests that the user left out. `date`: None = none in the report."""
+    """The findings on a controller. `left_out`: tests that the user left out. `run`: the origin."""
 
     hello: HelloResponse
     findings: tuple[Finding, ...]
     left_out: tuple[str, ...] = ()
-    date: str | None = None
+    run: Provenance = field(default_factory=Provenance)
 
     @property
     def conforming(self) -> bool:
@@ -99,9 +101,10 @@ class Report:
     def facts(self) -> dict[str, Any]:
         """Return the report ready for JSON."""
         return {
+            "schema": SCHEMA,
             "protocol": f"{PROTOCOL_MAJOR}.{PROTOCOL_MINOR}",
             "suite": f"vibrocast {version('vibrocast')}",
-            **({"date": self.date} if self.date else {}),
+            "run": asdict(self.run),
             "conforming": self.conforming,
             "left_out": list(self.left_out),
             "controller": devices.described(self.hello),

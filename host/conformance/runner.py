@@ -39,13 +39,11 @@ def run_suite(
     link: TappedLink,
     quick: bool = False,
     progress: Callable[[float, str], None] | None = None,
-    date: str | None = None,
 ) -> Report:
     """Run the suite on the controller behind a link; return its description, and the findings in suite order.
 
     `quick`: leave out tests longer than a second. `progress` is called with the part that is done and the next section.
-    `date`: for the report. The output is at rest afterwards, also after an exception. Raises NotTestable,
-    KeyboardInterrupt.
+    The output is at rest afterwards, also after an exception. Raises NotTestable, KeyboardInterrupt.
     """
     probe = Probe(link)
     try:
@@ -58,7 +56,7 @@ def run_suite(
     _run(suite_run, "-m", "not long" if quick else "")
     left_out = ["tests longer than a second"] * quick
     left_out += ["tests that write model images"] * (not link.may_flash)
-    return Report(probe.description, tuple(suite_run.all_findings()), tuple(left_out), date)
+    return Report(probe.description, tuple(suite_run.all_findings()), tuple(left_out))
 
 
 def requirements() -> list[Requirement]:

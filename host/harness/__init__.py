@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from vibrocast.host.harness.latency import *
+    from vibrocast.host.harness.live_run import *
     from vibrocast.host.harness.measurements import *
     from vibrocast.host.harness.results import *
     from vibrocast.host.harness.run import *
@@ -21,6 +22,7 @@ __all__ = [
     "PAGE",
     "PARTS",
     "Latency",
+    "LiveRun",
     "MinLatency",
     "Results",
     "compare",
@@ -31,6 +33,7 @@ __all__ = [
     "measure_bench",
     "measure_latency",
     "read_results",
+    "run_live",
     "subject",
     "warnings",
 ]
@@ -39,7 +42,7 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     """Import a public name at its first use."""
     if name in __all__:
-        for module in ("results", "latency", "measurements", "run"):
+        for module in ("results", "latency", "live_run", "measurements", "run"):
             names = vars(import_module(f"{__name__}.{module}"))
             if name in names:
                 return names[name]

@@ -1,7 +1,10 @@
 """A transport whose frames a test may lose, damage or double, and whose cable it may pull."""
 
+import math
 import time
 from typing import Any
+
+import pytest
 
 from vibrocast.device_protocol.transports import Closing, Transport, TransportError
 from vibrocast.simulated_device.faulty_link import FaultyDirection
@@ -14,6 +17,13 @@ class FaultyTransport(Closing):
         self._transport = transport
         self._there, self._back = FaultyDirection(), FaultyDirection()
         self._out_until_s = 0.0
+        self._seconds: float | None = None
+        self._expires_s = math.inf
+
+    def expire_after(self, seconds: float | None) -> None:
+        """Fail the test at its next word with the controller after so long from now; None = never."""
+        self._seconds = seconds
+        self._expires_s = math.inf if seconds is None else time.monotonic() + seconds
 
     def damage(
         self, *, lost: float = 0.0, flipped: float = 0.0, doubled: float = 0.0, direction: str = "both", seed: int = 0
@@ -55,5 +65,7 @@ class FaultyTransport(Closing):
         self._transport.close()
 
     def _need_cable(self) -> None:
+        if time.monotonic() > self._expires_s:
+            pytest.fail(f"the test still talks to its controller after {self._seconds:g} s; see --vibrocast-timeout-s")
         if time.monotonic() < self._out_until_s:
             raise TransportError("the test has pulled the cable")

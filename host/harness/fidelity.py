@@ -9,14 +9,12 @@ import numpy as np
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, encode_recording
 from vibrocast.host import end_to_end
 from vibrocast.host.controller import Controller
+from vibrocast.host.harness.latency import AROUND_S
 from vibrocast.host.harness.sensors import Recorder
 from vibrocast.host.picture import third_octave_levels
 from vibrocast.host.skin_quality import compare_skin, displacement_above_20_hz, high_passed
 from vibrocast.output.actuator import Actuator
 from vibrocast.textures import Recording
-
-# Recorded before and after what is played: how late the controller starts, and the ends that filters need.
-_AROUND_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -79,9 +77,9 @@ def measure_fidelity(
     """
     one = Recording(np.ascontiguousarray(texture.samples[:, :1]), texture.rate_hz, texture.unit, texture.name)
     encoding = encode_recording(one, stream_rate_hz, live=True)
-    with contextlib.nullcontext() if recorder is None else recorder(one.seconds + 2 * _AROUND_S) as finish:
+    with contextlib.nullcontext() if recorder is None else recorder(one.seconds + 2 * AROUND_S) as finish:
         if finish is not None:
-            controller.sleep(_AROUND_S)
+            controller.sleep(AROUND_S)
         outcome = end_to_end.play(
             controller,
             address,

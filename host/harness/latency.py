@@ -1,5 +1,6 @@
 """Measures the delay from a block's last sample at the host to the DAC, by part; searches the lowest that is stable."""
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,8 +11,12 @@ from vibrocast import codec, textures
 from vibrocast.codec.live_format import live_format
 from vibrocast.device_protocol.messages import State, Tap
 from vibrocast.host import live
+from vibrocast.host.alignment import align
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.device_clock import ClockFit, DeviceClock
+from vibrocast.host.end_to_end import displacement_um
+from vibrocast.host.harness.sensors import Recorder, TimedRecording
+from vibrocast.host.skin_quality import displacement_above_20_hz, high_passed
 from vibrocast.host.stream_session import read_capture, stopped_on_error
 from vibrocast.output.actuator import Actuator
 from vibrocast.output.rendering import Drive
@@ -32,6 +37,8 @@ PARTS = {
 TRIAL_S = 1.5
 PLAYOUT_DELAYS_S = (0.064, 0.032, 0.016, 0.008, 0.004, 0.002, 0.001, 0.0005)
 HOPS = ("16", "32")
+AROUND_S = 1.0
+"""Recorded before and after what is played: how late the controller starts, and the ends that filters need."""
 MOST_LATE = 0.1
 """Late packets and underruns, as a share of the measured packets, beyond which medians do not describe a stream."""
 
@@ -52,7 +59,8 @@ class Latency:
     the same. `jitter_ms`: between the 5 % and the 95 % of the times at which packets arrive, relative to when their
     samples were taken. `playout_delay_ms`: the time that packets should lie ready. `stable`: no underrun and no
     lost packet. `packets`: that were sent; `blocks`: those of them that were timed. `as_sent`: what the controller
-    decoded, as far as it keeps that, is bit for bit what the packets hold.
+    decoded, as far as it keeps that, is bit for bit what the packets hold. `to_sensor_ms`: the same way on to a
+    sensor's sample in this computer, with the actuator's and the sensor's own delay; None without such a sensor.
     """
 
     codec: str
@@ -69,6 +77,7 @@ class Latency:
     lost_packets: int
     as_sent: bool
     clock: ClockFit
+    to_sensor_ms: float | None = None
 
     @property
     def stable(self) -> bool:
@@ -111,12 +120,15 @@ def measure_latency(
     rate_hz: int = 2800,
     setting: codec.Setting | None = None,
     playout_delay_s: float = live.PLAYOUT_DELAY_S,
+    recorder: Recorder | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Latency:
     """Stream a texture live, as long as `seconds`, and measure where the time goes; `actuator`: the controller's.
 
-    Everything is by the session's clock and the device's, whose offset and drift come from Status round trips behind
-    packets, one at a time; the answers also tell when those packets were there. Raises as `live.LiveStream`.
+    `recorder`: of a sensor at an input of this computer; None = the measurement ends at the DAC. Everything else is by
+    the session's clock and the device's, whose offset and drift come from Status round trips behind packets, one at a
+    time; the answers also tell when those packets were there. Raises SensorError, AlignmentError, and as
+    `live.LiveStream`.
     """
     samples = looped(texture, seconds, rate_hz)
     rms = np.sqrt(np.mean(np.square(samples), axis=0))
@@ -127,7 +139,13 @@ def measure_latency(
     clock = DeviceClock(controller)
     packets: list[bytes] = []
     times_s: list[tuple[float, float, float, float]] = []  # due, awake, coded, sent
-    with stopped_on_error(controller):
+    recording: Recording | None = None
+    with contextlib.ExitStack() as stack:
+        finish = None
+        if recorder is not None:
+            finish = stack.enter_context(recorder(seconds + 2 * AROUND_S))
+            controller.sleep(AROUND_S)
+        stack.enter_context(stopped_on_error(controller))
         for due_s, block in live.paced(stream, samples, stream.packet_samples, clock.sleep):
             awake_s = controller.clock()
             coded = stream.code(block)
@@ -140,6 +158,8 @@ def measure_latency(
             if progress is not None:
                 progress(len(times_s) * stream.packet_samples / len(samples))
         result = stream.finish()
+        if finish is not None:
+            recording = finish()
     fit = clock.fit()
     decoder = codec.decoder(stream.header.codec_identifier, stream.header.configuration, stream.header.channels)
     first, decoded = read_capture(controller, Tap.DECODED, stream.header.channels)
@@ -185,7 +205,29 @@ def measure_latency(
         lost_packets=result.lost_packets,
         as_sent=bool(np.array_equal(decoded[: len(expected) - first], expected[first:])),
         clock=fit,
+        to_sensor_ms=(
+            1e3 * _to_sensor_s(samples, texture.unit, rate_hz, actuator, recording, times_s[0][0] - stream.packet_s)
+            if isinstance(recording, TimedRecording)
+            else None
+        ),
     )
+
+
+def _to_sensor_s(
+    samples: codec.Signal,
+    unit: str,
+    rate_hz: int,
+    actuator: Actuator,
+    recording: TimedRecording,
+    began_s: float,
+) -> float:
+    """Return the time from when samples (n, 1) were taken, from `began_s` on, until a sensor's reached this computer.
+
+    Raises AlignmentError where the recording does not contain them.
+    """
+    sent_um = high_passed(displacement_um(samples, unit, rate_hz, actuator)[:, 0], rate_hz)
+    lag_s = align(sent_um, displacement_above_20_hz(recording, rate_hz), rate_hz).lag_s
+    return float(recording.began_s + lag_s - began_s - 1 / rate_hz)
 
 
 def measure_credible_latency(
@@ -194,11 +236,12 @@ def measure_credible_latency(
     texture: Recording,
     *,
     seconds: float = 4.0,
+    recorder: Recorder | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Latency:
     """Measure the latency, once more if it has a flaw. Raises ControllerError if it has one then too, and as before."""
     for _ in range(2):
-        measured = measure_latency(controller, actuator, texture, seconds=seconds, progress=progress)
+        measured = measure_latency(controller, actuator, texture, seconds=seconds, recorder=recorder, progress=progress)
         if measured.flaw is None:
             return measured
     raise ControllerError(f"{measured.flaw}; use a less busy machine or a faster link")

@@ -29,6 +29,7 @@ class Subject:
     """The parts that a run measures: a session, the first channel's actuator, its sensor if any, and textures.
 
     `actuator`: the model that the controller works with; `skin_model`: the one that the bench has there.
+    `sensor_is_timed`: it is at an input of this computer, which knows when its samples came.
     """
 
     bench: Bench
@@ -37,6 +38,7 @@ class Subject:
     skin_model: Actuator
     recorder: Recorder | None
     sensor_name: str
+    sensor_is_timed: bool
     scene: tuple[Recording, ...]
 
     @property
@@ -65,6 +67,7 @@ def subject(bench: Bench, controller: Controller) -> Subject:
         bench_file.actuator_of(bench, bench.first, controller.description.actuator),
         recorder(sensors[0]) if sensors else None,
         sensors[0].name if sensors else "",
+        bool(sensors and sensors[0].input),
         bench.scene(),
     )
 
@@ -89,8 +92,9 @@ def _processor() -> str:
 
 
 def _latency(measured: Subject, progress: Progress) -> Any:
+    recorder = measured.recorder if measured.sensor_is_timed else None
     return latency.measure_credible_latency(
-        measured.controller, measured.actuator, measured.scene[0], progress=progress
+        measured.controller, measured.actuator, measured.scene[0], recorder=recorder, progress=progress
     )
 
 

@@ -6,17 +6,22 @@ Where you load it by its module's name as well, pass `-p no:vibrocast -p vibroca
 
 from __future__ import annotations  # no annotation is evaluated: an old pytest lacks some of the classes
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 if TYPE_CHECKING:
+    from vibrocast.device_protocol.messages import ImageDescription
     from vibrocast.host.bench_file import Bench
+    from vibrocast.host.bench_limits import Judged
     from vibrocast.host.controller import Controller
     from vibrocast.host.end_to_end import Outcome
     from vibrocast.host.harness.faulty_transport import FaultyTransport
+    from vibrocast.host.harness.latency import Latency
+    from vibrocast.host.harness.live_run import LiveRun
+    from vibrocast.host.position_playback import Stroke
     from vibrocast.output.actuator import Actuator
     from vibrocast.textures import Recording
 
@@ -26,9 +31,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("vibrocast", "haptic controllers")
     group.addoption(
         "--vibrocast-device",
+        action="append",
         metavar="ADDRESS",
-        help="controller to test: an address as `vibrocast devices` lists them, or a name in the bench file; "
-        "default: the first one of the bench file, or the simulated one without a bench file",
+        help="controller to test: an address as `vibrocast devices` lists them, or a name in the bench file; given "
+        "several times, or as `all` of the bench file, each test runs on each; default: the first one of the bench "
+        "file, or the simulated one without a bench file",
     )
     group.addoption(
         "--vibrocast-bench", metavar="FILE.toml", help="bench file: controllers, actuators, sensors, textures"
@@ -49,7 +56,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--vibrocast-keep",
         metavar="FOLDER",
-        help="keep the last frames on the wire of each failed test in this folder, as TEST.pcapng",
+        help="keep files of each test in this folder: the last frames on the wire; of each playback, a report and a "
+        "picture; JUnit XML names the files",
+    )
+    group.addoption(
+        "--vibrocast-timeout-s",
+        type=float,
+        metavar="SECONDS",
+        help="fail a test that still talks to its controller after so long; default: never",
     )
     group.addoption("--vibrocast-plan", metavar="PLAN.toml", help="plan of `vibrocast plan`, in place of a bench file")
 
@@ -80,36 +94,85 @@ def _read(config: pytest.Config) -> Bench | None:
         raise pytest.UsageError(str(error).replace("--allow-programs", "--vibrocast-allow-programs")) from error
 
 
+def _devices(config: pytest.Config) -> list[str]:
+    """Return the names or addresses of the controllers under test; empty = the default."""
+    names: list[str] = config.getoption("vibrocast_device") or []
+    if names != ["all"]:
+        return names
+    bench = _read(config)
+    if bench is None:
+        raise pytest.UsageError("--vibrocast-device all means those of a bench file; add --vibrocast-bench")
+    return [each.name for each in bench.controllers]
+
+
 @pytest.fixture(scope="session")
-def vibrocast_bench(pytestconfig: pytest.Config) -> Bench:
+def vibrocast_bench(request: pytest.FixtureRequest, pytestconfig: pytest.Config) -> Bench:
     """The bench of --vibrocast-bench or --vibrocast-plan; without them, the controller of --vibrocast-device."""
     from vibrocast.host.bench_file import BenchFileError, choose_controller
 
+    names = _devices(pytestconfig)
+    device = getattr(request, "param", names[0] if names else None)
     try:
-        return choose_controller(_read(pytestconfig), pytestconfig.getoption("vibrocast_device"))
+        return choose_controller(_read(pytestconfig), device)
     except BenchFileError as error:
         raise pytest.UsageError(str(error)) from error
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Repeat a test that asks for `vibrocast_texture` for each texture of the bench file."""
+    """Repeat a test for each of several controllers, and for each texture if it asks for `vibrocast_texture`."""
+    names = _devices(metafunc.config)
+    if "vibrocast_bench" in metafunc.fixturenames and len(names) > 1:
+        metafunc.parametrize("vibrocast_bench", names, indirect=True, scope="session")
     if "vibrocast_texture" in metafunc.fixturenames:
         bench = _read(metafunc.config)
-        names = ("wood",) if bench is None else bench.texture_names
-        metafunc.parametrize("vibrocast_texture", range(len(names)), ids=names, indirect=True)
+        textures = ("wood",) if bench is None else bench.texture_names
+        metafunc.parametrize("vibrocast_texture", range(len(textures)), ids=textures, indirect=True)
 
 
-@pytest.hookimpl(hookwrapper=True)
-def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
-    """Note for the fixtures whether a test has failed."""
-    outcome: Any = yield
-    if outcome.get_result().failed:
-        vars(item)["vibrocast_failed"] = True
+class _Kept:
+    """The files of a test in the folder of --vibrocast-keep, if any; JUnit XML gets their names as properties."""
+
+    def __init__(self, request: pytest.FixtureRequest) -> None:
+        folder = request.config.getoption("vibrocast_keep")
+        self._folder = None if folder is None else Path(folder)
+        self._properties = request.node.user_properties
+        # With its module: tests of several may have one name.
+        self._name = "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in request.node.nodeid)
+        self._count = 0
+
+    def path(self, kind: str, suffix: str) -> Path | None:
+        """Return where to write a file of this kind; None = nowhere."""
+        if self._folder is None:
+            return None
+        self._folder.mkdir(parents=True, exist_ok=True)
+        number = f"-{self._count}" if self._count > 1 and kind != "trace" else ""
+        path = self._folder / f"{self._name}{number}{suffix}"
+        self._properties.append((f"vibrocast_{kind}", str(path)))
+        return path
+
+    def playback(self, outcome: Outcome) -> None:
+        """Keep the report of a playback, and its picture where matplotlib is there."""
+        from vibrocast import extras
+        from vibrocast.host import picture
+
+        self._count += 1
+        if path := self.path("report", ".json"):
+            outcome.report.write(path)
+            if extras.advice("plot") is None and (drawn := self.path("picture", ".png")):
+                picture.draw(drawn, outcome.report.file, outcome.caption, outcome.traces)
 
 
 @pytest.fixture
-def vibrocast_wire(request: pytest.FixtureRequest, vibrocast_bench: Bench) -> Iterator[FaultyTransport]:
+def _vibrocast_kept(request: pytest.FixtureRequest) -> _Kept:
+    return _Kept(request)
+
+
+@pytest.fixture
+def vibrocast_wire(
+    pytestconfig: pytest.Config, vibrocast_bench: Bench, _vibrocast_kept: _Kept
+) -> Iterator[FaultyTransport]:
     """The way to the controller under test; `damage` and `pull_cable` break it."""
+    import contextlib
     import time
 
     from vibrocast.device_protocol.transports import TransportError
@@ -117,29 +180,25 @@ def vibrocast_wire(request: pytest.FixtureRequest, vibrocast_bench: Bench) -> It
     from vibrocast.host.harness.faulty_transport import FaultyTransport
     from vibrocast.host.tracing import tracer
 
-    config, first = request.config, vibrocast_bench.first
-    until_s = time.monotonic() + config.getoption("vibrocast_wait_s")
+    first = vibrocast_bench.first
+    until_s = time.monotonic() + pytestconfig.getoption("vibrocast_wait_s")
     tracer.take()
-    while True:
-        way = devices.reach(first.address, actuator=vibrocast_bench.actuator(first.name))
-        try:
-            transport = way.__enter__()
-            break
-        except TransportError as error:
-            if time.monotonic() >= until_s:
-                if config.getoption("vibrocast_skip_missing"):
-                    pytest.skip(str(error))
-                raise
-            time.sleep(0.1)
-    try:
-        yield FaultyTransport(transport)
-    finally:
-        way.__exit__(None, None, None)
-        folder = config.getoption("vibrocast_keep")
-        if folder is not None and vars(request.node).get("vibrocast_failed"):
-            Path(folder).mkdir(parents=True, exist_ok=True)
-            name = "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in request.node.name)
-            tracer.save(Path(folder) / f"{name}.pcapng")
+    with contextlib.ExitStack() as stack:
+        while True:
+            try:
+                way = devices.reach(first.address, actuator=vibrocast_bench.actuator(first.name))
+                transport = FaultyTransport(stack.enter_context(way))
+                break
+            except TransportError as error:
+                if time.monotonic() >= until_s:
+                    if pytestconfig.getoption("vibrocast_skip_missing"):
+                        pytest.skip(str(error))
+                    raise
+                time.sleep(0.1)
+        transport.expire_after(pytestconfig.getoption("vibrocast_timeout_s"))
+        yield transport
+    if path := _vibrocast_kept.path("trace", ".pcapng"):
+        tracer.save(path)
 
 
 @pytest.fixture
@@ -155,8 +214,28 @@ def vibrocast_device(vibrocast_bench: Bench, vibrocast_wire: FaultyTransport) ->
     check_actuator(vibrocast_bench, vibrocast_bench.first, session.description.actuator)
     yield session
     vibrocast_wire.damage()
+    vibrocast_wire.expire_after(None)
     with contextlib.suppress(ControllerError, TransportError):  # a test may leave the cable out
         session.stop()
+
+
+@pytest.fixture
+def vibrocast_devices(vibrocast_bench: Bench) -> Iterator[dict[str, Controller]]:
+    """Sessions with all controllers of the bench, by name; their outputs are brought to rest after the test."""
+    import contextlib
+
+    from vibrocast.device_protocol.transports import TransportError
+    from vibrocast.host.bench_file import connect
+    from vibrocast.host.controller import ControllerError
+
+    with contextlib.ExitStack() as stack:
+        sessions = {
+            each.name: stack.enter_context(connect(vibrocast_bench, each)) for each in vibrocast_bench.controllers
+        }
+        yield sessions
+        for session in sessions.values():
+            with contextlib.suppress(ControllerError, TransportError):
+                session.stop()
 
 
 @pytest.fixture
@@ -192,7 +271,7 @@ def vibrocast_actuator(vibrocast_bench: Bench, vibrocast_device: Controller) -> 
 
 @pytest.fixture
 def vibrocast_play(
-    vibrocast_bench: Bench, vibrocast_device: Controller, vibrocast_actuator: Actuator
+    vibrocast_bench: Bench, vibrocast_device: Controller, vibrocast_actuator: Actuator, _vibrocast_kept: _Kept
 ) -> Callable[..., Outcome]:
     """A function that encodes a texture, plays it and compares: `vibrocast_play(texture, **options)`.
 
@@ -202,7 +281,6 @@ def vibrocast_play(
     from vibrocast.codec.encoding import encode_recording
     from vibrocast.host import end_to_end
     from vibrocast.host.bench_file import driven_actuator
-    from vibrocast.host.bench_limits import missed
 
     first = vibrocast_bench.first
     driven = driven_actuator(vibrocast_bench, first, vibrocast_device.description.actuator)
@@ -218,11 +296,99 @@ def vibrocast_play(
             actuator=driven,
             skin_model=vibrocast_actuator,
         )
-        if lines := missed(vibrocast_bench.limits, outcome.report.judged()):
-            pytest.fail(f"limits missed: {'; '.join(lines)}")
+        _vibrocast_kept.playback(outcome)
+        _judge(vibrocast_bench, outcome.report.judged())
         return outcome
 
     return play_texture
+
+
+def _judge(bench: Bench, figures: Iterable[Judged]) -> None:
+    """Fail a test whose figures miss limits of the bench file."""
+    from vibrocast.host.bench_limits import missed
+
+    if lines := missed(bench.limits, figures):
+        pytest.fail(f"limits missed: {'; '.join(lines)}")
+
+
+@pytest.fixture
+def vibrocast_live(vibrocast_bench: Bench, vibrocast_device: Controller) -> Callable[..., LiveRun]:
+    """A function that streams a texture live: `vibrocast_live(texture, seconds=10.0, playout_delay_s=None)`.
+
+    It returns a LiveRun, with the counts of each minute: with many seconds, a soak. The test fails where the stream
+    misses limits of the bench file.
+    """
+    from vibrocast.host.harness.live_run import run_live
+    from vibrocast.host.live_watch import judged
+
+    def stream(texture: Recording, seconds: float = 10.0, **options: Any) -> LiveRun:
+        run = run_live(vibrocast_device, texture, seconds, **options)
+        _judge(vibrocast_bench, judged(run.result))
+        return run
+
+    return stream
+
+
+@pytest.fixture
+def vibrocast_latency(
+    vibrocast_bench: Bench, vibrocast_device: Controller, vibrocast_actuator: Actuator
+) -> Callable[..., Latency]:
+    """A function that measures the latency of a live texture: `vibrocast_latency(texture, seconds=4.0)`.
+
+    It returns a `vibrocast.host.harness.Latency`. The test fails where it misses limits of the bench file.
+    """
+    from dataclasses import asdict
+
+    from vibrocast.host.harness.latency import measure_latency
+    from vibrocast.host.harness.results import judged_latency
+
+    def measure(texture: Recording, **options: Any) -> Latency:
+        latency = measure_latency(vibrocast_device, vibrocast_actuator, texture, **options)
+        _judge(vibrocast_bench, judged_latency(asdict(latency)))
+        return latency
+
+    return measure
+
+
+@pytest.fixture
+def vibrocast_flash(vibrocast_device: Controller) -> Iterator[Callable[[bytes], ImageDescription]]:
+    """A function that flashes a packed model image, starts and confirms it: `vibrocast_flash(image)`.
+
+    After the test, the controller runs the image again that it ran before, if any.
+    """
+    from functools import partial
+
+    from vibrocast.host import uploader
+
+    before = uploader.running(vibrocast_device)
+    yield partial(uploader.flash, vibrocast_device)
+    if before is not None:
+        uploader.run_again(vibrocast_device, before)
+
+
+@pytest.fixture
+def vibrocast_stroke(vibrocast_device: Controller, vibrocast_actuator: Actuator) -> Callable[..., Stroke]:
+    """A function that plays a height profile under a hand that strokes there and back.
+
+    `vibrocast_stroke(profile, stroke_mm=10.0, hand_speed_mm_s=50.0, strokes=1, **options)`; the options are those of
+    `vibrocast.host.profiles.encode`. It returns a `vibrocast.host.position_playback.Stroke`.
+    """
+    from vibrocast.host import position_playback, profiles
+
+    def stroke(
+        profile: Recording,
+        stroke_mm: float = 10.0,
+        hand_speed_mm_s: float = 50.0,
+        strokes: int = 1,
+        **options: Any,
+    ) -> Stroke:
+        stream = profiles.encode(profile, **options).stream
+        movement = position_playback.back_and_forth(stroke_mm, hand_speed_mm_s, strokes)
+        played = position_playback.play(vibrocast_device, stream, movement)
+        expected = position_playback.computed(stream, played, vibrocast_actuator)
+        return position_playback.Stroke(played, position_playback.as_computed(played, expected, vibrocast_actuator))
+
+    return stroke
 
 
 @pytest.fixture(scope="session")

@@ -83,6 +83,7 @@ class Change:
 # A computer that does other work as well measures times again within these.
 TOLERANCES = {
     "latency, ms": Tolerance(1, 2.0, 0.1),
+    "latency to the sensor, ms": Tolerance(1, 5.0, 0.1),
     "jitter, ms": Tolerance(1, 2.0, 0.5),
     "smallest stable latency, ms": Tolerance(1, 4.0, 0.2),
     "throughput to the controller, bytes/s": Tolerance(-1, 0.0, 0.3),
@@ -144,6 +145,7 @@ def figures_of(document: dict[str, Any], measurement: str) -> Iterator[tuple[str
 
 def _of_latency(latency: Any) -> Iterator[tuple[str, Any]]:
     yield "latency, ms", latency["total_ms"]
+    yield "latency to the sensor, ms", latency.get("to_sensor_ms")
     yield "jitter, ms", latency["jitter_ms"]
     yield f"live: {DECODED}", latency["as_sent"]
     yield "live: underruns", latency["underruns"]
@@ -220,11 +222,7 @@ def judged(document: dict[str, Any]) -> Iterator[Judged]:
     """Yield the figures of a run that limits of a bench file judge."""
     measured, link = document["measured"], document[LINK]
     if latency := measured.get("latency"):
-        yield Judged("latency_ms", "live", latency["total_ms"])
-        yield Judged("jitter_ms", "live", latency["jitter_ms"])
-        yield Judged("drift_ppm", "clock", latency["clock"]["drift_ppm"])
-        yield Judged("underruns", "live", latency["underruns"])
-        yield Judged("lost_percent", "live", lost_percent(latency["lost_packets"], latency["packets"]))
+        yield from judged_latency(latency)
     for texture in measured.get("fidelity") or ():
         place = texture["texture"]
         for key in ("snr_db", "gain", "st_sim", "underruns"):
@@ -235,6 +233,16 @@ def judged(document: dict[str, Any]) -> Iterator[Judged]:
         yield Judged("load_samples_per_s", "load", load)
     if link:
         yield Judged("bad_frames", "link", sum(link.values()))
+
+
+def judged_latency(latency: dict[str, Any]) -> Iterator[Judged]:
+    """Yield the figures of a measured latency that limits judge."""
+    yield Judged("latency_ms", "live", latency["total_ms"])
+    yield Judged("sensor_latency_ms", "live", latency["to_sensor_ms"])
+    yield Judged("jitter_ms", "live", latency["jitter_ms"])
+    yield Judged("drift_ppm", "clock", latency["clock"]["drift_ppm"])
+    yield Judged("underruns", "live", latency["underruns"])
+    yield Judged("lost_percent", "live", lost_percent(latency["lost_packets"], latency["packets"]))
 
 
 def warnings(document: dict[str, Any]) -> Iterator[str]:

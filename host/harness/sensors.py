@@ -1,13 +1,16 @@
 """Records an actuator by a sensor of the bench: at an input of this computer, or by a program that writes a file."""
 
 import contextlib
+import math
 import os
 import signal
 import subprocess
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import BinaryIO, TypeAlias
@@ -21,6 +24,14 @@ from vibrocast.host.recorder import Levels, Source, open_source, pieces
 from vibrocast.host.sensitivity import parse
 from vibrocast.textures import Recording
 from vibrocast.textures.recording import Signal
+
+
+@dataclass(frozen=True)
+class TimedRecording(Recording):
+    """A recording at an input of this computer. `began_s`: when its first sample came here, by time.monotonic."""
+
+    began_s: float = 0.0
+
 
 Recorder: TypeAlias = Callable[[float], AbstractContextManager[Callable[[], Recording]]]
 """Records for so many seconds; what it yields waits for the end and gives the recording, m/s^2 or um."""
@@ -100,6 +111,7 @@ class _Collector:
         self._wanted = round(seconds * source.rate_hz)
         self._pieces: list[Signal] = []
         self._levels = Levels(source)
+        self._began_s = math.inf
         self._failure: Exception | None = None
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._collect, name=sensor.name)
@@ -113,6 +125,8 @@ class _Collector:
                 self._levels.watch(piece)
                 self._pieces.append(piece)
                 count += len(piece)
+                # The one that came soonest after its samples were taken tells best when the first one came.
+                self._began_s = min(self._began_s, time.monotonic() - count / self._source.rate_hz)
                 if count >= self._wanted or self._ending.is_set():
                     break
         except Exception as failure:  # `finish` raises it
@@ -141,7 +155,7 @@ class _Collector:
                 f"sensor {name}: samples were lost {self._source.losses.gaps} times; close other programs"
             )
         samples = np.concatenate(self._pieces)[: self._wanted]
-        return Recording(samples, float(self._source.rate_hz), self._source.unit, name)
+        return TimedRecording(samples, float(self._source.rate_hz), self._source.unit, name, began_s=self._began_s)
 
 
 def _start(sensor: Sensor, command: list[str], stderr: BinaryIO) -> "subprocess.Popen[bytes]":

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from vibrocast.host import soak
+from vibrocast.host import live_watch
 from vibrocast.host.cli.command_line import main
 from vibrocast.host.cli.exit_codes import LIMIT_MISSED
 from vibrocast.simulated_device.controller import Controller
@@ -164,15 +164,34 @@ def test_minutes_are_counted_and_an_interrupted_stream_leaves_its_report(tmp_pat
     assert run("rough", "--seconds", "0.5", "--playout-delay-ms", "300", "--report", str(report)).exit_code == 0
     (minute,) = json.loads(report.read_text())["minutes"]
     assert (minute["packets"], minute["cause"]) == (88, None)
-    assert 0 < minute["margin_ms"] <= 310 and minute["host_late_ms"] >= 0
+    assert 0 < minute["margin_ms"] <= 310 and minute["host_late_ms"] >= 0 and minute["host_jitter_ms"] >= 0
 
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("vibrocast.host.soak.Watch.note", interrupted)
+        patch.setattr("vibrocast.host.live_watch.Watch.note", interrupted)
         assert run("rough", "--seconds", "30", "--report", str(report)).exit_code == 130
-    assert 0 < json.loads(report.read_text())["seconds"] < 30
+    cut = json.loads(report.read_text())
+    assert 0 < cut["seconds"] < 30 and cut["snr_db"] is None
+
+
+@pytest.mark.parametrize("options", [(), ("--capped-rate-bps", "6000", "--snr-db", "12")])
+def test_the_quality_of_the_codec_stands_next_to_that_at_the_skin(tmp_path: Path, options: tuple[str, ...]) -> None:
+    report = tmp_path / "live.json"
+    result = run("wood", "--seconds", "1.5", "--playout-delay-ms", "300", "--report", str(report), *options)
+    assert result.exit_code == 0, result.output
+    quality = json.loads(report.read_text())
+    assert quality["skin"]["snr_db"] < quality["snr_db"] - 1
+    assert "integrated" in quality["skin_note"] or "as displacement" in quality["skin_note"]
+    assert f"SNR {quality['snr_db']:.2f} dB; at the skin SNR {quality['skin']['snr_db']:.2f} dB" in result.output
+
+
+def test_a_limit_at_the_skin_is_judged(tmp_path: Path) -> None:
+    bench = bench_file(tmp_path, "sim", "min_snr_db = 40\nmax_lost_percent = 100")
+    result = run("rough", "--seconds", "1.5", "--playout-delay-ms", "300", "--bench", bench)
+    assert result.exit_code == LIMIT_MISSED
+    assert re.search(r"live: snr_db = [\d.]+, min_snr_db = 40", result.output)
 
 
 @pytest.mark.parametrize(
@@ -188,4 +207,4 @@ def test_minutes_are_counted_and_an_interrupted_stream_leaves_its_report(tmp_pat
     ],
 )
 def test_a_minute_names_what_made_it_lose_something(counts: dict[str, float], cause: str | None) -> None:
-    assert soak.cause(soak.Minute(0.0, **counts), playout_delay_ms=10.0) == cause  # type: ignore[arg-type]
+    assert live_watch.cause(live_watch.Minute(0.0, **counts), playout_delay_ms=10.0) == cause  # type: ignore[arg-type]

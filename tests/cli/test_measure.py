@@ -227,7 +227,7 @@ def test_an_accelerometer_on_a_sound_card_fits_the_actuator_behind_another(
                 *("--volts-full-scale", "2", "--out", str(tmp_path / "out")),
             )
         assert "clipped" not in result.output
-        if "samples were lost" in result.output:
+        if "samples were lost" in result.output or "does not contain the sweep" in result.output:
             continue
         assert result.exit_code == 0, result.output
         fit = json.loads((tmp_path / "out" / "measured.json").read_text())["measured"]["response"]["fit"]

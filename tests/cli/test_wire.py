@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
@@ -93,3 +94,18 @@ def test_another_file_is_no_trace(tmp_path: Path) -> None:
     failed = run("replay", tmp_path / "x.pcapng")
     assert failed.exit_code == 2
     assert failed.output.strip().endswith("no trace; give one that `vibrocast --trace FILE` wrote")
+
+
+def test_a_trace_is_decoded_as_the_controller_did(tmp_path: Path) -> None:
+    trace, heard, coded = tmp_path / "trace.pcapng", tmp_path / "heard.npy", tmp_path / "oak.vct"
+    assert run("encode", OAK, coded).exit_code == 0
+    assert run("--trace", trace, "play", coded).exit_code == 0
+    assert run("replay", trace, "--decode", heard).exit_code == 0
+    assert run("decode", coded, tmp_path / "oak.npy").exit_code == 0
+    assert np.array_equal(np.load(heard), np.load(tmp_path / "oak.npy"))
+    live = tmp_path / "live.pcapng"
+    assert run("--trace", live, "live", "rough", "--seconds", "0.5").exit_code == 0
+    assert "0.5" in run("replay", live, "--decode", tmp_path / "live.wav").output
+    assert run("--trace", live, "status", "--device", "sim").exit_code == 0
+    refused = run("replay", live, "--decode", heard)
+    assert refused.exit_code == 2 and "no stream was set up in it" in refused.output

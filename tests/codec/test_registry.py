@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from tests.codec.signals import RATE_HZ, edge_signals, texture
 from vibrocast import codec
@@ -210,3 +211,36 @@ def test_snr_does_not_depend_on_the_unit(scale: float) -> None:
 def test_snr_is_the_mean_over_channels_that_are_not_silent() -> None:
     signal = np.hstack([three_sines(), 100 * three_sines(), np.zeros((2100, 1))])
     assert codec.snr_db(signal, signal * [0.9, 0.99, 1.0]) == pytest.approx(30.0)
+
+
+def long_signal() -> NDArray[np.float64]:
+    """Half a minute at 8000 Hz whose level and spectrum change, so that no piece is like the whole."""
+    level = np.exp(2 * np.sin(np.linspace(0, 40, 1 << 18)))[:, None]
+    signal: NDArray[np.float64] = (
+        level * np.tile(texture(1 << 14), (16, 1)) * np.repeat([[1.0], [0.02]], 1 << 17, axis=0)
+    )
+    return signal
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["mdct", "slp", "dct"])
+@pytest.mark.parametrize("target_db", [6.0, 15.0])
+def test_a_long_signal_is_coded_few_times(name: str, target_db: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    signal, lengths = long_signal(), []
+    encode = codec.Source.encode
+
+    def counted(source: codec.Source, setting: codec.Setting) -> CodedSignal:
+        lengths.append(len(source.samples))
+        return encode(source, setting)
+
+    monkeypatch.setattr(codec.Source, "encode", counted)
+    coded = codec.encode_to_snr(codec.Source(signal, 8000, name), target_db)
+    reached = codec.snr_db(signal, codec.decode(coded))
+    assert reached is not None
+    assert -0.2 <= reached - target_db <= (3.0 if name == "dct" else 0.2)  # the levels of dct are far apart
+    assert lengths.count(len(signal)) <= 3
+    lengths.clear()
+    rate_bps = 8000 * 8 * size_bytes(coded) / len(signal)
+    again = codec.encode_to_rate(codec.Source(signal, 8000, name), rate_bps, size_bytes)
+    assert 0.9 * size_bytes(coded) < size_bytes(again) <= size_bytes(coded)
+    assert lengths.count(len(signal)) <= 4

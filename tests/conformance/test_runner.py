@@ -386,7 +386,7 @@ def reached(monkeypatch: pytest.MonkeyPatch) -> list[Device]:
     return controllers
 
 
-def test_command_writes_a_report_without_a_date(reached: list[Device], tmp_path: Path) -> None:
+def test_command_writes_a_report_of_its_run(reached: list[Device], tmp_path: Path) -> None:
     reached.append(Controller(Settings(hardware="board <b>|</b>")))
     ran = CliRunner().invoke(main, ["conformance", "--out", str(tmp_path / "out"), "--quick", "--no-flash"])
     assert ran.exit_code == 0, ran.output
@@ -394,12 +394,14 @@ def test_command_writes_a_report_without_a_date(reached: list[Device], tmp_path:
     assert report["conforming"] is True
     assert report["left_out"] == ["tests longer than a second", "tests that write model images"]
     assert report["controller"]["limits"]["channels"] == Settings().channels
-    assert "date" not in report
+    assert report["schema"] == 1
+    assert {"run_id", "date", "versions"} <= set(report["run"])
     outcomes = {entry["test"]: entry["outcome"] for entry in report["requirements"]}
     assert outcomes["test_image_is_tested_and_kept"] == "not applicable"
     text = (tmp_path / "out" / "conformance.md").read_text()
     assert "board &lt;b&gt;\\|&lt;/b&gt; |" in text
     assert "conforming" in ran.output.splitlines()[-2]
+    assert f", on {report['run']['date'][:10]}." in text
     assert all(entry["text"] in text for entry in report["requirements"])
 
 

@@ -1,5 +1,7 @@
 """Latency in simulated time: the figures are compared with the times at which the codes went to the DAC."""
 
+import contextlib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -9,6 +11,7 @@ from vibrocast.host import live
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.device_clock import ClockFit, DeviceClock
 from vibrocast.host.harness import Latency, latency, warnings
+from vibrocast.host.harness.sensors import TimedRecording
 from vibrocast.output.actuator import PIEZO_STACK, Codes
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
@@ -45,6 +48,29 @@ def long_line(late_s: float) -> Controller:
 def noise(seconds: float = 1.0) -> Recording:
     samples = np.random.default_rng(2).standard_normal((round(seconds * RATE_HZ), 1))
     return Recording(3.0 * samples, RATE_HZ, "um", "noise")
+
+
+def test_a_sensor_ends_the_measurement_at_its_samples() -> None:
+    bench, sensor_delay_s = Bench(), 0.007
+
+    @contextlib.contextmanager
+    def recorder(seconds: float) -> Iterator[Callable[[], Recording]]:
+        began_s = bench.link.clock()
+
+        def finish() -> Recording:
+            rate_hz = PIEZO_STACK.dac_rate_hz
+            codes = np.zeros((round(seconds * rate_hz), 1), np.int16)
+            first = round((bench.played[0][0] - began_s) * rate_hz) - len(bench.played[0][1])
+            played = np.concatenate([run for _, run in bench.played])[: len(codes) - first, :1]
+            codes[first : first + len(played)] = played
+            skin_um = PIEZO_STACK.displacement_um(codes)
+            return TimedRecording(skin_um, rate_hz, "um", "laser", began_s=began_s + sensor_delay_s)
+
+        yield finish
+
+    measured = latency.measure_latency(bench.session, PIEZO_STACK, noise(), seconds=2.0, recorder=recorder)
+    # The piezo's low-pass adds at most 1 / (2 pi corner_hz) = 0.6 ms.
+    assert measured.to_sensor_ms == pytest.approx(measured.total_ms + 1e3 * sensor_delay_s, abs=1.5)
 
 
 @pytest.mark.slow

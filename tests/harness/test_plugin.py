@@ -1,5 +1,7 @@
 """A user's own test on the pytest plugin: unchanged on the simulated controllers and on those of a bench file."""
 
+import json
+import re
 import sys
 import tomllib
 from pathlib import Path
@@ -168,11 +170,18 @@ def test_each_texture_is_a_test_of_its_own(pytester: pytest.Pytester) -> None:
 def test_a_missed_limit_fails_a_test_and_keeps_its_frames(pytester: pytest.Pytester) -> None:
     test = "def test_it(vibrocast_play, vibrocast_scene): vibrocast_play(vibrocast_scene[0])"
     bench = SIM + TWO + "[limits]\nmin_gain = 9\n"
-    result = users_run(pytester, test, bench, "--vibrocast-keep", "kept")
+    result = users_run(pytester, test, bench, "--vibrocast-keep", "kept", "--junit-xml=results.xml")
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(["*limits missed: rough*: gain = *, min_gain = 9*"])
-    frames = list(read_trace(pytester.path / "kept" / "test_it.pcapng"))
+    (trace,) = (pytester.path / "kept").glob("*.pcapng")
+    frames = list(read_trace(trace))
     assert any(frame.from_host for frame in frames) and any(frame.message() for frame in frames)
+    assert json.loads(trace.with_suffix(".json").read_text())["underruns"] == 0
+    assert trace.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
+    properties = re.findall(r'property name="(\w+)" value="([^"]*)"', (pytester.path / "results.xml").read_text())
+    names = {"report": "json", "picture": "png", "trace": "pcapng"}
+    assert trace.stem.endswith(".py__test_it")
+    assert dict(properties) == {f"vibrocast_{kind}": f"kept/{trace.stem}.{suffix}" for kind, suffix in names.items()}
 
 
 def test_a_test_breaks_the_wire(pytester: pytest.Pytester) -> None:
@@ -216,3 +225,62 @@ def test_it(vibrocast_power_cycle, vibrocast_device):
     refused = users_run(pytester, test, SIM + relay)
     refused.stderr.fnmatch_lines(["*controller it starts the program *; *--vibrocast-allow-programs*"])
     users_run(pytester, test, SIM + relay, "--vibrocast-allow-programs").assert_outcomes(passed=1)
+
+
+@pytest.mark.slow
+def test_each_controller_is_a_test_of_its_own(pytester: pytest.Pytester) -> None:
+    test = "def test_it(vibrocast_device, vibrocast_bench): assert vibrocast_bench.first.name in ('left', 'right')"
+    result = users_run(pytester, test, BENCH, "-v", "--vibrocast-device", "all")
+    result.assert_outcomes(passed=2)
+    result.stdout.fnmatch_lines(["*test_it[[]left] PASSED*", "*test_it[[]right] PASSED*"])
+    one = pytester.runpytest_subprocess(*LOADED, "-v", "--vibrocast-device", "sim", "--vibrocast-device", "sim-usb")
+    one.stdout.fnmatch_lines(["*test_it[[]sim]*", "*test_it[[]sim-usb]*"])
+    refused = pytester.runpytest_subprocess(*LOADED, "--vibrocast-device", "all")
+    assert "add --vibrocast-bench" in refused.stdout.str() + refused.stderr.str()
+
+
+@pytest.mark.slow
+def test_the_fixtures_stream_measure_flash_and_stroke(pytester: pytest.Pytester) -> None:
+    test = """
+import pytest
+from vibrocast import models, textures
+from vibrocast.device_protocol.messages import SlotState
+from vibrocast.host.profiles import recording_of
+
+def test_live(vibrocast_live, vibrocast_scene):
+    run = vibrocast_live(vibrocast_scene[0], seconds=1.0)
+    assert run.result.seconds == 1.0 and len(run.minutes) == 1
+
+def test_latency(vibrocast_latency, vibrocast_scene):
+    assert vibrocast_latency(vibrocast_scene[0], seconds=1.0).total_ms > 0
+
+def test_images(vibrocast_flash, vibrocast_device):
+    first, second = (models.find(name).image for name in ("eva-16-1", "eva-16-2"))
+    vibrocast_flash(first)
+    assert vibrocast_flash(second).state == SlotState.CONFIRMED
+
+def test_strokes(vibrocast_stroke, tmp_path):
+    textures.save_profile(tmp_path / "grating.csv", textures.surface_profile("grating", seconds=0.5))
+    assert vibrocast_stroke(recording_of(tmp_path / "grating.csv"), stroke_mm=5.0).as_computed is not False
+
+def test_all(vibrocast_devices):
+    assert set(vibrocast_devices) == {"left", "right"}
+    for session in vibrocast_devices.values():
+        session.request_status()
+
+def test_several(vibrocast_devices, vibrocast_bench):
+    assert vibrocast_bench.first.name in vibrocast_devices
+"""
+    limits = "[limits]\nmax_lost_percent = 100\n"
+    users_run(pytester, test, BENCH + limits).assert_outcomes(passed=6)
+
+
+def test_a_test_that_takes_too_long_is_ended(pytester: pytest.Pytester) -> None:
+    test = """
+def test_it(vibrocast_device):
+    while True:
+        vibrocast_device.request_status()
+"""
+    result = users_run(pytester, test, SIM, "--vibrocast-timeout-s", "0.3")
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["*the test still talks to its controller after 0.3 s; see --vibrocast-timeout-s*"])

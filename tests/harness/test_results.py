@@ -24,6 +24,7 @@ RUN = results.Results(
     {
         "latency": {
             "total_ms": 25.0,
+            "to_sensor_ms": 28.0,
             "jitter_ms": 1.0,
             "as_sent": True,
             "underruns": 0,
@@ -98,6 +99,8 @@ FIDELITY = ("measured", "fidelity", 0)
         ((*FIDELITY, "lag_ms"), 300.0, {"oak: best: lag, ms": "worse"}),
         ((*FIDELITY, "underruns"), 1, {"oak: best: underruns": "worse"}),
         ((*FIDELITY, "lost_packets"), 1, {"oak: best: lost packets": "worse"}),
+        (("measured", "latency", "to_sensor_ms"), 40.0, {"latency to the sensor, ms": "worse"}),
+        (("measured", "latency", "to_sensor_ms"), None, {"latency to the sensor, ms": "not known now"}),
         (("measured", "latency", "as_sent"), False, {"live: decoded as sent": "worse"}),
         (("measured", "latency", "lost_packets"), 1, {"live: lost packets": "worse"}),
         (("measured", "latency", "underruns"), 1, {"live: underruns": "worse"}),

@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vibrocast import textures
+from vibrocast import models, textures
 from vibrocast.codec.encoding import encode_recording
-from vibrocast.device_protocol.messages import CaptureData, Tap
+from vibrocast.codec.stream import Stream
+from vibrocast.device_protocol.coded_stream import StreamError
+from vibrocast.device_protocol.messages import CaptureData, SlotState, Tap
 from vibrocast.host import devices, end_to_end
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.end_to_end import Outcome, actuator_model
@@ -38,6 +40,22 @@ def test_every_pass_is_compared() -> None:
     assert outcome.report.decoded_equals_offline is True
     assert outcome.report.dac_equals_offline is True
     assert "read back" in outcome.caption
+
+
+def test_a_model_is_uploaded_only_for_a_stream_that_fits(monkeypatch: pytest.MonkeyPatch) -> None:
+    def too_long(*_: object) -> Stream:
+        raise StreamError("its packets are too long")
+
+    monkeypatch.setattr(end_to_end, "fitted", too_long)
+    samples = np.sin(np.arange(SAMPLES) / 3.0)[:, None]
+    recording = textures.Recording(samples, 2800.0, "um", "sine")
+    encoding = encode_recording(recording, live=True, model=models.find("mdct-textures"))
+    link = MemoryLink(SimulatedController())
+    controller = Controller(link, link.clock, link.sleep)
+    with pytest.raises(StreamError, match="too long"):
+        end_to_end.play(controller, "sim", "sine", encoding.stream, encoding)
+    controller.open_session()
+    assert all(image.state == SlotState.EMPTY for image in controller.description.images)
 
 
 @pytest.mark.parametrize("tap", Tap)

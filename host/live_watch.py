@@ -3,9 +3,13 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
 from vibrocast.codec import Signal
 from vibrocast.device_protocol.messages import State, Status
-from vibrocast.host.live import LiveStream
+from vibrocast.host.bench_limits import Judged, lost_percent
+from vibrocast.host.live import LiveResult, LiveStream
+from vibrocast.host.live_quality import LiveQuality
 
 MINUTE_S = 60.0
 
@@ -14,7 +18,8 @@ MINUTE_S = 60.0
 class Minute:
     """A minute of a live stream, from `from_s` on. Counts are of this minute.
 
-    `host_late_ms`: by how much the host handled a block too late, at most; None where blocks have no time of their own.
+    `host_late_ms`: by how much the host handled a block too late, at most; `host_jitter_ms`: between the 5 % and the
+    95 % of these times; None where blocks have no time of their own.
     `margin_ms`: the least time that packets lay ready at the controller; None where it never played.
     """
 
@@ -28,6 +33,7 @@ class Minute:
     bad_frames_back: int = 0
     output_gaps: int = 0
     host_late_ms: float | None = None
+    host_jitter_ms: float | None = None
     margin_ms: float | None = None
     cause: str | None = None
 
@@ -54,13 +60,13 @@ class Watch:
         self._stream = stream
         self._before = _counts(stream)
         self.minutes = [Minute(0.0)]
+        self._late_ms: list[float] = []
 
     def blocks(self, paced: Iterator[tuple[float, Signal]]) -> Iterator[Signal]:
         """Yield paced blocks, and note how late the host is with each."""
         for due_s, block in paced:
             late_ms = 1e3 * (self._stream.controller.clock() - due_s)
-            minute = self.minutes[-1]
-            minute.host_late_ms = max(late_ms, minute.host_late_ms or 0.0)
+            self._late_ms.append(late_ms)
             yield block
 
     def note(self, status: Status) -> None:
@@ -76,6 +82,11 @@ class Watch:
     def close(self) -> None:
         """Count the minute under way."""
         minute, now = self.minutes[-1], _counts(self._stream)
+        if self._late_ms:
+            minute.host_late_ms = max(0.0, *self._late_ms)
+            early_ms, late_ms = np.quantile(self._late_ms, (0.05, 0.95))
+            minute.host_jitter_ms = float(late_ms - early_ms)
+            self._late_ms.clear()
         for name, count in now.items():
             setattr(minute, name, max(0, count - self._before[name]))
         minute.cause = cause(minute, 1e3 * self._stream.playout_delay_s)
@@ -91,3 +102,13 @@ def cause(minute: Minute, playout_delay_ms: float) -> str | None:
     if minute.bad_frames or minute.bad_frames_back:
         return "wire"
     return "host" if minute.host_late_ms is not None and minute.host_late_ms > playout_delay_ms / 2 else "wire"
+
+
+def judged(result: LiveResult, quality: LiveQuality | None = None) -> Iterator[Judged]:
+    """Yield the figures of a live stream that limits judge; those at the skin where its quality is known."""
+    if quality is not None and quality.skin is not None:
+        yield Judged("snr_db", "live", quality.skin.snr_db)
+        yield Judged("gain", "live", quality.skin.gain)
+    yield Judged("underruns", "live", result.underruns)
+    yield Judged("lost_percent", "live", lost_percent(result.lost_packets, result.packets))
+    yield Judged("bad_frames", "live", result.bad_frames + result.bad_frames_back)

@@ -1,0 +1,64 @@
+"""The answer of a subcommand: lines for a person, or with --json one value for a program."""
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import click
+
+_KEY = "vibrocast.answer"
+
+
+def _begin(ctx: click.Context, param: click.Parameter, value: bool) -> None:
+    if value:
+        ctx.meta[_KEY] = None
+
+
+def with_json(command: click.Command) -> click.Command:
+    """Return a command, each of whose subcommands, or itself, has the option --json."""
+    if isinstance(command, click.Group):
+        for inner in command.commands.values():
+            with_json(inner)
+    elif not any("--json" in parameter.opts for parameter in command.params):
+        command.params.append(
+            click.Option(["--json"], is_flag=True, expose_value=False, callback=_begin, help="Print JSON.")
+        )
+    return command
+
+
+def wants_json() -> bool:
+    """Return whether the command under way answers in JSON."""
+    ctx = click.get_current_context(silent=True)
+    return ctx is not None and _KEY in ctx.meta
+
+
+def tell(text: str, **facts: Any) -> None:
+    """Print a line; in JSON, add these facts to the answer instead."""
+    if wants_json():
+        add(facts)
+    else:
+        click.echo(text)
+
+
+def add(facts: Mapping[str, Any]) -> None:
+    """Add facts to an answer in JSON."""
+    if wants_json():
+        meta = click.get_current_context().meta
+        meta[_KEY] = {**(meta[_KEY] or {}), **facts}
+
+
+def answer(document: Any) -> None:
+    """Make a value that is ready for JSON the whole answer in JSON."""
+    if wants_json():
+        click.get_current_context().meta[_KEY] = document
+
+
+def print_answer(ctx: click.Context, error: BaseException | None = None) -> None:
+    """Print the answer in JSON, if that is wanted, with the error that ended the command, if any."""
+    if _KEY not in ctx.meta:
+        return
+    document = ctx.meta.pop(_KEY)
+    if isinstance(error, click.ClickException) and not isinstance(document, list):
+        document = {**(document or {}), "error": error.format_message(), "exit_code": error.exit_code}
+    if document is not None:  # else the command has printed lines of its own, or was interrupted
+        click.echo(json.dumps(document, indent=2, allow_nan=False, default=str))

@@ -1,0 +1,77 @@
+"""Each subcommand answers in JSON, and keeps a log where asked: for CI jobs that read neither screens nor pages."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import click
+import pytest
+from click.testing import CliRunner, Result
+
+from vibrocast.host.cli.command_line import SUBCOMMANDS, main
+
+ROOT = Path(__file__).parents[2]
+OAK = str(ROOT / "examples" / "oak.wav")
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def answer(*arguments: object) -> Any:
+    result = run(*arguments, "--json")
+    assert result.exit_code == 0, result.output
+    return json.loads(result.stdout)
+
+
+def test_every_subcommand_has_the_option() -> None:
+    ctx = click.Context(main)
+    commands: list[tuple[str, click.Command]] = []
+    for name in SUBCOMMANDS:
+        command = main.get_command(ctx, name)
+        assert command is not None
+        commands += [*command.commands.items()] if isinstance(command, click.Group) else [(name, command)]
+    assert len(commands) > 25
+    for name, command in commands:
+        assert "--json" in [option for parameter in command.params for option in parameter.opts], name
+
+
+def test_files_are_described(tmp_path: Path) -> None:
+    coded, decoded, drive = tmp_path / "oak.vct", tmp_path / "oak.wav", tmp_path / "drive.wav"
+    assert answer("encode", OAK, coded)["quality"]["snr_db"] == pytest.approx(15, abs=0.5)
+    assert answer("info", coded)["codec"] == "mdct"
+    assert answer("decode", coded, decoded)["rate_hz"] == 2800
+    assert answer("render", coded, drive, "--actuator", "lra")["limited"]["power_limited"] >= 0
+    assert answer("generate", "taps", tmp_path / "taps.wav", "--seconds", "1")["seconds"] == 1.0
+    assert "sim" in answer("devices")
+
+
+def test_what_was_played_is_a_report() -> None:
+    played = answer("play", OAK)
+    assert played["dac_equals_offline"] is True
+    assert [each["device"]["address"] for each in answer("play", OAK, "--device", "sim", "--device", "sim-usb")] == [
+        "sim",
+        "sim-usb",
+    ]
+    streamed = answer("live", "rough", "--seconds", "0.5")
+    assert streamed["schema"] == 2 and len(streamed["minutes"]) == 1
+
+
+def test_an_error_is_in_the_answer() -> None:
+    result = run("play", OAK, "--device", "serial:nowhere", "--json")
+    assert result.exit_code == 3
+    told = json.loads(result.stdout)
+    assert told["exit_code"] == 3 and "cannot open serial port nowhere" in told["error"]
+
+
+def test_a_log_has_levels_and_a_file(tmp_path: Path) -> None:
+    log = tmp_path / "bench.log"
+    assert run("--log", log, "play", OAK).exit_code == 0
+    assert run("--log", log, "--log-level", "error", "play", OAK, "--device", "serial:nowhere").exit_code == 3
+    lines = log.read_text().splitlines()
+    assert all(re.match(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z (INFO|ERROR) vibrocast\.", line) for line in lines)
+    assert any("session with simulated" in line for line in lines)
+    assert any("set up: codec" in line for line in lines)
+    assert next(line for line in lines if "ERROR" in line).endswith("exit code 3")
+    assert run("--log", tmp_path / "no" / "folder" / "log", "devices").exit_code == 2
