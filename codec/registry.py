@@ -29,6 +29,8 @@ from vibrocast.codec.rate_control import Policy, rate_controlled_encoder
 LIVE_PACKET_BLOCKS = 4
 LIVE_REFRESH_S = 0.25
 _FILE_PACKET_BLOCKS = 128
+_WHOLE_FILE_BLOCKS = 1024
+"""Blocks over all channels of a recording that becomes one packet, if hosts can split it for a controller."""
 # Every packet fits into one frame of the wire protocol, so a file can be played as it is.
 _MAX_PACKET_BYTES = 4000
 _PART_SAMPLES = 1 << 20
@@ -135,11 +137,15 @@ def live_framing(rate_hz: int) -> Framing:
     return Framing(packet_samples, max(1, math.floor(LIVE_REFRESH_S * rate_hz / packet_samples)))
 
 
-def file_framing(samples: int, rate_hz: int, channels: int) -> Framing:
-    """Return the framing for a file: one refresh at the start, packets of at most 128 blocks over all channels."""
+def file_framing(codec: Codec, samples: int, rate_hz: int, channels: int) -> Framing:
+    """Return the framing for a file: one refresh at the start, packets of at most 128 blocks over all channels.
+
+    A short recording is one packet, if the codec can split it later.
+    """
     hop = mdct.hop_samples(rate_hz)
     needed = -(-samples // hop) + 1
-    return Framing(min(needed, max(1, _FILE_PACKET_BLOCKS // channels)) * hop, 0)
+    whole = codec.repack is not None and needed * channels <= _WHOLE_FILE_BLOCKS
+    return Framing(needed * hop if whole else min(needed, max(1, _FILE_PACKET_BLOCKS // channels)) * hop, 0)
 
 
 def gain_for(peak: float) -> float:
@@ -263,7 +269,9 @@ class Source:
         self._progress = progress or (lambda part: None)
         self._live = live
         if framing is None:
-            framing = live_framing(rate_hz) if live else file_framing(len(samples), rate_hz, samples.shape[1])
+            framing = (
+                live_framing(rate_hz) if live else file_framing(self.codec, len(samples), rate_hz, samples.shape[1])
+            )
         self._framing = framing
         gains = tuple(gain_for(peak_of(channel)) for channel in samples.T)
         energies = sum(np.sum(np.square(samples[part] / np.array(gains)), axis=0) for part in parts(len(samples)))

@@ -377,7 +377,7 @@ def read_stream(path: Path, image: bytes | None = None) -> Stream:
     Raises InputFileError when it is no such file, StreamError when it is damaged, CodecError for another image or
     codec, OSError when it cannot be read.
     """
-    data = read_input(path, "coded stream (.vct file)", coded_stream.MAGIC, MAX_FILE_BYTES)
+    data = read_input(path, "coded stream (.vct file)", b"", MAX_FILE_BYTES)
     try:
         return Stream.from_bytes(data, image)
     except StreamError as error:

@@ -1,13 +1,14 @@
 """Byte layout of .vct files and of played streams: the header, and the packets after it."""
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from vibrocast.device_protocol.encoding import Reader, crc16, pack_varint
 
-MAGIC = b"VCT"
-VERSION = 1
+FORMAT = 2
+MAGIC = bytes((0xD0 | FORMAT,))
+_MAGIC_OF_FORMAT_1 = b"VCT"
 UNITS = ("full scale", "m/s^2", "um")
 PROFILE_UNIT = "um over position"
 """Unit of a height profile, whose rate is in samples per metre."""
@@ -15,15 +16,23 @@ STREAM_UNITS = (*UNITS, PROFILE_UNIT)
 MAX_CHANNELS = 16
 MAX_CODEC_IDENTIFIER = 15
 MAX_RATE_HZ = 200_000
+ROUND_RATE_HZ = 100
+"""The rates that are multiples of it take fewer bytes."""
+RATE_BITS = 32
 MAX_CONFIGURATION_BYTES = 255
+LONG_CONFIGURATION = 15
+"""A length in the header's second byte: a byte with the length follows the image hash."""
 MAX_PACKET_BYTES = 65_535
 IMAGE_HASH_BYTES = 4
 
 UNIT_BITS = 0x03
 HAS_IMAGE_HASH = 0x04
-LENGTH_UNKNOWN = 0x08
+ONE_PACKET = 0x08
 VARINT_BITS = 63
 SEQUENCE_BITS = 32
+
+_FLAGS_AT = 2
+_CRC = struct.Struct("<H")
 
 
 class StreamError(ValueError):
@@ -56,7 +65,7 @@ class StreamHeader:
             raise StreamError(f"codec identifier {self.codec_identifier} is outside 1..{MAX_CODEC_IDENTIFIER}")
         if not 1 <= self.rate_hz <= MAX_RATE_HZ:
             raise StreamError(f"rate {self.rate_hz} Hz is outside 1..{MAX_RATE_HZ} Hz; resample the signal first")
-        if self.samples is not None and not 0 <= self.samples < 2**63:
+        if self.samples is not None and not 0 <= self.samples < 2**VARINT_BITS - 1:
             raise StreamError(f"{self.samples} samples cannot be stored")
         if self.unit not in STREAM_UNITS:
             raise StreamError(f"unit {self.unit!r} is not one of {', '.join(STREAM_UNITS)}")
@@ -79,20 +88,22 @@ class StreamHeader:
         """Channels in the stream."""
         return len(self.gains)
 
-    def pack(self) -> bytes:
-        """Return the header's bytes."""
+    def pack(self, one_packet: bool = False) -> bytes:
+        """Return the header's bytes. `one_packet`: of a file with a single packet, which takes the rest of the file."""
         flags = STREAM_UNITS.index(self.unit) | (self.channels - 1) << 4
         flags |= HAS_IMAGE_HASH if self.image_hash else 0
-        flags |= LENGTH_UNKNOWN if self.samples is None else 0
+        flags |= ONE_PACKET if one_packet else 0
+        hundreds, rest = divmod(self.rate_hz, ROUND_RATE_HZ)
+        length = len(self.configuration)
         return b"".join(
             (
                 MAGIC,
-                bytes((VERSION << 4 | self.codec_identifier, flags)),
-                pack_varint(self.rate_hz),
-                b"" if self.samples is None else pack_varint(self.samples),
+                bytes((self.codec_identifier << 4 | min(length, LONG_CONFIGURATION), flags)),
+                pack_varint(2 * self.rate_hz + 1 if rest else 2 * hundreds),
+                pack_varint(0 if self.samples is None else self.samples + 1),
                 b"".join(map(_pack_gain, self.gains)),
                 self.image_hash,
-                bytes((len(self.configuration),)),
+                bytes((length,)) if length >= LONG_CONFIGURATION else b"",
                 self.configuration,
             )
         )
@@ -101,26 +112,38 @@ class StreamHeader:
     def unpack(data: bytes) -> tuple["StreamHeader", int]:
         """Read the header at the start of `data`; return it and its length in bytes.
 
-        Raises StreamError when the bytes are not a header of this version.
+        Raises StreamError when the bytes are not a header of this format.
         """
         reader = Reader(data, _damaged)
-        if reader.take(3) != MAGIC:
-            raise StreamError("not a coded stream: it does not start with 'VCT'; give a .vct file")
-        version, codec_identifier = divmod(reader.take(1)[0], 16)
-        if version != VERSION:
-            raise StreamError(
-                f"coded stream of version {version}, and this program reads {VERSION}; encode the recording again"
-            )
+        codec_identifier, length = _begin(reader, data)
         flags = reader.take(1)[0]
         channels = (flags >> 4) + 1
-        rate_hz = reader.varint(VARINT_BITS)
-        samples = None if flags & LENGTH_UNKNOWN else reader.varint(VARINT_BITS)
+        rate, exact = divmod(reader.varint(RATE_BITS), 2)
+        samples = reader.varint(VARINT_BITS) - 1
         gains = tuple(_unpack_gain(reader.take(2)) for _ in range(channels))
         image_hash = reader.take(IMAGE_HASH_BYTES) if flags & HAS_IMAGE_HASH else b""
-        configuration = reader.take(reader.take(1)[0])
+        configuration = reader.take(reader.take(1)[0] if length == LONG_CONFIGURATION else length)
         unit = STREAM_UNITS[flags & UNIT_BITS]
-        header = StreamHeader(codec_identifier, rate_hz, samples, unit, gains, configuration, image_hash)
+        rate_hz = rate if exact else ROUND_RATE_HZ * rate
+        known = None if samples < 0 else samples
+        header = StreamHeader(codec_identifier, rate_hz, known, unit, gains, configuration, image_hash)
         return header, reader.position
+
+
+def _begin(reader: Reader, data: bytes) -> tuple[int, int]:
+    """Take the first two bytes of a header; return the codec's identifier and the length of its configuration."""
+    if data.startswith(_MAGIC_OF_FORMAT_1):
+        raise StreamError(_other_format(1) + "; encode the recording again")
+    family, number = divmod(reader.take(1)[0], 16)
+    if family != MAGIC[0] >> 4:
+        raise StreamError("not a coded stream: it does not start as one; give a .vct file")
+    if number != FORMAT:
+        raise StreamError(_other_format(number) + "; use the version of vibrocast that wrote it")
+    return divmod(reader.take(1)[0], 16)
+
+
+def _other_format(number: int) -> str:
+    return f"coded stream of format {number}, and this program reads format {FORMAT}"
 
 
 def packet_sequence(packet: bytes) -> tuple[int, bool]:
@@ -131,24 +154,36 @@ def packet_sequence(packet: bytes) -> tuple[int, bool]:
 
 def renumbered(packet: bytes, packets_before: int) -> bytes:
     """Return a packet with its sequence number raised by `packets_before`. Raises StreamError on a malformed packet."""
-    reader = Reader(packet, _damaged)
-    head = reader.varint(SEQUENCE_BITS + 1)
-    return pack_varint(head + 2 * packets_before) + packet[reader.position :]
+    sequence, refresh = packet_sequence(packet)
+    return pack_varint(2 * (sequence + packets_before) + refresh) + packet[_head_bytes(packet) :]
 
 
-def pack_file(header: StreamHeader, packets: Iterable[bytes]) -> bytes:
-    """Return the bytes of a .vct file: the header, then each packet between its length and a CRC-16.
+def _head_bytes(packet: bytes) -> int:
+    """Return the length of a packet's head."""
+    return next(index for index, byte in enumerate(packet) if byte < 0x80) + 1
 
-    The CRC-16 (polynomial 0x1021, initial value 0xFFFF) of each packet covers the header and that packet. So it finds
-    damage to either, and a packet of another stream.
+
+def pack_file(header: StreamHeader, packets: Sequence[bytes]) -> bytes:
+    """Return the bytes of a .vct file: the header, then the packets, each without its number and before a CRC-16.
+
+    The CRC-16 (polynomial 0x1021, initial value 0xFFFF) covers all before it but other CRCs. So it finds damage, a
+    packet of another stream and one that misses. Raises StreamError for packets that are too long, or not numbered from
+    0.
     """
-    head = header.pack()
-    parts = [head]
-    head_crc = crc16(head)
-    for packet in packets:
+    one_packet = len(packets) == 1
+    parts = [header.pack(one_packet)]
+    crc = crc16(parts[0])
+    for number, packet in enumerate(packets):
         if not 1 <= len(packet) <= MAX_PACKET_BYTES:
             raise StreamError(f"packet of {len(packet)} bytes; 1 to {MAX_PACKET_BYTES} are allowed")
-        parts += [pack_varint(len(packet)), packet, struct.pack("<H", crc16(packet, head_crc))]
+        (sequence, refresh), payload = packet_sequence(packet), packet[_head_bytes(packet) :]
+        if sequence != number:
+            raise StreamError(f"packet {sequence} follows {number} packets; number all of them, from 0")
+        if number == 0 and not refresh:
+            raise StreamError("its first packet is no refresh; encode the recording again")
+        kept = payload if one_packet else pack_varint(2 * len(payload) + refresh) + payload
+        crc = crc16(kept, crc)
+        parts += [kept, _CRC.pack(crc)]
     return b"".join(parts)
 
 
@@ -158,22 +193,25 @@ def unpack_file(data: bytes) -> tuple[StreamHeader, list[bytes]]:
     Only the codec can tell whether all packets are there, because it knows how many samples a packet covers.
     """
     header, position = StreamHeader.unpack(data)
-    head_crc = crc16(data[:position])
+    crc = crc16(data[:position])
     reader = Reader(data, _damaged, position)
+    one_packet = bool(data[_FLAGS_AT] & ONE_PACKET)
     packets: list[bytes] = []
-    while not reader.at_end:
-        packet = reader.take(reader.varint(VARINT_BITS))
-        (crc,) = struct.unpack("<H", reader.take(2))
-        if crc != crc16(packet, head_crc):
-            raise StreamError(f"damaged coded stream: packet {len(packets)} fails its checksum; copy the file again")
-        sequence, random_access = packet_sequence(packet)
-        if sequence != len(packets):
-            raise StreamError(f"damaged coded stream: packet {len(packets)} is missing; copy the file again")
-        if sequence == 0 and not random_access:
+    while not reader.at_end or (one_packet and not packets):
+        start = reader.position
+        length, refresh = (reader.left - _CRC.size, 1) if one_packet else divmod(reader.varint(VARINT_BITS), 2)
+        payload = reader.take(max(0, length))
+        crc = crc16(data[start : reader.position], crc)
+        if _CRC.unpack(reader.take(_CRC.size))[0] != crc:
             raise StreamError(
-                "damaged coded stream: its first packet is no random-access packet; encode the recording again"
+                f"damaged coded stream: packet {len(packets)} fails its checksum, or one before it is missing; copy the "
+                "file again"
             )
-        packets.append(packet)
+        if not packets and not refresh:
+            raise StreamError("damaged coded stream: its first packet is no refresh; encode the recording again")
+        packets.append(pack_varint(2 * len(packets) + refresh) + payload)
+        if len(packets[-1]) > MAX_PACKET_BYTES:
+            raise StreamError(f"damaged coded stream: packet {len(packets) - 1} is too long; copy the file again")
     return header, packets
 
 

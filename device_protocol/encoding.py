@@ -49,7 +49,12 @@ class Reader:
     @property
     def at_end(self) -> bool:
         """Whether nothing is left."""
-        return self.position == len(self._data)
+        return self.left == 0
+
+    @property
+    def left(self) -> int:
+        """Bytes that are left."""
+        return len(self._data) - self.position
 
     def take(self, count: int) -> bytes:
         """Take `count` bytes."""

@@ -17,6 +17,8 @@ from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader
 from vibrocast.device_protocol.messages import ErrorCode, Limits
 from vibrocast.host.controller import Controller, ControllerError
 
+_BUFFERED_PACKETS = 2
+"""A controller that holds only one packet of a stream runs dry between two of them."""
 _MOST_BLOCK_SAMPLES = 128
 """An encoder may make packets this much longer than asked for, because they hold whole blocks."""
 
@@ -60,12 +62,14 @@ def fitted(controller: Controller, stream: Stream) -> Stream:
     """
     header, limits = stream.header, controller.description.limits
     check_limits(controller, header.channels, header.rate_hz)
+    chosen = codec.codec_by_name(stream.codec_name)
     samples, size_bytes = packet_limit(limits), limits.sendable_packet_bytes
+    if chosen.repack is not None:
+        samples = min(samples, limits.buffer_samples // _BUFFERED_PACKETS)
     longest, largest = stream.decoder().packet_samples, max(map(len, stream.packets))
     if longest <= samples and largest <= size_bytes:
         return stream
     problem = f"packets of {longest} samples and {largest} bytes, the controller takes {samples} and {size_bytes}"
-    chosen = codec.codec_by_name(stream.codec_name)
     if chosen.repack is None:
         wanted = min(samples, math.floor(longest * size_bytes / largest))
         raise StreamError(f"{problem}; {_shorter_packets(stream, chosen, wanted)}")

@@ -216,21 +216,22 @@ def frame() -> Picture:
     return picture
 
 
-PACKET = [("sequence · 2 + refresh", "varint", 5.2), ("payload of the codec", "", 5.4)]
+_PAYLOAD = ("payload of the codec", "", 5.4)
+PACKET = [("sequence · 2 + refresh", "varint", 5.2), _PAYLOAD]
 
 
 def stream_layout() -> Picture:
     """A file with a coded stream: header and packets."""
     picture = Picture(6.6)
-    row = [("header", "", 4.8), ("length", "varint", 2.2), ("packet", "", 3.0), ("CRC-16", "2 bytes", 2.2)]
-    row += [("length", "varint", 2.2), ("packet", "", 2.4), ("CRC-16 …", "2 bytes", 2.2)]
-    header = [("VCT", "3 bytes", 1.8), ("version", "and codec: 1", 2.6), ("flags", "1", 1.3), ("rate", "varint", 1.5)]
+    row = [("header", "", 5.4), ("packet", "", 3.2), ("CRC-16", "2 bytes", 2.4), ("packet", "", 3.0)]
+    row += [("CRC-16 …", "2 bytes", 2.4)]
+    header = [("format", "1 byte", 1.8), ("codec", "and length: 1", 2.4), ("flags", "1", 1.3), ("rate", "varint", 1.5)]
     header += [("samples", "varint", 1.9), ("gain", "2 a channel", 2.5), ("image hash", "0 or 4", 2.4)]
-    header += [("length", "1", 1.7), ("configuration", "of the codec", 3.3)]
+    header += [("length", "0 or 1", 1.7), ("configuration", "of the codec", 3.5)]
     picture.text((0.1, 5.5), "Packet", align="left")
-    cells(picture, 3.6, 5.5, PACKET, CONTROLLER)
+    cells(picture, 3.6, 5.5, [("length · 2 + refresh", "varint", 5.2), _PAYLOAD], CONTROLLER)
     ends = cells(picture, 0.1, 3.3, row, OUTSIDE)
-    unfold(picture, (3.6, 14.2), 5.5, ends[2])
+    unfold(picture, (3.6, 14.2), 5.5, ends[1])
     cells(picture, 0.1, 1.1, header, HOST)
     unfold(picture, ends[0], 3.3, (0.1, 19.1))
     return picture

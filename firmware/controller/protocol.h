@@ -11,13 +11,15 @@
 #define VC_PROTOCOL_MAX_PAYLOAD_BYTES 4096 /* at most, of any board */
 #define VC_PACKET_OVERHEAD_BYTES 12 /* of a payload, before its first packet */
 #define VC_CAPTURE_DATA_HEAD_BYTES 21
-#define VC_STREAM_MAGIC "VCT"
-#define VC_STREAM_VERSION 1
+#define VC_STREAM_MAGIC 0xD2u
+#define VC_STREAM_FORMAT 2
+#define VC_STREAM_LONG_CONFIGURATION 15 /* a byte with the length stands before it */
+#define VC_STREAM_ROUND_RATE_HZ 100u
+#define VC_STREAM_RATE_BITS 32
 #define VC_STREAM_MAX_CHANNELS 16
 #define VC_STREAM_MAX_RATE_HZ 200000u
 #define VC_STREAM_UNIT_BITS 0x03u
 #define VC_STREAM_HAS_IMAGE_HASH 0x04u
-#define VC_STREAM_LENGTH_UNKNOWN 0x08u
 #define VC_STREAM_VARINT_BITS 63
 #define VC_PACKET_SEQUENCE_BITS 32
 #define VC_UNIT_PROFILE 3u

@@ -8,30 +8,33 @@
 int vc_stream_header_read(vc_stream_header *header, const uint8_t *data, size_t length, vc_rejection *rejection)
 {
     vc_fields fields;
-    vc_piece magic, hash, configuration;
-    uint64_t rate_hz;
-    unsigned version_and_codec, flags, channel;
+    vc_piece hash, configuration;
+    uint64_t rate, samples, rate_hz;
+    unsigned magic, codec_and_length, length_of_configuration, flags, channel;
     vc_fields_begin(&fields, data, length);
     memset(header, 0, sizeof *header);
-    magic = vc_take_piece(&fields, sizeof VC_STREAM_MAGIC - 1);
-    version_and_codec = (unsigned)vc_take_number(&fields, 1);
-    if (fields.cut || !vc_same_bytes(magic.bytes, (const uint8_t *)VC_STREAM_MAGIC, magic.length))
-        return vc_reject(rejection, VC_BAD_VALUE, "no stream header: it does not start with '" VC_STREAM_MAGIC "'");
-    if (version_and_codec >> 4 != VC_STREAM_VERSION)
-        return vc_reject_numbers(rejection, VC_BAD_VALUE, "a stream of version #; this controller reads version #",
-                                 version_and_codec >> 4, VC_STREAM_VERSION);
-    header->codec = version_and_codec & 0x0Fu;
+    magic = (unsigned)vc_take_number(&fields, 1);
+    if (fields.cut || magic != VC_STREAM_MAGIC)
+        return vc_reject_numbers(rejection, VC_BAD_VALUE,
+                                 "no stream header of format #, which this controller reads: encode the recording again",
+                                 VC_STREAM_FORMAT, 0);
+    codec_and_length = (unsigned)vc_take_number(&fields, 1);
+    header->codec = codec_and_length >> 4;
+    length_of_configuration = codec_and_length & 0x0Fu;
     flags = (unsigned)vc_take_number(&fields, 1);
     header->output.unit = flags & VC_STREAM_UNIT_BITS;
     header->output.channels = (uint8_t)((flags >> 4) + 1);
-    rate_hz = vc_take_varint(&fields, VC_STREAM_VARINT_BITS);
-    header->samples =
-        flags & VC_STREAM_LENGTH_UNKNOWN ? VC_LENGTH_UNKNOWN : vc_take_varint(&fields, VC_STREAM_VARINT_BITS);
+    rate = vc_take_varint(&fields, VC_STREAM_RATE_BITS);
+    rate_hz = rate & 1u ? rate >> 1 : (rate >> 1) * VC_STREAM_ROUND_RATE_HZ;
+    samples = vc_take_varint(&fields, VC_STREAM_VARINT_BITS);
+    header->samples = samples == 0 ? VC_LENGTH_UNKNOWN : samples - 1;
     for (channel = 0; channel < header->output.channels; channel++)
         header->output.gain[channel] = (uint16_t)vc_take_number(&fields, 2);
     header->needs_image = (flags & VC_STREAM_HAS_IMAGE_HASH) != 0;
     hash = vc_take_piece(&fields, header->needs_image ? VC_IMAGE_HASH_BYTES : 0);
-    configuration = vc_take_piece(&fields, (size_t)vc_take_number(&fields, 1));
+    if (length_of_configuration == VC_STREAM_LONG_CONFIGURATION)
+        length_of_configuration = (unsigned)vc_take_number(&fields, 1);
+    configuration = vc_take_piece(&fields, length_of_configuration);
     if (fields.cut)
         return vc_reject_numbers(rejection, VC_BAD_VALUE,
                                  "the stream header is cut at # bytes, or a number in it is too long", length, 0);

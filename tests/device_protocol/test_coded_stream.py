@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vibrocast.device_protocol.coded_stream import (
+    MAGIC,
     STREAM_UNITS,
     StreamError,
     StreamHeader,
@@ -15,14 +16,14 @@ from vibrocast.device_protocol.coded_stream import (
     packet_sequence,
     unpack_file,
 )
-from vibrocast.device_protocol.encoding import pack_varint
+from vibrocast.device_protocol.encoding import crc16, pack_varint
 
 gains = st.integers(1, 0x7F7F).map(lambda code: float(struct.unpack("<f", struct.pack("<I", code << 16))[0]))
 headers = st.builds(
     StreamHeader,
     codec_identifier=st.integers(1, 15),
     rate_hz=st.integers(1, 200_000),
-    samples=st.none() | st.integers(0, 2**63 - 1),
+    samples=st.none() | st.integers(0, 2**63 - 2),
     unit=st.sampled_from(STREAM_UNITS),
     gains=st.lists(gains, min_size=1, max_size=16).map(tuple),
     configuration=st.binary(max_size=255),
@@ -48,7 +49,7 @@ def test_header_states_its_own_length(header: StreamHeader, following: bytes) ->
 
 @given(st.binary(max_size=100))
 def test_any_bytes_are_read_or_rejected(data: bytes) -> None:
-    for start in (b"", b"VCT\x11"):
+    for start in (b"", MAGIC, MAGIC + b"\x12\x00"):
         try:
             header, packets = unpack_file(start + data)
         except StreamError:
@@ -56,8 +57,9 @@ def test_any_bytes_are_read_or_rejected(data: bytes) -> None:
         assert pack_file(header, packets)
 
 
-def test_every_flipped_bit_is_found() -> None:
-    data = pack_file(HEADER, numbered([b"some payload", b"more"]))
+@pytest.mark.parametrize("payloads", [[b"some payload"], [b"some payload", b"more"]])
+def test_every_flipped_bit_is_found(payloads: list[bytes]) -> None:
+    data = pack_file(HEADER, numbered(payloads))
     for position in range(len(data) * 8):
         damaged = bytearray(data)
         damaged[position // 8] ^= 1 << position % 8
@@ -65,19 +67,37 @@ def test_every_flipped_bit_is_found() -> None:
             unpack_file(bytes(damaged))
 
 
-def test_every_cut_inside_a_packet_is_found() -> None:
-    packets = numbered([b"some payload", b"more"])
-    data = pack_file(HEADER, packets)
-    whole = {len(pack_file(HEADER, packets[:count])) for count in range(3)}
-    for length in set(range(len(data))) - whole:
-        with pytest.raises(StreamError):
-            unpack_file(data[:length])
+@pytest.mark.parametrize("payloads", [[b"some payload"], [b"some payload", b"more", b"and more"]])
+def test_every_cut_inside_a_packet_is_found(payloads: list[bytes]) -> None:
+    data = pack_file(HEADER, numbered(payloads))
+    # Only the codec knows how many packets there are.
+    ends = {len(data)} if len(payloads) == 1 else {len(data) - cut for cut in ends_of(payloads)}
+    for length in range(len(data)):
+        if length in ends:
+            assert len(unpack_file(data[:length])[1]) < len(payloads)
+        else:
+            with pytest.raises(StreamError):
+                unpack_file(data[:length])
+
+
+def ends_of(payloads: list[bytes]) -> list[int]:
+    """Bytes of the last 0, 1, ... packets of a file that holds several short ones."""
+    return [sum(1 + len(payload) + 2 for payload in payloads[first:]) for first in range(len(payloads) + 1)]
 
 
 def test_missing_packet_is_found() -> None:
-    packets = numbered([b"a", b"b", b"c"])
-    with pytest.raises(StreamError, match="packet 1 is missing"):
-        unpack_file(pack_file(HEADER, [packets[0], packets[2]]))
+    payloads = [b"a", b"b", b"c"]
+    data = pack_file(HEADER, numbered(payloads))
+    last, two = ends_of(payloads)[2], ends_of(payloads)[1]
+    with pytest.raises(StreamError, match="packet 1 fails its checksum, or one before it is missing"):
+        unpack_file(data[:-two] + data[-last:])
+    with pytest.raises(StreamError, match="packet 2 follows 1 packets"):
+        pack_file(HEADER, [numbered(payloads)[0], numbered(payloads)[2]])
+
+
+def test_short_files_are_one_packet_without_length_and_number() -> None:
+    payload = bytes(300)
+    assert len(pack_file(HEADER, numbered([payload]))) == len(HEADER.pack()) + len(payload) + 2
 
 
 @pytest.mark.parametrize("gain", [0.0, -1.0, math.inf, math.nan, 1.001, 1e39, 1e-46])
@@ -86,21 +106,34 @@ def test_gain_that_cannot_be_stored_is_rejected(gain: float) -> None:
         StreamHeader(1, 2800, None, "um", (gain,), b"")
 
 
-def test_other_version_is_named() -> None:
-    data = bytearray(HEADER.pack())
-    data[3] = 0x21
-    with pytest.raises(StreamError, match="version 2"):
-        StreamHeader.unpack(bytes(data))
+@pytest.mark.parametrize(
+    ("start", "message"),
+    [
+        (b"VCT\x11\x00", "format 1, .* encode the recording again"),
+        (b"\xd3\x12", "format 3, .* the version of vibrocast that wrote it"),
+        (b"RIFF", "not a coded stream"),
+    ],
+)
+def test_other_formats_are_named(start: bytes, message: str) -> None:
+    with pytest.raises(StreamError, match=message):
+        StreamHeader.unpack(start + HEADER.pack())
 
 
-def test_golden_file() -> None:
+def test_golden_files() -> None:
     data = pack_file(HEADER, numbered([b"\xaa\xbb"]))
-    assert data.hex() == "56435411" + "01" + "f015" + "bc05" + "2040" + "02" + "0102" + "03" + "01aabb" + "f332"
+    assert data.hex() == "d2" + "12" + "09" + "38" + "bd05" + "2040" + "0102" + "aabb" + "f083"
+    other = StreamHeader(4, 2801, None, "um", (2.5, 1.0), bytes(15), b"hash")
+    data = pack_file(other, numbered([b"\xaa", b"\xbb"]))
+    header = "d2" + "4f" + "16" + "e32b" + "00" + "2040" + "803f" + "68617368" + "0f" + "00" * 15
+    assert data.hex() == header + "03aa" + "86ba" + "02bb" + "5a70"
 
 
-def test_first_packet_without_random_access_is_rejected() -> None:
-    with pytest.raises(StreamError, match="no random-access packet"):
-        unpack_file(pack_file(HEADER, [pack_varint(0) + b"payload"]))
+def test_first_packet_that_is_no_refresh_is_rejected() -> None:
+    with pytest.raises(StreamError, match="no refresh"):
+        pack_file(HEADER, [pack_varint(0) + b"payload"])
+    data = HEADER.pack() + b"\x02a"
+    with pytest.raises(StreamError, match="no refresh"):
+        unpack_file(data + crc16(data).to_bytes(2, "little"))
 
 
 @pytest.mark.parametrize("packets", [[b""], [bytes(65_536)]])

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from tests.device_protocol.test_coded_stream import headers
 from tests.firmware.native import ffi, native, rejection_text
-from vibrocast.device_protocol.coded_stream import STREAM_UNITS, StreamError, StreamHeader, packet_sequence
+from vibrocast.device_protocol.coded_stream import MAGIC, STREAM_UNITS, StreamError, StreamHeader, packet_sequence
 from vibrocast.device_protocol.encoding import pack_varint
 
 LENGTH_UNKNOWN = 2**64 - 1
@@ -54,13 +54,14 @@ def test_reads_or_rejects_damaged_headers_as_python(header: StreamHeader, data: 
 
 @given(st.binary(max_size=60))
 def test_reads_or_rejects_any_bytes_as_python(data: bytes) -> None:
-    for start in (b"", b"VCT\x11", b"VCT\x11\x08\xf0\x15"):
+    for start in (b"", MAGIC, MAGIC + b"\x12\x00\x38\x00"):
         check_read_as_in_python(start + data)
 
 
-@pytest.mark.parametrize("rate", [0, 1, 200_000, 200_001, 2**32 + 2800, 2**62, 2**63 - 1])
+@pytest.mark.parametrize("rate", [0, 1, 28, 2000, 2001, 200_000, 200_001, 2**31 - 1, 2**31 + 28, 2**62])
 def test_takes_the_rates_that_python_takes(rate: int) -> None:
-    check_read_as_in_python(b"VCT\x11\x08" + pack_varint(rate) + b"\x80\x3f\x00")
+    for exact in (2 * rate + 1, 2 * rate):
+        check_read_as_in_python(MAGIC + b"\x10\x00" + pack_varint(exact) + b"\x00\x80\x3f")
 
 
 @given(st.one_of(st.binary(max_size=8), st.integers(0, 2**36).map(pack_varint)))
