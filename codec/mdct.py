@@ -266,8 +266,8 @@ def make_encoder(
     live_hop = hop_samples(signal_format.rate_hz)
     hop = live_hop if word(setting, "hop") == AUTO else int(word(setting, "hop"))
     delay_samples = len(analysis(hop)) - hop
-    if framing.refresh_packets == 0 and delay_samples > live_hop:
-        # A file's framing has room for one block of a live stream after the end; this hop needs more.
+    if framing.refresh_packets == 0:
+        # A file's framing has room for one block of a live stream after the end; this hop needs another.
         framing = Framing(framing.packet_samples + delay_samples - live_hop, 0)
     return MdctEncoder(
         steps,

@@ -204,8 +204,8 @@ def unpack_file(data: bytes) -> tuple[StreamHeader, list[bytes]]:
         crc = crc16(data[start : reader.position], crc)
         if _CRC.unpack(reader.take(_CRC.size))[0] != crc:
             raise StreamError(
-                f"damaged coded stream: packet {len(packets)} fails its checksum, or one before it is missing; copy the "
-                "file again"
+                f"damaged coded stream: packet {len(packets)} fails its checksum, or one before it is missing; copy "
+                "the file again"
             )
         if not packets and not refresh:
             raise StreamError("damaged coded stream: its first packet is no refresh; encode the recording again")
