@@ -30,9 +30,9 @@ from vibrocast.codec.trial import Attempts, DecoderProbe, within
 
 DEFAULT_RATE_BUFFER_S = 0.018
 """Size of the rate buffer, as time at the rate: 1 % of 2 s, less a tenth, because packets seldom add up to just 2 s."""
-FRAMES_ADD = 0.135
+FRAMES_ADD = 0.101
 """Most bytes that frames may add, relative to the packets in them. With the beginning and end of a stream of 5 s at 4
-kbit/s, the wire then adds at most 15 %."""
+kbit/s, the wire then adds at most 12 %."""
 MAX_PACKET_S = 2.0
 """Longest packet: a rate is held over any 2 s."""
 REFRESH_S = 2.0
@@ -354,7 +354,7 @@ def equal_error(codec: Codec, signal_format: SignalFormat) -> Setting:
 def rate_controlled_framing(
     bits_per_second: float, rate_hz: float, frame_bytes: FrameBytes, max_s: float = math.inf
 ) -> Framing:
-    """Return the framing for a rate: the shortest packets to which the wire adds at most 15 % at the full rate.
+    """Return the framing for a rate: the shortest packets to which the wire adds at most 12 % at the full rate.
 
     `bits_per_second`: of all channels, frames included. `max_s`: longest packet that the target delay allows. Encoders
     round up to whole blocks. A refresh comes every 2 s, so a lost packet silences the actuator for 1 s on average.

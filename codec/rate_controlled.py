@@ -20,7 +20,7 @@ from vibrocast.codec.live_format import recording_format
 from vibrocast.codec.rate_control import DEFAULT_RATE_BUFFER_S, REFRESH_S, RatePolicy
 from vibrocast.codec.stream import Stream, as_stream
 from vibrocast.device_protocol.frames import MAX_PAYLOAD_BYTES, FrameError, write_frame
-from vibrocast.device_protocol.messages import StreamData, pack
+from vibrocast.device_protocol.messages import SinglePacket, pack
 
 WINDOW_S = 2.0
 """A rate is held over any run of whole packets of this length."""
@@ -30,12 +30,12 @@ _MAX_BITS_A_SAMPLE = 32.0
 
 
 def added_bytes(packet: bytes) -> int:
-    """Return the bytes that a frame of its own adds to a packet: 8 for up to 127 bytes, as policies count them.
+    """Return the bytes that a frame of its own adds to a packet: 6 for up to 250 bytes, as policies count them.
 
     Raises TargetUnreachable for a packet that no frame carries.
     """
     try:
-        return len(write_frame(pack(StreamData(0, 0, (packet,))))) - len(packet)
+        return len(write_frame(pack(SinglePacket(0, packet)))) - len(packet)
     except FrameError as error:
         raise codec.TargetUnreachable(
             f"a packet of {len(packet)} bytes cannot be sent, because a frame carries {MAX_PAYLOAD_BYTES}; "
@@ -50,7 +50,7 @@ class RateTarget:
     `constant_rate_bps`, `capped_rate_bps`: of all channels, frames included. `snr_db`, `error_db`: the quality; the
     latter is the error's level relative to the detection threshold. `rate_buffer_s`: size of the rate buffer. None =
     the size that holds a rate within 1 % over any 2 s; a larger one makes the SNR more even. `packet_s`: length of
-    packets. None = the shortest to which the wire adds at most 15 % at the full rate, or 4 blocks without a rate.
+    packets. None = the shortest to which the wire adds at most 12 % at the full rate, or 4 blocks without a rate.
     `equal_error`: an equal error in all channels, in place of an equal SNR.
     """
 

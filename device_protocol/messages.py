@@ -3,7 +3,7 @@
 import struct
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Annotated, ClassVar, NamedTuple, Self
+from typing import Annotated, ClassVar, NamedTuple, Self, TypeAlias
 
 from vibrocast.device_protocol.layout import (
     COUNTED_TEXT,
@@ -343,6 +343,30 @@ class Position(Message):
 
     device_time_us: U64
     position_nm: I64
+
+
+@dataclass
+class SinglePacket(Message):
+    """One packet of iteration 0, in the fewest bytes: what StreamData would carry alone."""
+
+    TYPE = 0x42
+    ANSWER = "none"
+
+    stream: U8
+    packet: Annotated[bytes, rest("packet")]
+
+    @property
+    def iteration(self) -> int:
+        """As StreamData has it."""
+        return 0
+
+    @property
+    def packets(self) -> tuple[bytes, ...]:
+        """As StreamData has them."""
+        return (self.packet,)
+
+
+PacketMessage: TypeAlias = StreamData | SinglePacket
 
 
 # ---- from the controller: responses, and notifications of the same layout ----

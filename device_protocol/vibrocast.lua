@@ -46,6 +46,8 @@ fields.stream_data_iteration = ProtoField.uint32("vibrocast.stream_data.iteratio
 fields.stream_data_packets = ProtoField.bytes("vibrocast.stream_data.packets", "packets")
 fields.position_device_time_us = ProtoField.uint64("vibrocast.position.device_time_us", "device_time_us")
 fields.position_position_nm = ProtoField.int64("vibrocast.position.position_nm", "position_nm")
+fields.single_packet_stream = ProtoField.uint8("vibrocast.single_packet.stream", "stream")
+fields.single_packet_packet = ProtoField.bytes("vibrocast.single_packet.packet", "packet")
 fields.hello_response_major = ProtoField.uint8("vibrocast.hello_response.major", "major")
 fields.hello_response_minor = ProtoField.uint8("vibrocast.hello_response.minor", "minor")
 fields.hello_response_build = ProtoField.string("vibrocast.hello_response.build", "build")
@@ -185,6 +187,10 @@ local structs = {
         fields = { { "device_time_us", "u64" }, { "position_nm", "i64" },  },
         tags = {  },
     },
+    single_packet = {
+        fields = { { "stream", "u8" }, { "packet", "bytes" },  },
+        tags = {  },
+    },
     hello_response = {
         fields = { { "major", "u8" }, { "minor", "u8" },  },
         tags = { [1] = { "build" }, [2] = { "hardware" }, [3] = { "limits", "limits" }, [4] = { "actuator", "actuator_description" }, [5] = { "codecs", "codec_description" }, [6] = { "images", "image_description" }, [7] = { "public_key" }, [8] = { "serial_number" },  },
@@ -242,6 +248,7 @@ local names = {
     [20] = { "FlashConfirm", "flash_confirm" },
     [64] = { "StreamData", "stream_data" },
     [65] = { "Position", "position" },
+    [66] = { "SinglePacket", "single_packet" },
     [128] = { "HelloResponse", "hello_response" },
     [129] = { "Status", "status" },
     [130] = { "CaptureData", "capture_data" },

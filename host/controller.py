@@ -20,13 +20,13 @@ from vibrocast.device_protocol.messages import (
     HelloResponse,
     Message,
     MessageError,
+    PacketMessage,
     Pause,
     Position,
     Resume,
     Status,
     StatusRequest,
     Stop,
-    StreamData,
     pack,
     unpack,
 )
@@ -277,7 +277,7 @@ class Controller(Closing):
 
     # ---- what is sent without waiting for an answer ----
 
-    def send(self, data: StreamData | Position) -> None:
+    def send(self, data: PacketMessage | Position) -> None:
         """Send stream data, which is never answered. Raises TransportError."""
         self._write(write_frame(pack(data)))
 

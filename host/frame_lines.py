@@ -4,8 +4,8 @@ from vibrocast.device_protocol.messages import (
     Configure,
     HelloResponse,
     Message,
+    PacketMessage,
     Status,
-    StreamData,
 )
 from vibrocast.device_protocol.trace import TracedFrame
 
@@ -44,7 +44,7 @@ def _fields(message: Message) -> str:
                 *counts,
             ]
         )
-    if isinstance(message, StreamData):
+    if isinstance(message, PacketMessage):
         sizes = [len(packet) for packet in message.packets]
         return f"stream {message.stream}, {len(sizes)} packet(s) of {sum(sizes)} bytes, iteration {message.iteration}"
     if isinstance(message, HelloResponse):

@@ -104,7 +104,7 @@ class LiveCoding:
     `policy`: controls the quality, None = all packets are of the setting's. A policy with a rate
     follows the link: quality falls before a packet is late, and rises again. The host never sends a late packet.
     `packet_samples`: the least samples per channel in a packet, rounded up to the codec's blocks. None: with a rate,
-    the shortest packet to which the wire adds at most 15 %, within `max_packet_s`; else one block.
+    the shortest packet to which the wire adds at most 12 %, within `max_packet_s`; else one block.
     `refresh_packets`: from one refresh to the next, None = those of REFRESH_S, or of RATE_CONTROLLED_REFRESH_S.
     """
 

@@ -15,6 +15,7 @@ from vibrocast.device_protocol.messages import (
     CaptureData,
     CaptureRead,
     Configure,
+    SinglePacket,
     Start,
     State,
     Status,
@@ -59,7 +60,10 @@ class StreamSession:
 
     def send(self, packets: Sequence[bytes], iteration: int = 0) -> None:
         """Send packets in one frame. Raises TransportError, MessageError."""
-        self.controller.send(StreamData(self.number, iteration, tuple(packets)))
+        alone = len(packets) == 1 and iteration == 0
+        self.controller.send(
+            SinglePacket(self.number, packets[0]) if alone else StreamData(self.number, iteration, tuple(packets))
+        )
 
     def fitting(self, packets: Sequence[bytes]) -> int:
         """Return how many packets, from the first on, one frame holds."""

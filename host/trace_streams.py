@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 from vibrocast.codec.stream import Stream, shipped_image
 from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader, packet_sequence
-from vibrocast.device_protocol.messages import Configure, StreamData
+from vibrocast.device_protocol.messages import Configure, PacketMessage
 from vibrocast.device_protocol.trace import TracedFrame
 
 
@@ -45,7 +45,7 @@ def streams_of(frames: Iterable[TracedFrame]) -> list[TracedStream]:
                 if not found or found[-1].number != message.stream:  # sent again
                     found.append(TracedStream(message.stream, StreamHeader.unpack(message.header)[0]))
             elif (
-                isinstance(message, StreamData)
+                isinstance(message, PacketMessage)
                 and found
                 and (message.stream, message.iteration) == (found[-1].number, 0)
             ):

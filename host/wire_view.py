@@ -19,6 +19,8 @@ from vibrocast.device_protocol.messages import (
     Error,
     HelloResponse,
     Message,
+    PacketMessage,
+    SinglePacket,
     State,
     Status,
     StreamData,
@@ -112,7 +114,7 @@ class WireView:
                     self._actuator = actuator_model(message.actuator)
             case Configure():
                 self._begin(message)
-            case StreamData():
+            case StreamData() | SinglePacket():
                 self._decode(message)
             case CaptureData():
                 self._read_back(message)
@@ -142,7 +144,7 @@ class WireView:
         if self._hello is not None and 0 < self._hello.actuator.dac_rate_hz <= MAX_DAC_RATE_HZ:
             self._played = _Signal(1, self._hello.actuator.dac_rate_hz)
 
-    def _decode(self, message: StreamData) -> None:
+    def _decode(self, message: PacketMessage) -> None:
         """Decode packets as the controller will, with silence for those that the host has left out."""
         if self._decoder is None or self._sent is None or self._configure is None:
             return

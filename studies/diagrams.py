@@ -302,7 +302,7 @@ def sequence(steps: Sequence[Step], note: str) -> Picture:
             start, end = (host, controller) if who == "host" else (controller, host)
             picture.line((start, at), (end, at), dashed=not asked and who == "controller")
             picture.text(((host + controller) / 2, at + 0.28), f"{message.__name__}: {contents}")
-            asked = who == "host" and message is not messages.StreamData
+            asked = who == "host" and message not in (messages.StreamData, messages.SinglePacket)
     for x, name, fill in ((host, "Host", HOST), (controller, "Controller", CONTROLLER)):
         picture.box((x, top + 0.5), 3.8, 0.9, name, fill)
         picture.line((x, top + 0.05), (x, bottom + 0.1), arrow="")

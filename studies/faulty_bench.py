@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast.device_protocol.frames import FrameReader, write_frame
-from vibrocast.device_protocol.messages import Configure, Message, MessageError, StreamData, pack, unpack
+from vibrocast.device_protocol.messages import Configure, Message, MessageError, SinglePacket, StreamData, pack, unpack
 from vibrocast.output.actuator import LRA, PIEZO_STACK, Actuator, Codes
 from vibrocast.simulated_device.controller import Controller, Settings
 from vibrocast.simulated_device.device import Device
@@ -127,10 +127,17 @@ def at_half_gain(message: Message) -> Message:
 
 def bad_memory(message: Message) -> Message:
     """Return stream data in which a bit of each long packet has flipped; any other message as it is."""
-    if not isinstance(message, StreamData):
-        return message
-    packets = tuple(each[:-1] + bytes([each[-1] ^ 1]) if len(each) > 12 else each for each in message.packets)
-    return replace(message, packets=packets)
+    match message:
+        case StreamData():
+            return replace(message, packets=tuple(map(_flipped, message.packets)))
+        case SinglePacket():
+            return replace(message, packet=_flipped(message.packet))
+        case _:
+            return message
+
+
+def _flipped(packet: bytes) -> bytes:
+    return packet[:-1] + bytes([packet[-1] ^ 1]) if len(packet) > 12 else packet
 
 
 def unchanged(skin_um: Displacement) -> Displacement:

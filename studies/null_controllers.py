@@ -26,12 +26,12 @@ from vibrocast.device_protocol.messages import (
     HelloResponse,
     Limits,
     Message,
+    PacketMessage,
     Start,
     State,
     Status,
     StatusRequest,
     Stop,
-    StreamData,
     pack,
     unpack,
 )
@@ -71,7 +71,7 @@ class NullController:
         """Take in bytes, and answer."""
         for payload in self.reader.feed(data):
             sequence, message = unpack(payload)
-            if isinstance(message, StreamData):
+            if isinstance(message, PacketMessage):
                 self._take(message, now_s)
             elif sequence == self.last[0]:
                 os.write(self.port, self.last[1])
@@ -98,7 +98,7 @@ class NullController:
             self.told_s = now_s
             os.write(self.port, write_frame(pack(self._status(now_s))))
 
-    def _take(self, data: StreamData, now_s: float) -> None:
+    def _take(self, data: PacketMessage, now_s: float) -> None:
         if self.configure is not None and data.stream == self.configure.stream:
             for packet in data.packets:
                 number, _ = packet_sequence(packet)

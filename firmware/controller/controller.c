@@ -501,6 +501,9 @@ static void handle(vc_controller *controller, vc_piece payload)
         if (controller->configured && controller->settings->position == NULL)
             vc_playback_position(playback, message.body.position.device_time_us, message.body.position.position_nm,
                                  controller->time_us);
+    } else if (message.type == VC_SINGLE_PACKET) {
+        if (controller->configured && message.body.single_packet.stream == playback->stream)
+            vc_playback_add(playback, 0, message.body.single_packet.packet, controller->time_us);
     } else if (message.type != VC_STREAM_DATA) {
         take_request(controller, &message);
     } else if (controller->configured && message.body.stream_data.stream == playback->stream) {

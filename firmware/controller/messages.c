@@ -118,6 +118,10 @@ int vc_message_read(vc_message *message, const uint8_t *payload, size_t length, 
         message->body.position.device_time_us = vc_take_number(&fields, 8);
         message->body.position.position_nm = (int64_t)vc_take_number(&fields, 8);
         break;
+    case VC_SINGLE_PACKET:
+        message->body.single_packet.stream = (uint8_t)vc_take_number(&fields, 1);
+        message->body.single_packet.packet = vc_take_piece(&fields, fields.rest.length);
+        break;
     default:
         return vc_reject_numbers(rejection, VC_UNKNOWN_MESSAGE,
                                  "message type # is not known to protocol version #: update the controller",

@@ -102,6 +102,12 @@ typedef struct {
     int64_t position_nm;
 } vc_position;
 
+/* One packet of iteration 0, in the fewest bytes: what StreamData would carry alone. */
+typedef struct {
+    uint8_t stream;
+    vc_piece packet;
+} vc_single_packet;
+
 /* The controller's limits. `watchdog_ms`: longest silence of the host while armed, playing or paused.
  * `profile_samples`: of a height profile, all channels together; 0: no profiles. `packet_samples`: of the longest
  * packet, per channel. `decoding_kilocycles_per_s`: what a second of a stream may take to decode, in thousands of
@@ -234,6 +240,7 @@ typedef struct {
         vc_flash_confirm flash_confirm;
         vc_stream_data stream_data;
         vc_position position;
+        vc_single_packet single_packet;
     } body;
 } vc_message;
 

@@ -48,6 +48,7 @@ enum vc_message_type {
     VC_FLASH_CONFIRM = 20,
     VC_STREAM_DATA = 64,
     VC_POSITION = 65,
+    VC_SINGLE_PACKET = 66,
     VC_HELLO_RESPONSE = 128,
     VC_STATUS = 129,
     VC_CAPTURE_DATA = 130,

@@ -25,15 +25,15 @@ def configure_rejected(probe: Probe, stream: Stream, header: bytes, code: ErrorC
 
 
 @section("Playing: Configure")
-@pytest.mark.parametrize("fault", ["empty", "cut", "magic", "version", "surplus"])
+@pytest.mark.parametrize("fault", ["empty", "cut", "magic", "format", "surplus"])
 def test_stream_header_that_cannot_be_read(probe: Probe, stream: Stream, fault: str) -> None:
     """The controller answers BAD_VALUE to an unreadable stream header ({fault})."""
     header = stream.header.pack()
     faulty = {
         "empty": b"",
         "cut": header[:-1],
-        "magic": b"VCX" + header[3:],
-        "version": header[:3] + bytes([header[3] + 0x10]) + header[4:],
+        "magic": bytes([header[0] ^ 0x10]) + header[1:],
+        "format": bytes([header[0] + 1]) + header[1:],
         "surplus": header + b"\x00",
     }
     configure_rejected(probe, stream, faulty[fault], ErrorCode.BAD_VALUE)

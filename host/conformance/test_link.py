@@ -7,7 +7,7 @@ import pytest
 
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.frames import FrameReader
-from vibrocast.device_protocol.messages import State, Status, StreamData, unpack
+from vibrocast.device_protocol.messages import PacketMessage, SinglePacket, State, Status, StreamData, unpack
 from vibrocast.host import player
 from vibrocast.host.conformance.fixtures import long, section
 from vibrocast.host.conformance.probe import Probe, describe, in_state, same_samples
@@ -84,8 +84,8 @@ def play_with_faults(
     result = player.play(controller, stream.header, stream.packets, packet_samples, buffer_s=buffer_s)
     probe.link.heal()
     probe.open()
-    messages = [unpack(payload)[1] for payload in there.arrived if payload[0] == StreamData.TYPE]
-    arrived = {packet for message in messages if isinstance(message, StreamData) for packet in message.packets}
+    messages = [unpack(payload)[1] for payload in there.arrived if payload[0] in (StreamData.TYPE, SinglePacket.TYPE)]
+    arrived = {packet for message in messages if isinstance(message, PacketMessage) for packet in message.packets}
     return result, [number for number, packet in enumerate(stream.packets) if packet not in arrived]
 
 

@@ -22,6 +22,7 @@ from vibrocast.device_protocol.messages import (
     Pause,
     Position,
     Resume,
+    SinglePacket,
     Start,
     State,
     Status,
@@ -62,7 +63,7 @@ def test_unknown_requests_are_answered_so(probe: Probe) -> None:
 def test_unknown_stream_data_is_answered_without_a_number(probe: Probe) -> None:
     """The controller answers UNKNOWN_MESSAGE to every unknown type of stream data, with the number 0."""
     for message_type in _STREAM_TYPES:
-        if message_type not in (StreamData.TYPE, Position.TYPE):
+        if message_type not in (StreamData.TYPE, Position.TYPE, SinglePacket.TYPE):
             what = f"stream data of type 0x{message_type:02x}"
             probe.complaint(bytes([message_type, 1, 2, 3]), ErrorCode.UNKNOWN_MESSAGE, what)
 
@@ -169,6 +170,21 @@ def test_flash_begin_needs_its_hardware_id(probe: Probe) -> None:
 def test_malformed_stream_data(probe: Probe, fault: str, body: bytes) -> None:
     """The controller answers one Error MALFORMED, with the number 0, to StreamData {fault}."""
     probe.complaint(bytes([StreamData.TYPE]) + body, ErrorCode.MALFORMED, f"StreamData {fault}")
+
+
+@section("Messages: From the host")
+def test_malformed_single_packet(probe: Probe) -> None:
+    """The controller answers one Error MALFORMED, with the number 0, to SinglePacket without a body."""
+    probe.complaint(bytes([SinglePacket.TYPE]), ErrorCode.MALFORMED, "SinglePacket without a body")
+
+
+@section("Messages: From the host")
+def test_single_packet_that_can_be_read_is_not_answered(probe: Probe) -> None:
+    """The controller never answers readable SinglePacket, also without a stream or with an empty packet."""
+    for packet in (b"", b"\x01", b"\xff" * 12):
+        probe.notified.clear()
+        probe.unanswered(pack(SinglePacket(9, packet)), "SinglePacket")
+        assert not probe.notified, f"expected nothing, came {describe(probe.notified[0])}"
 
 
 @section("Messages: From the host")

@@ -7,12 +7,13 @@ from numpy.typing import NDArray
 from vibrocast import codec
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.coded_stream import MAX_CHANNELS, UNITS
-from vibrocast.device_protocol.messages import HelloResponse, State
+from vibrocast.device_protocol.messages import HelloResponse, SinglePacket, Start, State, Status, pack
 from vibrocast.host import player
 from vibrocast.host.conformance.fixtures import section
-from vibrocast.host.conformance.probe import NotConforming, Probe, same_samples
+from vibrocast.host.conformance.probe import ANSWER_S, NotConforming, Probe, describe, same_samples
 from vibrocast.host.conformance.streams import decoded, known_actuator, need_capture, need_no_signature, stream_for
 from vibrocast.host.controller import Controller
+from vibrocast.host.stream_session import next_number
 from vibrocast.host.uploader import flash
 from vibrocast.output.rendering import LimitCounts, render
 
@@ -68,6 +69,25 @@ def test_codec_is_decoded_as_offline(
         flash(Controller(probe.link, probe.link.clock, probe.link.sleep), stream.image)
     result = played(probe, stream)
     same_samples(read_back(result.decoded), decoded(stream), f"{codec_name} in {channels}")
+
+
+@section("Messages: From the host")
+def test_single_packets_count_like_those_of_stream_data(probe: Probe) -> None:
+    """The controller plays packets of SinglePacket as those of StreamData, and drops those of other streams."""
+    stream = stream_for(probe.description)
+    status = probe.configure(stream)
+    if status.credit_until < len(stream.packets) * stream.decoder().packet_samples:
+        pytest.skip("the controller's buffer does not hold the stream")
+    for number in (next_number(status.stream), status.stream):
+        for packet in stream.packets:
+            probe.send(pack(SinglePacket(number, packet)))
+        expected = number == status.stream
+        buffered = probe.status().buffered_samples
+        assert (buffered > 0) == expected, f"expected packets in the buffer: {expected}; {buffered} samples are there"
+    probe.expect(Start(), Status)
+    finished = probe.wait_for_state(State.FINISHED, ANSWER_S + 2 * stream.seconds)
+    assert finished.lost_packets == finished.underruns == 0, describe(finished)
+    assert finished.position == stream.samples + stream.decoder().delay_samples, describe(finished)
 
 
 @section("Playing: Positions")

@@ -16,7 +16,7 @@ from vibrocast.codec import Signal
 from vibrocast.codec.live_format import recording_format
 from vibrocast.codec.stream import Stream
 from vibrocast.codec.threshold import read_threshold
-from vibrocast.device_protocol.messages import Position, State, StreamData, Tap
+from vibrocast.device_protocol.messages import PacketMessage, Position, State, Tap
 from vibrocast.device_protocol.transports import Transport, TransportError
 from vibrocast.evaluation import metrics
 from vibrocast.host import devices, live, position_playback, uploader
@@ -56,11 +56,11 @@ class CountingController(Controller):
         self.frame_bytes: defaultdict[int, int] = defaultdict(int)
         super().__init__(transport, clock, sleep)
 
-    def send(self, data: StreamData | Position) -> None:
+    def send(self, data: PacketMessage | Position) -> None:
         """Send what is not answered; of stream data, keep what it was. Raises TransportError."""
         before = self.bytes_sent
         super().send(data)
-        if isinstance(data, StreamData):
+        if isinstance(data, PacketMessage):
             self.frame_bytes[data.stream] += self.bytes_sent - before
             self.packets[data.stream] += data.packets
 

@@ -107,7 +107,7 @@ def test_a_rate_is_streamed_and_reported(tmp_path: Path) -> None:
     ("arguments", "exit_code", "told"),
     [
         (["--constant-rate-bps", "300", "--packet-ms", "20"], 2, "cannot be held"),
-        (["--constant-rate-bps", "20"], 2, "choose 272 bit/s or more"),
+        (["--constant-rate-bps", "20"], 2, "choose 264 bit/s or more"),
         (["--constant-rate-bps", "50", "--packet-ms", "20000"], 1, "choose shorter packets with --packet-ms"),
     ],
 )

@@ -55,7 +55,7 @@ def test_what_passes_is_shown_with_state_credit_buffer_and_counters(tmp_path: Pa
     assert re.search(
         r"controller -> host +#?\d* +Status +playing, stream \d+, position \d+, credit until \d+, buffered \d+", shown
     )
-    assert "StreamData" in shown and "DAMAGED" not in shown
+    assert "SinglePacket" in shown and "DAMAGED" not in shown
     assert not link.exists()
 
 

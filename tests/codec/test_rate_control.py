@@ -30,7 +30,7 @@ from vibrocast.codec.interface import Choice, Decoded, Trial
 
 RATE_HZ = 2800
 SECONDS = 0.1
-FRAME_BYTES = 8
+FRAME_BYTES = 6
 RATE_CONTROLLED = sorted(name for name, known in codec.CODECS.items() if known.controls_rate and not known.needs_model)
 
 
@@ -349,7 +349,7 @@ def test_a_group_has_packets_of_one_duration() -> None:
 
 
 def test_a_rate_whose_packets_last_over_two_seconds_is_rejected() -> None:
-    with pytest.raises(TargetUnreachable, match=r"20 bit/s cannot be held over 2 s.*choose 272 bit/s"):
+    with pytest.raises(TargetUnreachable, match=r"20 bit/s cannot be held over 2 s.*choose 264 bit/s"):
         rate_controlled_framing(20, RATE_HZ, lambda packet: FRAME_BYTES)
 
 
@@ -386,10 +386,10 @@ def test_the_coarsest_packet_is_short_whatever_came_before(name: str) -> None:
     assert max(coarsest) < 24
 
 
-def test_frames_add_at_most_15_percent_unless_the_delay_forbids() -> None:
-    framing = rate_controlled_framing(4000, RATE_HZ, lambda packet: 8)
+def test_frames_add_at_most_12_percent_unless_the_delay_forbids() -> None:
+    framing = rate_controlled_framing(4000, RATE_HZ, lambda packet: FRAME_BYTES)
     sent = 4000 * framing.packet_samples / RATE_HZ / 8
-    assert 0.12 < 8 / (sent - 8) <= 0.135
+    assert 0.09 < FRAME_BYTES / (sent - FRAME_BYTES) <= 0.101
     assert framing.refresh_packets * framing.packet_samples == pytest.approx(2 * RATE_HZ, rel=0.1)
-    assert rate_controlled_framing(4000, RATE_HZ, lambda packet: 8, max_s=0.02).packet_samples == 56
-    assert rate_controlled_framing(500, RATE_HZ, lambda packet: 8).refresh_packets == 2
+    assert rate_controlled_framing(4000, RATE_HZ, lambda packet: FRAME_BYTES, max_s=0.02).packet_samples == 56
+    assert rate_controlled_framing(500, RATE_HZ, lambda packet: FRAME_BYTES).refresh_packets == 2

@@ -33,6 +33,7 @@ from vibrocast.device_protocol.messages import (
     Pause,
     Position,
     Resume,
+    SinglePacket,
     SlotState,
     Start,
     State,
@@ -78,6 +79,7 @@ MESSAGES: dict[type[Message], st.SearchStrategy[Message]] = {
     FlashVerify: st.builds(FlashVerify, u8),
     FlashActivate: st.builds(FlashActivate, u8),
     FlashConfirm: st.builds(FlashConfirm, u8),
+    SinglePacket: st.builds(SinglePacket, u8, st.binary(max_size=200)),
     StreamData: st.builds(StreamData, u8, u32, st.lists(st.binary(max_size=200)).map(tuple)),
     Position: st.builds(Position, u64, st.integers(-(1 << 63), (1 << 63) - 1)),
     HelloResponse: st.builds(
@@ -99,7 +101,7 @@ MESSAGES: dict[type[Message], st.SearchStrategy[Message]] = {
 }
 any_message = st.one_of(*MESSAGES.values())
 # In these, the end of the message is data and not tags.
-UNTAGGED = (FlashData, CaptureData, StreamData)
+UNTAGGED = (FlashData, CaptureData, StreamData, SinglePacket)
 
 
 def test_every_message_is_tested() -> None:
@@ -111,7 +113,8 @@ def test_every_message_is_tested() -> None:
 @given(data=st.data(), sequence=u16)
 def test_round_trip(message_type: type[Message], data: st.DataObject, sequence: int) -> None:
     message = data.draw(MESSAGES[message_type])
-    assert unpack(pack(message, sequence)) == (0 if message_type in (StreamData, Position) else sequence, message)
+    unsequenced = message_type in (StreamData, SinglePacket, Position)
+    assert unpack(pack(message, sequence)) == (0 if unsequenced else sequence, message)
 
 
 @given(any_message.filter(lambda message: not isinstance(message, UNTAGGED)), st.binary(max_size=30))
@@ -258,6 +261,7 @@ GOLDEN: list[tuple[Message, str]] = [
         "00000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000"
         "0000",
     ),
+    (SinglePacket(7, b"\x01\xaa"), "420701aa"),
     (Position(1 << 41, -1_234_567_890_123), "41000000000002000035fb048ee0feffff"),
     (
         HelloResponse(

@@ -12,6 +12,7 @@ from vibrocast.device_protocol.messages import (
     ErrorCode,
     Hello,
     Message,
+    SinglePacket,
     Start,
     State,
     Status,
@@ -27,8 +28,9 @@ PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "protocol.md").read_t
 EXAMPLE: list[tuple[str, int, Message]] = [
     ("Hello, sequence 0x1234", 0x1234, Hello(2, 0)),
     ("Error, sequence 0x1234", 0x1234, Error(ErrorCode.HELLO_FIRST, "say hello first")),
-    ("Configure, sequence 0x1236", 0x1236, Configure(1, b"VCT", prebuffer_samples=1400, packets=100)),
+    ("Configure, sequence 0x1236", 0x1236, Configure(1, b"\xd2\x13\x00", prebuffer_samples=1400, packets=100)),
     ("StreamData, two packets", 0, StreamData(1, 0, (b"\x01\xaa\xbb", b"\x02\xcc"))),
+    ("SinglePacket", 0, SinglePacket(1, b"\x05\xdd")),
     ("Start, sequence 0x1237", 0x1237, Start(0)),
     ("Status, notification", 0, Status(State.PLAYING, 1, 5_000_000, 64, 6400, 320, 0, 0, 0, 0, 0, 0, 0)),
     ("StatusRequest, sequence 0x1238", 0x1238, StatusRequest()),

@@ -34,6 +34,7 @@ from vibrocast.device_protocol.messages import (
     Pause,
     Position,
     Resume,
+    SinglePacket,
     SlotState,
     Start,
     StatusRequest,
@@ -83,6 +84,7 @@ def host_messages() -> list[Message]:
         FlashActivate(1),
         FlashConfirm(1),
         Position(1_000_000, -5_000_000),
+        SinglePacket(7, b"\x05abc"),
         StreamData(7, 0, (b"\x01abc", b"\x02defg")),
         StreamData(7, 1 << 31, (b"\x01" * 200, b"")),
     ]

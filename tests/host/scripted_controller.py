@@ -27,6 +27,7 @@ from vibrocast.device_protocol.messages import (
     ImageDescription,
     Limits,
     Message,
+    PacketMessage,
     Pause,
     Resume,
     SlotState,
@@ -35,7 +36,6 @@ from vibrocast.device_protocol.messages import (
     Status,
     StatusRequest,
     Stop,
-    StreamData,
     Tap,
     pack,
     unpack,
@@ -99,7 +99,7 @@ class ScriptedController(Closing):
             if self.swallow(message):
                 continue
             self.heard_s = self.now_s
-            if isinstance(message, StreamData):
+            if isinstance(message, PacketMessage):
                 self.take(message)
             elif self.last is not None and sequence == self.last[0]:
                 self.outgoing += self.last[1]
@@ -166,7 +166,7 @@ class ScriptedController(Closing):
         if watched and until_s < self.now_s:
             self.state = State.WATCHDOG
 
-    def take(self, data: StreamData) -> None:
+    def take(self, data: PacketMessage) -> None:
         if self.configure is None or data.stream != self.configure.stream:
             return
         for packet in data.packets:

@@ -78,12 +78,12 @@ class Run:
 
 
 @pytest.mark.parametrize("seconds", [5.0, 20.0])
-def test_four_channels_at_1_kbit_per_second_each_cost_at_most_15_percent_on_the_wire(seconds: float) -> None:
+def test_four_channels_at_1_kbit_per_second_each_cost_at_most_12_percent_on_the_wire(seconds: float) -> None:
     run = Run(4000, Wire(), channels=4)
     result = run.play(seconds)
     # The beginning and end of the stream, and the last packet, which silence fills, come on top.
     assert 4000 < result.wire_bps < 4000 * 1.01 + 8 * (80 + 40) / seconds
-    assert result.wire_adds <= 0.15
+    assert result.wire_adds <= 0.12
     assert result.lost_packets == 0
 
 
@@ -115,7 +115,7 @@ def test_what_a_link_that_stands_still_would_bring_too_late_is_not_sent() -> Non
     result = run.play(8.0, {3.0: 0.0, 4.5: 5000.0})
     assert result.dropped_packets > 5
     # Packets on the link when it stopped are late; later ones were never sent.
-    assert result.lost_packets <= result.dropped_packets + 5
+    assert result.lost_packets <= result.dropped_packets + 8
     assert result.streams == 1
     assert run.mean_bps(7.0, 8.0) > 3600
     assert run.early_s[-1] > 0.1
@@ -224,4 +224,4 @@ def test_the_rate_of_a_group_follows_the_link() -> None:
     assert desk.policy.bits_per_second > 3800
     results = desk.group.finish()
     assert results[0].lost_packets == 0
-    assert results[1].lost_packets < 8
+    assert results[1].lost_packets < 10

@@ -155,9 +155,10 @@ def test_loops_of_short_recordings_keep_up_though_positions_run_ahead_of_time(
 def test_loop_too_short_for_the_controller_is_rejected_with_its_reason() -> None:
     coded = codec.encode(np.ones((1, 1)), 2800, {"step": 0.01})
     header = StreamHeader(1, 2800, 1, "um", coded.gains, coded.configuration)
+    packet_samples = codec.decoder(1, coded.configuration, 1).packet_samples
     link = MemoryLink(SimulatedController())
     with pytest.raises(ControllerError, match="rejects the request: an iteration"):
-        play(Controller(link, link.clock, link.sleep), header, coded.packets, 64, loops=50)
+        play(Controller(link, link.clock, link.sleep), header, coded.packets, packet_samples, loops=50)
 
 
 def test_loop_that_the_player_knows_nothing_of_is_named() -> None:

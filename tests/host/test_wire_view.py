@@ -15,7 +15,7 @@ from tests.device_protocol.test_messages import MESSAGES
 from vibrocast import textures
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.device_protocol.frames import DELIMITER, write_frame
-from vibrocast.device_protocol.messages import Configure, HelloResponse, Message, StreamData, pack
+from vibrocast.device_protocol.messages import Configure, HelloResponse, Message, PacketMessage, pack
 from vibrocast.device_protocol.trace import TracedFrame, read_trace
 from vibrocast.host import devices, end_to_end
 from vibrocast.host.tracing import tracer
@@ -55,7 +55,7 @@ def test_a_playback_is_shown_as_it_was(playback: Sequence[TracedFrame]) -> None:
 
 
 def test_a_lost_packet_and_a_wrong_sample_are_seen(playback: Sequence[TracedFrame]) -> None:
-    sent = [each for each in playback if (found := each.message()) and isinstance(found[1], StreamData)]
+    sent = [each for each in playback if (found := each.message()) and isinstance(found[1], PacketMessage)]
     without = view_of(each for each in playback if each is not sent[2]).document()
     assert without["counters"]["samples decoded wrongly"] > 0
     assert any("decodes other samples than were sent" in hint for hint in without["hints"])
