@@ -233,7 +233,7 @@ def _check_model(codec: Codec, given: bool) -> None:
         raise CodecError(f"the codec {codec.name} needs a model; give one of its model images")
 
 
-EXCERPT = 8
+_EXCERPT = 8
 """A signal this many times as long as an excerpt has one."""
 _EXCERPT_PIECE = 1024
 
@@ -297,10 +297,10 @@ class Source:
     def excerpt(self, samples: int) -> "Source | None":
         """Return pieces from all over a long signal, about this many samples per channel, to be coded as parts of it.
 
-        They keep its `format`, so that a setting means the same. None for a signal that is not EXCERPT times as long.
+        They keep its `format`, so that a setting means the same. None for a signal that is not _EXCERPT times as long.
         """
         pieces = samples // _EXCERPT_PIECE
-        if len(self.samples) < EXCERPT * samples or pieces < 1:
+        if len(self.samples) < _EXCERPT * samples or pieces < 1:
             return None
         self.resolved({})  # the codec's choices are those for the whole signal
         starts = np.linspace(0, len(self.samples) - _EXCERPT_PIECE, pieces).astype(int)

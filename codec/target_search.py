@@ -280,7 +280,7 @@ def _choose(
     setting: Setting | None,
     excess: Callable[[CodedSignal], float],
     goal: "_Goal",
-    in_excerpt: "_InExcerpt",
+    in_excerpt: _InExcerpt,
 ) -> CodedSignal:
     """Code where the excess changes its sign; at every rate point if no setting there is good enough.
 
@@ -419,7 +419,7 @@ def _search(
     source: Source,
     excess: Callable[[CodedSignal], float],
     goal: _Goal,
-    in_excerpt: "_InExcerpt | None" = None,
+    in_excerpt: _InExcerpt | None = None,
     rd_weights: Sequence[float] = _RD_WEIGHTS,
 ) -> _Found:
     """Find the step, the same for all channels, whose `excess` is nearest zero; on the whole it falls with the step.

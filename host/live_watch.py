@@ -83,7 +83,7 @@ class Watch:
         """Count the minute under way."""
         minute, now = self.minutes[-1], _counts(self._stream)
         if self._late_ms:
-            minute.host_late_ms = max(0.0, *self._late_ms)
+            minute.host_late_ms = max(0.0, max(self._late_ms))
             early_ms, late_ms = np.quantile(self._late_ms, (0.05, 0.95))
             minute.host_jitter_ms = float(late_ms - early_ms)
             self._late_ms.clear()

@@ -2,9 +2,12 @@
 
 import json
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import click
+
+from vibrocast import textures
 
 _KEY = "vibrocast.answer"
 
@@ -38,6 +41,16 @@ def tell(text: str, **facts: Any) -> None:
         add(facts)
     else:
         click.echo(text)
+
+
+def tell_profile(out: Path, profile: textures.Profile) -> None:
+    """Tell which height profile a file holds now."""
+    tell(
+        f"{out}: {profile.length_mm:g} mm, a height every {profile.spacing_um:g} um",
+        out=str(out),
+        length_mm=profile.length_mm,
+        spacing_um=profile.spacing_um,
+    )
 
 
 def add(facts: Mapping[str, Any]) -> None:

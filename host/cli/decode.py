@@ -7,7 +7,7 @@ import click
 
 from vibrocast import models, progress, textures
 from vibrocast.codec.stream import read_stream, write_profile, write_recording
-from vibrocast.host.cli.answers import tell
+from vibrocast.host.cli.answers import tell, tell_profile
 from vibrocast.host.cli.option_types import INPUT, OutputFile
 from vibrocast.host.cli.options import model_option, runtime_option
 from vibrocast.host.cli.steps import files_of, reject_overwriting, show
@@ -42,12 +42,7 @@ def decode(file: Path, out: Path, sample_format: str, model: models.Model | None
     if stream.header.spatial and out.suffix.lower() == ".csv":
         with progress.bar("decoding") as update:
             profile = write_profile(out, stream, progress=update)
-        tell(
-            f"{out}: {profile.length_mm:g} mm, a height every {profile.spacing_um:g} um",
-            out=str(out),
-            length_mm=profile.length_mm,
-            spacing_um=profile.spacing_um,
-        )
+        tell_profile(out, profile)
         return
     with progress.bar("decoding") as update:
         full_scale = write_recording(out, stream, sixteen_bit, progress=update)

@@ -8,7 +8,7 @@ from vibrocast import textures
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.files import atomic_write
-from vibrocast.host.cli.answers import tell
+from vibrocast.host.cli.answers import tell, tell_profile
 from vibrocast.host.cli.option_types import Number, OutputFile, Whole, positive
 from vibrocast.textures.recording import Signal
 
@@ -54,12 +54,7 @@ def generate(
         profile = textures.surface_profile(kind, seed, seconds, hand_speed_mm_s, rate_hz)
         with atomic_write(out) as partial:
             textures.save_profile(partial, profile)
-        tell(
-            f"{out}: {profile.length_mm:g} mm, a height every {profile.spacing_um:g} um",
-            out=str(out),
-            length_mm=profile.length_mm,
-            spacing_um=profile.spacing_um,
-        )
+        tell_profile(out, profile)
         return
     speed_mm_s: float | Signal = hand_speed_mm_s
     if speed_variation:
