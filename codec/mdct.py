@@ -268,7 +268,7 @@ def make_encoder(
     delay_samples = len(analysis(hop)) - hop
     if framing.refresh_packets == 0:
         # A file's framing has room for one block of a live stream after the end; this hop needs another.
-        framing = Framing(framing.packet_samples + delay_samples - live_hop, 0)
+        framing = Framing(max(1, framing.packet_samples + delay_samples - live_hop), 0)
     return MdctEncoder(
         steps,
         signal_format.rate_hz,
