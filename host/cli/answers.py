@@ -3,11 +3,12 @@
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from vibrocast import textures
+if TYPE_CHECKING:
+    from vibrocast.textures import Profile
 
 _KEY = "vibrocast.answer"
 
@@ -43,7 +44,7 @@ def tell(text: str, **facts: Any) -> None:
         click.echo(text)
 
 
-def tell_profile(out: Path, profile: textures.Profile) -> None:
+def tell_profile(out: Path, profile: "Profile") -> None:
     """Tell which height profile a file holds now."""
     tell(
         f"{out}: {profile.length_mm:g} mm, a height every {profile.spacing_um:g} um",
