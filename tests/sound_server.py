@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from vibrocast.device_protocol.transports import TransportError
 from vibrocast.output import sound_card
 from vibrocast.output.actuator import Codes, Samples
 
@@ -170,6 +171,7 @@ class Listener:
         self._capture = sound_card.Capture(card, range(1, card.channels + 1))
         self._blocks: list[NDArray[np.float32]] = []
         self._ending = threading.Event()
+        self._failure: TransportError | None = None
         self._thread = threading.Thread(target=self._listen)
 
     def __enter__(self) -> Self:
@@ -184,8 +186,15 @@ class Listener:
         self._capture.close()
 
     def _listen(self) -> None:
-        while not self._ending.is_set():
-            self._blocks.append(self._capture.read(0.1))
+        try:
+            while not self._ending.is_set():
+                self._blocks.append(self._capture.read(0.1))
+        except TransportError as failure:  # it heard nothing more: `newest` and `heard` raise it
+            self._failure = failure
+
+    def _check(self) -> None:
+        if self._failure is not None:
+            raise self._failure
 
     @property
     def overruns(self) -> int:
@@ -193,13 +202,18 @@ class Listener:
         return self._capture.overruns
 
     def newest(self, seconds: float) -> Samples:
-        """Return the last part of the samples heard."""
+        """Return the last part of the samples heard. Raises DeviceGone if it hears no more."""
+        self._check()
         blocks = self._blocks[-200:]
         samples = np.concatenate(blocks) if blocks else np.zeros((0, 1))
         return samples[-round(seconds * self._capture.rate_hz) :].astype(np.float64)
 
     def heard(self) -> Samples:
-        """Return what was played in codes, float64 (n, channels), which are whole where nothing scales or dithers."""
+        """Return what was played in codes, float64 (n, channels), which are whole where nothing scales or dithers.
+
+        Raises DeviceGone if it heard no more at some time.
+        """
+        self._check()
         return np.concatenate(self._blocks).astype(np.float64) * 32768
 
 
