@@ -57,6 +57,7 @@ from vibrocast.codec.target_search import (
     encode_to_snr,
     snr_db,
     tactile_snr_db,
+    target_snrs_db,
 )
 
 __all__ = [
@@ -113,4 +114,5 @@ __all__ = [
     "rate_controlled_framing",
     "snr_db",
     "tactile_snr_db",
+    "target_snrs_db",
 ]

@@ -18,6 +18,10 @@ BLOCK_S = 0.2
 MIN_HZ, MAX_HZ = 10.0, 1000.0
 """The band in which textures are felt. Below it, the hand moves as a whole; above it, no channel of touch answers."""
 BANDS_PER_OCTAVE = 12
+PHYSICAL_UNITS = ("um", "m/s^2")
+"""The units of signals over time in which it is known what can be felt."""
+SKIN_MIN_HZ = 20.0
+"""The lowest frequency that counts at the skin: controllers remove what lies below (output.rendering.HIGH_PASS_HZ)."""
 _BLOCKS_AT_ONCE = 256
 DETECTION_THRESHOLD = Path(__file__).parent / "data" / "detection_threshold.csv"
 
@@ -73,7 +77,7 @@ def threshold_amplitude(rows: NDArray[np.float64], frequency_hz: NDArray[np.floa
         raise CodecError(
             "the detection threshold needs a signal over time, and this stream is spatial; leave the threshold off"
         )
-    if unit not in ("um", "m/s^2"):
+    if unit not in PHYSICAL_UNITS:
         raise CodecError(
             "the detection threshold is a displacement, and this signal is relative to full scale; "
             "give `unit` and `full_scale`, or leave the threshold off"
@@ -118,3 +122,41 @@ def over_threshold_db(
         loudest = np.maximum(loudest, here)
     amplitude = np.sqrt(2 * np.maximum(loudest, 1e-60))
     return middle_hz, 20 * np.log10(amplitude / threshold_amplitude(threshold, middle_hz, "um"))
+
+
+def skin_power(
+    samples: NDArray[np.float64], rate_hz: float, unit: str, threshold: NDArray[np.float64] | None = None
+) -> NDArray[np.float64]:
+    """Return the power of the displacement that samples (n, channels) stand for, from 20 to 1000 Hz: (channels,).
+
+    `unit`: "um" or "m/s^2"; acceleration is divided by (2 pi f)^2. `threshold`: rows as from `read_threshold`; the
+    displacement counts in parts of the least that is felt at its frequency then, otherwise in um. The power is the
+    integral of Welch's estimate over frames of 1 s. Raises CodecError for another unit.
+    """
+    from scipy import signal
+
+    frame = max(1, min(len(samples), math.ceil(rate_hz)))
+    frequency_hz, density = signal.welch(samples, rate_hz, nperseg=frame, detrend=False, axis=0)
+    within = (frequency_hz >= SKIN_MIN_HZ) & (frequency_hz <= MAX_HZ)
+    felt_hz = frequency_hz[within]
+    if threshold is None:
+        threshold = np.array([[1.0, 0.0]])  # 1 um everywhere
+    amplitude = threshold_amplitude(threshold, felt_hz, unit)
+    power: NDArray[np.float64] = np.sum(density[within] / np.square(amplitude)[:, None], axis=0)
+    return power
+
+
+def skin_snr_db(
+    reference: NDArray[np.float64],
+    decoded: NDArray[np.float64],
+    rate_hz: float,
+    unit: str,
+    threshold: NDArray[np.float64] | None = None,
+) -> float | None:
+    """Return the SNR in dB of two arrays (n, channels) as displacement: the mean over channels that have one.
+
+    The other parameters are those of `skin_power`. None where no channel has a signal and an error.
+    """
+    powers = (skin_power(each, rate_hz, unit, threshold) for each in (reference, reference - decoded))
+    ratios = [10 * math.log10(x / e) for x, e in zip(*powers, strict=True) if x > 0 and e > 0]
+    return sum(ratios) / len(ratios) if ratios else None
