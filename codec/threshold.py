@@ -23,7 +23,10 @@ PHYSICAL_UNITS = ("um", "m/s^2")
 SKIN_MIN_HZ = 20.0
 """The lowest frequency that counts at the skin: controllers remove what lies below (output.rendering.HIGH_PASS_HZ)."""
 _BLOCKS_AT_ONCE = 256
-DETECTION_THRESHOLD = Path(__file__).parent / "data" / "detection_threshold.csv"
+DATA = Path(__file__).parent / "data"
+DETECTION_THRESHOLD = DATA / "detection_threshold.csv"
+MASKING = DATA / "masking.csv"
+_SITE = "detection_threshold_"
 
 
 def read_threshold(path: Path = DETECTION_THRESHOLD) -> NDArray[np.float64]:
@@ -50,6 +53,12 @@ def read_threshold(path: Path = DETECTION_THRESHOLD) -> NDArray[np.float64]:
             f"{path} is no detection threshold; write rows of a frequency in Hz, rising, and a level in dB"
         )
     return values
+
+
+def sites() -> dict[str, Path]:
+    """Return the files of the detection thresholds that ship, by the body site and contactor in their names."""
+    others = {path.stem.removeprefix(_SITE).replace("_", "-"): path for path in sorted(DATA.glob(f"{_SITE}*.csv"))}
+    return {"fingertip-large": DETECTION_THRESHOLD, **others}
 
 
 def band_parts(
@@ -89,8 +98,26 @@ def threshold_amplitude(rows: NDArray[np.float64], frequency_hz: NDArray[np.floa
     return 1e-6 * displacement_um * (2 * np.pi * frequency_hz) ** 2
 
 
+def masked_part() -> float:
+    """Return the level of the strongest error that a vibration of level 1 hides in the same third octave and block.
+
+    An error that is not correlated with it raises its level by the factor sqrt(1 + part^2). That is felt from
+    1 + Weber fraction on (data/masking.csv, which also has its sources). Raises CodecError.
+    """
+    try:
+        with MASKING.open(newline="", encoding="utf-8") as file:
+            rows = dict(list(csv.reader(line for line in file if not line.startswith("#")))[1:])
+        fraction = float(rows["weber_fraction"])
+    except (OSError, ValueError, KeyError, csv.Error) as error:
+        raise CodecError(f"{str(MASKING)!r} cannot be read ({error}); give rows of a quantity and its value") from error
+    return math.sqrt((1 + fraction) ** 2 - 1)
+
+
 def over_threshold_db(
-    displacement_um: NDArray[np.float64], rate_hz: float, threshold: NDArray[np.float64]
+    displacement_um: NDArray[np.float64],
+    rate_hz: float,
+    threshold: NDArray[np.float64],
+    masker_um: NDArray[np.float64] | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return frequencies, and the loudest level of the third octave about each, in dB re the detection threshold.
 
@@ -98,12 +125,14 @@ def over_threshold_db(
     overlap by half. The amplitude is that of a sine with the power of all components of the third octave (IEC 61260:
     edges at 2^(+-1/6)), or of the nearest one if that is more. So noise counts as the skin sums it. The loudest block
     and channel count, because a finger feels one block.
+
+    `masker_um`: a vibration of the same shape that hides errors, None = none. Where it raises the threshold of a third
+    octave in a block, to `masked_part` of its own level, levels are relative to the raised one.
     """
     block = max(4, round(BLOCK_S * rate_hz))
-    # Silence before and after, so that windows cover the very first and last sample too.
-    padded = np.pad(displacement_um, ((block // 2, block), (0, 0)))
     window = np.hanning(block + 1)[:-1]
-    blocks = np.lib.stride_tricks.sliding_window_view(padded, block, axis=0)[:: max(1, block // 2)]
+    blocks = _overlapping(displacement_um, block)
+    maskers = None if masker_um is None else _overlapping(masker_um, block)
     spacing_hz = rate_hz / block
     highest_hz = min(MAX_HZ, rate_hz / 2 / 2 ** (1 / 6))
     lowest_hz = max(MIN_HZ, spacing_hz)
@@ -113,15 +142,29 @@ def over_threshold_db(
     middle_hz = middle_hz[(middle_hz >= lowest_hz) & (middle_hz <= highest_hz)]
     parts = band_parts(block // 2 + 1, spacing_hz, middle_hz / 2 ** (1 / 6), middle_hz * 2 ** (1 / 6))
     nearest = np.rint(middle_hz / spacing_hz).astype(int)
-    loudest = np.zeros(len(middle_hz))
-    for start in range(0, len(blocks), _BLOCKS_AT_ONCE):  # to limit memory for long signals
+
+    def band_power(some: NDArray[np.float64]) -> NDArray[np.float64]:
         # (blocks, channels, components) of power as mean square.
-        spectra = np.fft.rfft(blocks[start : start + _BLOCKS_AT_ONCE] * window)
-        power = 2 * np.abs(spectra) ** 2 / (block * np.sum(window**2))
-        here = np.max(np.maximum(power @ parts, power[..., nearest]), axis=(0, 1), initial=0.0)
-        loudest = np.maximum(loudest, here)
-    amplitude = np.sqrt(2 * np.maximum(loudest, 1e-60))
-    return middle_hz, 20 * np.log10(amplitude / threshold_amplitude(threshold, middle_hz, "um"))
+        power = 2 * np.abs(np.fft.rfft(some * window)) ** 2 / (block * np.sum(window**2))
+        return np.asarray(np.maximum(power @ parts, power[..., nearest]))
+
+    felt = np.square(threshold_amplitude(threshold, middle_hz, "um")) / 2
+    hidden = 0.0 if maskers is None else masked_part() ** 2
+    loudest = np.full(len(middle_hz), 1e-60)
+    for start in range(0, len(blocks), _BLOCKS_AT_ONCE):  # to limit memory for long signals
+        here = slice(start, start + _BLOCKS_AT_ONCE)
+        least = felt if maskers is None else np.maximum(felt, hidden * band_power(maskers[here]))
+        loudest = np.maximum(loudest, np.max(band_power(blocks[here]) / least, axis=(0, 1), initial=0.0))
+    return middle_hz, 10 * np.log10(loudest)
+
+
+def _overlapping(samples: NDArray[np.float64], block: int) -> NDArray[np.float64]:
+    """Return blocks of samples (n, channels) that overlap by half, (blocks, channels, block).
+
+    They reach into silence before and after, so that windows cover the very first and last sample too.
+    """
+    padded = np.pad(samples, ((block // 2, block), (0, 0)))
+    return np.lib.stride_tricks.sliding_window_view(padded, block, axis=0)[:: max(1, block // 2)]
 
 
 def skin_power(
