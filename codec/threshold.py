@@ -167,25 +167,35 @@ def _overlapping(samples: NDArray[np.float64], block: int) -> NDArray[np.float64
     return np.lib.stride_tricks.sliding_window_view(padded, block, axis=0)[:: max(1, block // 2)]
 
 
-def skin_power(
-    samples: NDArray[np.float64], rate_hz: float, unit: str, threshold: NDArray[np.float64] | None = None
-) -> NDArray[np.float64]:
-    """Return the power of the displacement that samples (n, channels) stand for, from 20 to 1000 Hz: (channels,).
+def skin_density(
+    samples: NDArray[np.float64], rate_hz: float, unit: str
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return frequencies from 20 to 1000 Hz, (n,), and the power density of displacement there, (n, channels).
 
-    `unit`: "um" or "m/s^2"; acceleration is divided by (2 pi f)^2. `threshold`: rows as from `read_threshold`; the
-    displacement counts in parts of the least that is felt at its frequency then, otherwise in um. The power is the
-    integral of Welch's estimate over frames of 1 s. Raises CodecError for another unit.
+    It is that of the displacement in um that samples (n, channels) in `unit`, "um" or "m/s^2", stand for: acceleration
+    is divided by (2 pi f)^2. Welch's estimate over frames of 1 s. Raises CodecError for another unit.
     """
     from scipy import signal
 
     frame = max(1, min(len(samples), math.ceil(rate_hz)))
     frequency_hz, density = signal.welch(samples, rate_hz, nperseg=frame, detrend=False, axis=0)
     within = (frequency_hz >= SKIN_MIN_HZ) & (frequency_hz <= MAX_HZ)
-    felt_hz = frequency_hz[within]
-    if threshold is None:
-        threshold = np.array([[1.0, 0.0]])  # 1 um everywhere
-    amplitude = threshold_amplitude(threshold, felt_hz, unit)
-    power: NDArray[np.float64] = np.sum(density[within] / np.square(amplitude)[:, None], axis=0)
+    one_um = threshold_amplitude(np.array([[1.0, 0.0]]), frequency_hz[within], unit)
+    return frequency_hz[within], density[within] / np.square(one_um)[:, None]
+
+
+def skin_power(
+    samples: NDArray[np.float64], rate_hz: float, unit: str, threshold: NDArray[np.float64] | None = None
+) -> NDArray[np.float64]:
+    """Return the power of the displacement of samples (n, channels), the sum of `skin_density`: float64 (channels,).
+
+    `threshold`: rows as from `read_threshold`; the displacement counts in parts of the least that is felt at its
+    frequency then, otherwise in um. Raises CodecError for a unit that is not physical.
+    """
+    frequency_hz, density = skin_density(samples, rate_hz, unit)
+    if threshold is not None:
+        density = density / np.square(threshold_amplitude(threshold, frequency_hz, "um"))[:, None]
+    power: NDArray[np.float64] = np.sum(density, axis=0)
     return power
 
 
