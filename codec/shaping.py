@@ -1,4 +1,4 @@
-"""Step shapes: by how much the quantiser steps of a codec differ over frequency, for what the stream is for."""
+"""Step shapes: by how much the quantiser steps of a codec differ over frequency, for a purpose."""
 
 import math
 from collections.abc import Sequence

@@ -62,7 +62,7 @@ class BdRow:
 
 @dataclass(frozen=True)
 class SkinRow:
-    """What reaches the skin at the rate at which the coding without a purpose has `snr_db`."""
+    """Quality at the skin, at the rate at which the coding without a purpose has `snr_db`."""
 
     recording: str
     snr_db: float

@@ -73,15 +73,18 @@ def _noted(encoding: Encoding) -> Encoding:
     return encoding
 
 
-def describe_quality(quality: CodingQuality | Report) -> str:
-    """Return the SNR of a coded recording, that in the tactile band, and the energy that was removed, in words."""
+def describe_quality(quality: CodingQuality | Report, skin: bool = False) -> str:
+    """Return the SNR of a coded recording, that in the tactile band, and the energy that was removed, in words.
+
+    `skin`: the SNR as displacement as well, where it is known.
+    """
     if quality.snr_db is None:
         text = "SNR unknown (silent, lossless, or coded before)"
     else:
         text = f"SNR {quality.snr_db:.2f} dB"
         if quality.tactile_snr_db is not None:
             text += f" ({quality.tactile_snr_db:.2f} dB within {TACTILE_BAND_HZ[0]:g} to {TACTILE_BAND_HZ[1]:g} Hz)"
-        if isinstance(quality, CodingQuality) and quality.skin_snr_db is not None:
+        if skin and isinstance(quality, CodingQuality) and quality.skin_snr_db is not None:
             text += f", as displacement {quality.skin_snr_db:.2f} dB{_weighted(quality.weighted_skin_snr_db)}"
     if quality.highpass_hz is None:
         return text

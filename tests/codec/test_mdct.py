@@ -418,7 +418,7 @@ def test_golden_rate_controlled_stream() -> None:
 
 
 def test_golden_shaped_stream() -> None:
-    """Steps that differ over frequency, beside quantiser offsets: it stays playable likewise."""
+    """Steps that differ over frequency, with quantiser offsets: it stays playable likewise."""
     header, packets = unpack_file(Path(__file__).with_name("golden_mdct_shaped.vct").read_bytes())
     assert (header.samples, header.channels, len(packets)) == (400, 2, 5)
     samples = decoded(header.configuration, packets, header.channels)
