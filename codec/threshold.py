@@ -61,6 +61,11 @@ def sites() -> dict[str, Path]:
     return {"fingertip-large": DETECTION_THRESHOLD, **others}
 
 
+def threshold_file(name: str | None, folder: Path) -> Path:
+    """Return the file of a detection threshold: one of `sites`, or a path from a folder on; None = the fingertip's."""
+    return DETECTION_THRESHOLD if name is None else sites().get(name, folder / name)
+
+
 def band_parts(
     bins: int, spacing_hz: float, lower_hz: NDArray[np.float64], upper_hz: NDArray[np.float64]
 ) -> NDArray[np.float64]:

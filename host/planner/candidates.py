@@ -97,7 +97,7 @@ class MeasuredCoding:
     """One coding of a texture, measured. Figures that the required quality does not need may be None.
 
     `peak_bps`: the highest rate of the frames over any second. `max_frame_bytes`: of the longest frame.
-    `delay_samples`: by which the codec lags its input. `error_db`: of the error at the skin re the detection threshold.
+    `delay_samples`: by which the codec lags its input. `error_db`: of the error at the skin re the felt level.
     `quiet`: as costs.quiet_part. `target`: of rate control, None = every packet has the setting.
     """
 
@@ -378,7 +378,7 @@ class Evaluator:
         )
 
     def _error_db(self, encoding: Encoding, felt: list[Recording]) -> float:
-        """Return the level of the error at the skin re the detection threshold; over position at several speeds."""
+        """Return the level of the error at the skin re the felt level; over position at several speeds."""
         stream = encoding.stream
         if self.over_position:
             decoded = stream.decode()

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 from msgspec import Meta, structs
 
 from vibrocast import textures
-from vibrocast.codec.threshold import DETECTION_THRESHOLD, read_threshold, sites
+from vibrocast.codec.threshold import read_threshold, threshold_file
 from vibrocast.device_protocol.transports import BAUD
 from vibrocast.files import InputFileError
 from vibrocast.host.bench_file import (
@@ -400,9 +400,7 @@ def _check_limits(asked: Asked, link: Link) -> None:
 
 
 def _threshold(folder: Path, skin: _Skin) -> Path:
-    path = DETECTION_THRESHOLD
-    if skin.threshold is not None:
-        path = sites().get(skin.threshold, folder / skin.threshold)
+    path = threshold_file(skin.threshold, folder)
     with located("[skin]", ValueError):
         read_threshold(path)
     return path
