@@ -199,7 +199,7 @@ purpose_option = click.option(
     "--for",
     "purpose",
     type=click.Choice(codec.PURPOSES),
-    help="Shape the error over frequency, by the signal or the threshold of touch. Default: the least error.",
+    help="Shape the error by the signal, or by the threshold of touch. Default: the least error.",
 )
 
 actuator_option = click.option(
