@@ -48,7 +48,9 @@ from vibrocast.codec.registry import (
     gain_for,
     live_framing,
     nearest_gain,
+    shape_setting,
 )
+from vibrocast.codec.shaping import PURPOSES
 from vibrocast.codec.target_search import (
     RATE_TOLERANCE,
     SNR_TOLERANCE_DB,
@@ -57,12 +59,14 @@ from vibrocast.codec.target_search import (
     encode_to_snr,
     snr_db,
     tactile_snr_db,
+    target_snrs_db,
 )
 
 __all__ = [
     "BUILT_IN",
     "CODECS",
     "DEFAULT_CODEC",
+    "PURPOSES",
     "RATE_TOLERANCE",
     "RUNTIMES",
     "SNR_TOLERANCE_DB",
@@ -111,6 +115,8 @@ __all__ = [
     "nearest_gain",
     "rate_controlled_encoder",
     "rate_controlled_framing",
+    "shape_setting",
     "snr_db",
     "tactile_snr_db",
+    "target_snrs_db",
 ]

@@ -9,6 +9,7 @@ from typing import Generic, TypeVar
 
 from vibrocast import codec, models, textures
 from vibrocast.codec.stream import CodingQuality, Stream, as_stream, check_length
+from vibrocast.codec.threshold import PHYSICAL_UNITS, read_threshold, skin_snr_db
 
 Made = TypeVar("Made")
 DEFAULT_SNR_DB = 15.0
@@ -42,6 +43,7 @@ def encode_recording(  # noqa: PLR0913 - the options of the public `encode`, whi
     progress: Callable[[float], None] | None = None,
     unit: str | None = None,
     highpass_hz: float | None = textures.HIGHPASS_HZ,
+    purpose: str | None = None,
 ) -> Encoding:
     """Resample a recording to the stream's rate and code it to a rate or, without one, to an SNR (DEFAULT_SNR_DB).
 
@@ -53,7 +55,8 @@ def encode_recording(  # noqa: PLR0913 - the options of the public `encode`, whi
     `model`: None = the built-in tables. A codec without such takes the choice of `first_reachable` among the models
     that ship. `runtime`: as in `Stream`. `live` adds refreshes, for a link that may lose packets. `progress` is called
     with the finished part of the search, from 0 to 1. `unit`: the stream's, None = the recording's. `highpass_hz`:
-    `textures.highpass` removes the band below it first; None = the whole band is coded.
+    `textures.highpass` removes the band below it first; None = the whole band is coded. `purpose`: one of
+    `shaping.PURPOSES`, None = the SNR; for "threshold", `snr_db` is that at the skin, weighted by the threshold.
 
     Raises CodecError (also when the target rate or SNR cannot be met), ModelError, ModelImageError, StreamError or
     TextureError.
@@ -79,7 +82,14 @@ def encode_recording(  # noqa: PLR0913 - the options of the public `encode`, whi
 
     def source(candidate: models.Model | None, tell: codec.Progress | None = None) -> codec.Source:
         return codec.Source(
-            samples, stream_rate_hz, chosen.name, coded_unit, live, encoder_model(candidate), progress=tell
+            samples,
+            stream_rate_hz,
+            chosen.name,
+            coded_unit,
+            live,
+            encoder_model(candidate),
+            progress=tell,
+            purpose=purpose,
         )
 
     def code(candidate: models.Model | None, tell: codec.Progress | None) -> Encoding:
@@ -95,7 +105,8 @@ def encode_recording(  # noqa: PLR0913 - the options of the public `encode`, whi
         else:
             coded = source(candidate, tell).encode(given)
         stream = replace(as_stream(coded, coded_unit, image), runtime=runtime)
-        return measure_encoding(resampled, stream, rate_bps, snr_db, passed)
+        reached_db = codec.target_snrs_db(source(candidate), stream.decode()) if purpose == "threshold" else None
+        return measure_encoding(resampled, stream, rate_bps, snr_db, passed, reached_db)
 
     def excess(candidate: models.Model) -> float:
         return unsearched_excess(source(candidate), candidate, given, rate_bps, snr_db)
@@ -233,18 +244,27 @@ def measure_encoding(
     rate_bps: float | None = None,
     snr_db: float | None = None,
     passed: textures.HighPassed | None = None,
+    reached_db: Sequence[float | None] | None = None,
 ) -> Encoding:
     """Measure how near a stream comes to its recording, and whether it meets its target. Raises CodecError.
 
-    `passed`: result of the high-pass before; None = the high-pass removed nothing.
+    `passed`: result of the high-pass before; None = the high-pass removed nothing. `reached_db`: of each channel, the
+    SNR to which `snr_db` applies; None = that of the coded signal.
     """
     decoded = stream.decode()
     each_db = tuple(map(_finite, codec.channel_snrs_db(recording.samples, decoded)))
+    target_db = each_db if reached_db is None else tuple(map(_finite, reached_db))
+    at_skin_db, weighted_db = None, None
+    if stream.header.unit in PHYSICAL_UNITS:
+        judged = recording.samples, decoded, recording.rate_hz, stream.header.unit
+        at_skin_db, weighted_db = skin_snr_db(*judged), skin_snr_db(*judged, read_threshold())
     quality = CodingQuality(
         snr_db=_finite(codec.snr_db(recording.samples, decoded)),
         snr_db_per_channel=each_db,
         tactile_snr_db=codec.tactile_snr_db(recording.samples, decoded, recording.rate_hz),
-        note=_shortfall(stream, each_db, rate_bps, snr_db),
+        skin_snr_db=at_skin_db,
+        weighted_skin_snr_db=weighted_db,
+        note=_shortfall(stream, target_db, rate_bps, snr_db),
         highpass_hz=None if passed is None else passed.highpass_hz,
         removed_energy=0.0 if passed is None else passed.removed_energy,
     )

@@ -313,6 +313,7 @@ class Codec:
         step_range: Returns the smallest and the largest step of a search for a format. The search then varies
             `rd_weight` too, if there is one. None: the search uses rate points.
         block_parameter: The parameter that is the length of a block in samples; None where there is one length only.
+        shape_parameter: The parameter that shapes the steps over frequency (codec/shaping.py); None without one.
         live_setting: Called with the rate in Hz. Returns what a live stream has in place of defaults, for the least
             delay.
         planned_setting: Parameters whose best value is known, so that the planner does not vary them.
@@ -341,6 +342,7 @@ class Codec:
     step_parameter: str | None = None
     step_range: Callable[[SignalFormat], tuple[float, float]] | None = None
     block_parameter: str | None = None
+    shape_parameter: str | None = None
     live_setting: Callable[[int], Setting] = lambda rate_hz: {}
     planned_setting: Setting = field(default_factory=dict)
     library: str | None = None

@@ -113,5 +113,6 @@ CODEC = Codec(
     step_parameter=mdct.CODEC.step_parameter,
     step_range=mdct.CODEC.step_range,
     block_parameter=mdct.CODEC.block_parameter,
+    shape_parameter=mdct.CODEC.shape_parameter,
     live_setting=mdct.CODEC.live_setting,
 )

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vibrocast.codec import shaping
 from vibrocast.codec.core import UNIT, CoreDecoder, CoreEncoder, damaged_packet
 from vibrocast.codec.interface import (
     AUTO,
@@ -37,7 +38,9 @@ STEP_CODES = 21 * 64
 STEP_CODES_OF_QUANTISER_OFFSET = 4
 """Step codes in one unit of the quantiser offset."""
 RATE_CONTROLLED = b"\x01"
-"""End of the configuration of a stream whose packets state their quantiser offsets."""
+"""Features of a stream whose packets state their quantiser offsets; it ends the configuration of `slp` and `eva`."""
+STEP_SHAPE = 4
+"""Bit of the features of a stream whose steps differ over frequency."""
 MAX_NOISE_FILLING = 31 / 128
 LAMBDA = 96
 """Weight of a bit against squared error, in 1/256 of a squared step; 70 to 125 differ by at most 1 % of BD-rate."""
@@ -47,6 +50,7 @@ _CHUNK_BLOCKS = 8192
 _RESOLVING_SAMPLES = 1 << 16
 _RESOLVING_PACKET = 1024
 _NOISE_FILLING_UNIT = 128
+_SHAPE_UNITS_PER_OCTAVE = 16
 
 
 MIN_STEP = 2.0**-18
@@ -66,12 +70,31 @@ def step_code(step: float) -> int:
 
 
 def configuration(
-    hop: int, packet_blocks: int, step_codes: Sequence[int], noise_filling_code: int = 0, rate_controlled: bool = False
+    hop: int,
+    packet_blocks: int,
+    step_codes: Sequence[int],
+    noise_filling_code: int = 0,
+    rate_controlled: bool = False,
+    shape: bytes = b"",
 ) -> bytes:
-    """Return the codec's bytes in the stream header."""
+    """Return the codec's bytes in the stream header. `shape`: as from `packed_shape`, empty = none."""
     head = pack_varint(packet_blocks << 2 | HOPS.index(hop))
     steps = b"".join((noise_filling_code << 11 | code).to_bytes(2, "little") for code in step_codes)
-    return head + steps + RATE_CONTROLLED * rate_controlled
+    features = RATE_CONTROLLED[0] * rate_controlled | STEP_SHAPE * bool(shape)
+    return head + steps + bytes([features] if features else []) + shape
+
+
+def packed_shape(octaves: Sequence[float] | None) -> tuple[bytes, float]:
+    """Return a step shape for a configuration, empty for one that is flat, and the mean octaves of its nodes."""
+    if octaves is None:
+        return b"", 0.0
+    unit = min(max(1, math.ceil(max(octaves) * _SHAPE_UNITS_PER_OCTAVE / 15)), 15)
+    values = [min(round(each * _SHAPE_UNITS_PER_OCTAVE / unit), 15) for each in octaves]
+    if not any(values):
+        return b"", 0.0
+    nibbles = [unit, *values]
+    packed = bytes(low | high << 4 for low, high in zip(nibbles[::2], nibbles[1::2], strict=True))
+    return packed, unit * sum(values) / len(values) / _SHAPE_UNITS_PER_OCTAVE
 
 
 def built_in_tables() -> bytes:
@@ -109,7 +132,7 @@ def modulated(window: Signal, hop: int) -> Signal:
 class MdctEncoder(PacketwiseEncoder):
     """Encoder of `mdct`; see codec.interface.Encoder. Samples beyond full scale are clipped to it."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - a setting of the codec each
         self,
         steps: Sequence[float],
         rate_hz: float,
@@ -120,13 +143,15 @@ class MdctEncoder(PacketwiseEncoder):
         noise_filling: float = 0.0,
         rate_control: RateControl | None = None,
         analysis: Callable[[int], Signal] = analysis_matrix,
+        shape: Sequence[float] | None = None,
     ) -> None:
         """Make an encoder of len(steps) channels with quantiser steps relative to full scale.
 
         `rd_weight`: weight of bits against squared error in rounding, 1 = the best for its rate, 0 = the least error.
         `hop`: one of HOPS, None = the one of live streams. `noise_filling`: magnitude that replaces coefficients
         rounded to zero, in quantiser steps. `rate_control`: chooses the quantiser offset of each packet, in 1/16 octave
-        of the steps; None = no offsets. `analysis`: returns the transform at a hop, (samples of a window, hop). Raises
+        of the steps; None = no offsets. `analysis`: returns the transform at a hop, (samples of a window, hop).
+        `shape`: octaves by which steps are coarser at `shaping.NODES`; their mean stays that of `steps`. Raises
         CodecError for a channel count, step, packet length, hop, noise filling or tables that the codec cannot have.
         """
         self._hop = hop_samples(rate_hz) if hop is None else hop
@@ -140,13 +165,15 @@ class MdctEncoder(PacketwiseEncoder):
         super().__init__(len(steps), framing, self._hop, MAX_PACKET_BLOCKS)
         if not 0 <= noise_filling <= MAX_NOISE_FILLING:
             raise CodecError(f"noise_filling {noise_filling} is not possible; give 0 to {MAX_NOISE_FILLING}")
-        step_codes = [step_code(step) for step in steps]
+        packed, mean_octaves = packed_shape(shape)
+        step_codes = [step_code(step / 2**mean_octaves) for step in steps]
         self.configuration = configuration(
             self._hop,
             self._packet_blocks,
             step_codes,
             round(noise_filling * _NOISE_FILLING_UNIT),
             rate_control is not None,
+            packed,
         )
         self._rate_control = rate_control
         self._quantiser_offsets = range(
@@ -279,6 +306,7 @@ def make_encoder(
         number(setting, "noise_filling"),
         rate_control,
         analysis,
+        shaping.parsed_shape(word(setting, "shape")),
     )
 
 
@@ -305,7 +333,8 @@ def repack(
     blocks, hop = head >> 2, HOPS[head & 3]
     refreshes = [packet_sequence(packet)[1] for packet in packets]
     # A packet must begin wherever a refresh or another quantiser offset does.
-    rate_controlled = len(configuration) > head_bytes + 2 * channels
+    features = configuration[head_bytes + 2 * channels :][:1]
+    rate_controlled = bool(features and features[0] & RATE_CONTROLLED[0])
     starts = math.gcd(blocks * rate_controlled, *(blocks * before for before, each in enumerate(refreshes) if each))
     longest = min(packet_samples // hop, MAX_PACKET_BLOCKS)
     length = max((count for count in range(1, longest + 1) if starts % count == 0), default=0)
@@ -359,6 +388,11 @@ CODEC = Codec(
         "noise_filling": Parameter(
             "noise in place of zeros, in quantiser steps; 0 = none", 1 / 32, low=0, high=MAX_NOISE_FILLING
         ),
+        "shape": Parameter(
+            "octaves by which steps are coarser at 0, 1/32, 1/16 ... 1 of half the rate, divided by slashes",
+            shaping.FLAT,
+            text=True,
+        ),
     },
     # From 2 dB of SNR to 42 dB, roughly. The second set has the delay of a live stream at 2800 Hz.
     rate_point_sets={
@@ -375,5 +409,6 @@ CODEC = Codec(
     step_parameter="step",
     step_range=lambda signal_format: (MIN_STEP, MAX_STEP / min(signal_format.rms)),
     block_parameter="hop",
+    shape_parameter="shape",
     live_setting=lambda rate_hz: {"hop": str(hop_samples(rate_hz) // 2)},
 )

@@ -148,12 +148,14 @@ def encode(
     model: models.Model | None = None,
     progress: Callable[[float], None] | None = None,
     highpass_hz: float | None = textures.HIGHPASS_HZ,
+    purpose: str | None = None,
 ) -> tuple[Stream, Outcome]:
     """Resample a recording to the stream's rate and code it as a live stream to a rate target.
 
     `codec_name`: None = the model's codec, or DEFAULT_CODEC. `model`: None = the built-in tables. A codec without such
-    takes the choice of `first_reachable` among the models that ship. `highpass_hz` as in
-    `codec.encoding.encode_recording`. Raises CodecError, also if the target is out of reach, and as `encode_recording`.
+    takes the choice of `first_reachable` among the models that ship. `highpass_hz` and `purpose` as in
+    `codec.encoding.encode_recording`; the SNR of packets is always that of the signal. Raises CodecError, also if the
+    target is out of reach, and as `encode_recording`.
     """
     resampled = textures.resample(textures.highpass(recording, highpass_hz).recording, stream_rate_hz)
     samples = resampled.samples
@@ -162,7 +164,16 @@ def encode(
     given = {**(codec.equal_error(chosen, signal_format) if target.equal_error else {}), **(setting or {})}
 
     def source(candidate: models.Model | None, tell: Callable[[float], None] | None = None) -> codec.Source:
-        return codec.Source(samples, stream_rate_hz, chosen.name, resampled.unit, True, encoder_model(candidate), tell)
+        return codec.Source(
+            samples,
+            stream_rate_hz,
+            chosen.name,
+            resampled.unit,
+            True,
+            encoder_model(candidate),
+            tell,
+            purpose=purpose,
+        )
 
     def code(candidate: models.Model | None, tell: Callable[[float], None] | None) -> tuple[Stream, Outcome]:
         policy = target.policy(signal_format)

@@ -9,7 +9,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from vibrocast.codec import dct, eva, general_codecs, lapped, mdct, parametric, plugins, slp
+from vibrocast.codec import dct, eva, general_codecs, lapped, mdct, parametric, plugins, shaping, slp
 from vibrocast.codec.interface import (
     AUTO,
     Codec,
@@ -233,6 +233,17 @@ def _check_model(codec: Codec, given: bool) -> None:
         raise CodecError(f"the codec {codec.name} needs a model; give one of its model images")
 
 
+def shape_setting(codec: Codec, purpose: str, samples: Signal | None, rate_hz: float, unit: str) -> Setting:
+    """Return the part of a codec's setting that codes a signal for a purpose; see `shaping.shape_for`.
+
+    Raises CodecError as it, and for a codec whose steps cannot differ over frequency.
+    """
+    if codec.shape_parameter is None:
+        raise CodecError(f"{codec.name} cannot code for a purpose; leave it out, or choose {DEFAULT_CODEC}")
+    octaves = shaping.shape_for(purpose, samples, rate_hz, unit)
+    return {codec.shape_parameter: shaping.shape_text(octaves)}
+
+
 _EXCERPT = 8
 """A signal this many times as long as an excerpt has one."""
 _EXCERPT_PIECE = 1024
@@ -241,7 +252,7 @@ _EXCERPT_PIECE = 1024
 class Source:
     """A signal ready to be coded at any setting, as a file or as a live stream.
 
-    `format`: its properties for the encoder. `silent`: whether every channel is.
+    `format`: its properties for the encoder. `silent`: whether every channel is. `purpose`: what it is coded for.
     """
 
     def __init__(
@@ -254,8 +265,12 @@ class Source:
         model: Model | None = None,
         progress: Progress | None = None,
         framing: Framing | None = None,
+        purpose: str | None = None,
     ) -> None:
-        """Take samples (n, channels) in a physical unit; the parameters are as in `encode`. Raises CodecError."""
+        """Take samples (n, channels) in a physical unit; the parameters are as in `encode`. Raises CodecError.
+
+        `purpose`: one of shaping.PURPOSES, by which the steps differ over frequency; None = the same at all.
+        """
         if samples.ndim != 2 or samples.shape[1] < 1:
             raise CodecError(f"samples of shape {samples.shape} do not fit; give (n, channels)")
         if len(samples) == 0:
@@ -278,6 +293,8 @@ class Source:
         rms = tuple(math.sqrt(energy / len(samples)) or 1.0 for energy in np.atleast_1d(energies))
         self.format = SignalFormat(rate_hz, unit, gains, rms, None if live else len(samples))
         self.silent = not np.any(energies)
+        self.purpose = purpose
+        self._shape = {} if purpose is None else shape_setting(self.codec, purpose, samples, rate_hz, unit)
         self._trials = 0
 
     def encode(self, setting: Setting) -> CodedSignal:
@@ -328,14 +345,15 @@ class Source:
     def takes(self, setting: Setting) -> bool:
         """Return whether the codec accepts this setting with this model."""
         try:
-            self.codec.make_encoder(self.codec.complete(setting), self.format, self._framing, self.model, None)
+            complete = self.codec.complete({**self._shape, **setting})
+            self.codec.make_encoder(complete, self.format, self._framing, self.model, None)
         except CodecError:
             return False
         return True
 
     def resolved(self, setting: Setting) -> Setting:
         """Return the complete setting that `encode` uses, with the codec's own choices. Raises CodecError."""
-        setting = self.codec.complete(setting)
+        setting = self.codec.complete({**self._shape, **setting})
         if self._live or self.codec.resolve is None or AUTO not in setting.values():
             return setting
         return {name: self._choice[name] if value == AUTO else value for name, value in setting.items()}

@@ -17,7 +17,7 @@ from vibrocast.codec.registry import (
     parts,
     peak_of,
 )
-from vibrocast.codec.threshold import TACTILE_BAND_HZ
+from vibrocast.codec.threshold import TACTILE_BAND_HZ, read_threshold, skin_power
 
 SNR_TOLERANCE_DB = 0.2
 RATE_TOLERANCE = 0.02
@@ -78,9 +78,28 @@ def tactile_snr_db(reference: Signal, decoded: Signal, rate_hz: float) -> float 
     return 10 * math.log10(powers[0] / powers[1]) if min(powers) > 0 else None
 
 
+def target_snrs_db(source: Source, decoded: Signal) -> list[float | None]:
+    """Return the SNR in dB of each channel that a search for an SNR looks at; None and infinity as `channel_snrs_db`.
+
+    It is that of the signal or, for a source that is coded for the threshold of touch, of `skin_power` above it.
+    """
+    if source.purpose != "threshold":
+        return channel_snrs_db(source.samples, decoded)
+    powers = (_target_power(source, each).tolist() for each in (source.samples, source.samples - decoded))
+    return [(10 * math.log10(x / e) if e > 0 else math.inf) if x > 0 else None for x, e in zip(*powers, strict=True)]
+
+
+def _target_power(source: Source, samples: Signal) -> Signal:
+    """Return the mean power of each channel as the SNR of `target_snrs_db` takes it."""
+    if source.purpose != "threshold":
+        return np.asarray(np.mean(np.square(samples), axis=0))
+    return skin_power(samples, source.format.rate_hz, source.format.unit, read_threshold())
+
+
 def encode_to_snr(source: Source, target_db: float, setting: Setting | None = None) -> CodedSignal:
     """Code every channel at `target_db` of SNR, to within 0.2 dB; above it if no setting comes nearer.
 
+    Of a source that is coded for the threshold of touch, it is the SNR at the skin that the threshold weights.
     `setting`: the part of the codec's setting that is given, not searched for. A silent signal meets every target.
     Raises CodecError as `encode`, TargetUnreachable with the best SNR that this signal reaches.
     """
@@ -97,7 +116,7 @@ def encode_to_snr(source: Source, target_db: float, setting: Setting | None = No
 
     @lru_cache(maxsize=1)  # decoding takes as long as coding
     def ratios_db(coded: CodedSignal) -> list[float | None]:
-        return channel_snrs_db(source.samples, decode(coded, tables))
+        return target_snrs_db(source, decode(coded, tables))
 
     def excesses_db(coded: CodedSignal) -> list[float]:
         """Return the excess of each channel over the target; 0 for silent ones, which have none."""
@@ -109,12 +128,12 @@ def encode_to_snr(source: Source, target_db: float, setting: Setting | None = No
 
     def in_excerpt(excerpt: Source) -> Callable[[CodedSignal], float]:
         """Return the mean excess that the noise in an excerpt leads to, at the level of the whole signal."""
-        levels = np.array(source.format.gains) * np.array(source.format.rms)
+        levels = _target_power(source, source.samples)
 
         def excess_db(coded: CodedSignal) -> float:
-            noise = np.sqrt(np.mean(np.square(excerpt.samples - decode(coded, tables)), axis=0))
-            heard = noise > 0
-            return float(np.mean(20 * np.log10(levels[heard] / noise[heard]))) - target_db if heard.any() else math.inf
+            noise = _target_power(source, excerpt.samples - decode(coded, tables))
+            heard = (noise > 0) & (levels > 0)
+            return float(np.mean(10 * np.log10(levels[heard] / noise[heard]))) - target_db if heard.any() else math.inf
 
         return excess_db
 

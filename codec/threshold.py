@@ -18,8 +18,15 @@ BLOCK_S = 0.2
 MIN_HZ, MAX_HZ = 10.0, 1000.0
 """The band in which textures are felt. Below it, the hand moves as a whole; above it, no channel of touch answers."""
 BANDS_PER_OCTAVE = 12
+PHYSICAL_UNITS = ("um", "m/s^2")
+"""The units of signals over time in which it is known what can be felt."""
+SKIN_MIN_HZ = 20.0
+"""The lowest frequency that counts at the skin: controllers remove what lies below (output.rendering.HIGH_PASS_HZ)."""
 _BLOCKS_AT_ONCE = 256
-DETECTION_THRESHOLD = Path(__file__).parent / "data" / "detection_threshold.csv"
+DATA = Path(__file__).parent / "data"
+DETECTION_THRESHOLD = DATA / "detection_threshold.csv"
+MASKING = DATA / "masking.csv"
+_SITE = "detection_threshold_"
 
 
 def read_threshold(path: Path = DETECTION_THRESHOLD) -> NDArray[np.float64]:
@@ -48,6 +55,17 @@ def read_threshold(path: Path = DETECTION_THRESHOLD) -> NDArray[np.float64]:
     return values
 
 
+def sites() -> dict[str, Path]:
+    """Return the files of the detection thresholds that ship, by the body site and contactor in their names."""
+    others = {path.stem.removeprefix(_SITE).replace("_", "-"): path for path in sorted(DATA.glob(f"{_SITE}*.csv"))}
+    return {"fingertip-large": DETECTION_THRESHOLD, **others}
+
+
+def threshold_file(name: str | None, folder: Path) -> Path:
+    """Return the file of a detection threshold: one of `sites`, or a path from a folder on; None = the fingertip's."""
+    return DETECTION_THRESHOLD if name is None else sites().get(name, folder / name)
+
+
 def band_parts(
     bins: int, spacing_hz: float, lower_hz: NDArray[np.float64], upper_hz: NDArray[np.float64]
 ) -> NDArray[np.float64]:
@@ -73,7 +91,7 @@ def threshold_amplitude(rows: NDArray[np.float64], frequency_hz: NDArray[np.floa
         raise CodecError(
             "the detection threshold needs a signal over time, and this stream is spatial; leave the threshold off"
         )
-    if unit not in ("um", "m/s^2"):
+    if unit not in PHYSICAL_UNITS:
         raise CodecError(
             "the detection threshold is a displacement, and this signal is relative to full scale; "
             "give `unit` and `full_scale`, or leave the threshold off"
@@ -85,8 +103,26 @@ def threshold_amplitude(rows: NDArray[np.float64], frequency_hz: NDArray[np.floa
     return 1e-6 * displacement_um * (2 * np.pi * frequency_hz) ** 2
 
 
+def masked_part() -> float:
+    """Return the level of the strongest error that a vibration of level 1 hides in the same third octave and block.
+
+    An error that is not correlated with it raises its level by the factor sqrt(1 + part^2). That is felt from
+    1 + Weber fraction on (data/masking.csv, which also has its sources). Raises CodecError.
+    """
+    try:
+        with MASKING.open(newline="", encoding="utf-8") as file:
+            rows = dict(list(csv.reader(line for line in file if not line.startswith("#")))[1:])
+        fraction = float(rows["weber_fraction"])
+    except (OSError, ValueError, KeyError, csv.Error) as error:
+        raise CodecError(f"{str(MASKING)!r} cannot be read ({error}); give rows of a quantity and its value") from error
+    return math.sqrt((1 + fraction) ** 2 - 1)
+
+
 def over_threshold_db(
-    displacement_um: NDArray[np.float64], rate_hz: float, threshold: NDArray[np.float64]
+    displacement_um: NDArray[np.float64],
+    rate_hz: float,
+    threshold: NDArray[np.float64],
+    masker_um: NDArray[np.float64] | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return frequencies, and the loudest level of the third octave about each, in dB re the detection threshold.
 
@@ -94,12 +130,14 @@ def over_threshold_db(
     overlap by half. The amplitude is that of a sine with the power of all components of the third octave (IEC 61260:
     edges at 2^(+-1/6)), or of the nearest one if that is more. So noise counts as the skin sums it. The loudest block
     and channel count, because a finger feels one block.
+
+    `masker_um`: a vibration of the same shape that hides errors, None = none. Where it raises the threshold of a third
+    octave in a block, to `masked_part` of its own level, levels are relative to the raised one.
     """
     block = max(4, round(BLOCK_S * rate_hz))
-    # Silence before and after, so that windows cover the very first and last sample too.
-    padded = np.pad(displacement_um, ((block // 2, block), (0, 0)))
     window = np.hanning(block + 1)[:-1]
-    blocks = np.lib.stride_tricks.sliding_window_view(padded, block, axis=0)[:: max(1, block // 2)]
+    blocks = _overlapping(displacement_um, block)
+    maskers = None if masker_um is None else _overlapping(masker_um, block)
     spacing_hz = rate_hz / block
     highest_hz = min(MAX_HZ, rate_hz / 2 / 2 ** (1 / 6))
     lowest_hz = max(MIN_HZ, spacing_hz)
@@ -109,12 +147,74 @@ def over_threshold_db(
     middle_hz = middle_hz[(middle_hz >= lowest_hz) & (middle_hz <= highest_hz)]
     parts = band_parts(block // 2 + 1, spacing_hz, middle_hz / 2 ** (1 / 6), middle_hz * 2 ** (1 / 6))
     nearest = np.rint(middle_hz / spacing_hz).astype(int)
-    loudest = np.zeros(len(middle_hz))
-    for start in range(0, len(blocks), _BLOCKS_AT_ONCE):  # to limit memory for long signals
+
+    def band_power(some: NDArray[np.float64]) -> NDArray[np.float64]:
         # (blocks, channels, components) of power as mean square.
-        spectra = np.fft.rfft(blocks[start : start + _BLOCKS_AT_ONCE] * window)
-        power = 2 * np.abs(spectra) ** 2 / (block * np.sum(window**2))
-        here = np.max(np.maximum(power @ parts, power[..., nearest]), axis=(0, 1), initial=0.0)
-        loudest = np.maximum(loudest, here)
-    amplitude = np.sqrt(2 * np.maximum(loudest, 1e-60))
-    return middle_hz, 20 * np.log10(amplitude / threshold_amplitude(threshold, middle_hz, "um"))
+        power = 2 * np.abs(np.fft.rfft(some * window)) ** 2 / (block * np.sum(window**2))
+        return np.asarray(np.maximum(power @ parts, power[..., nearest]))
+
+    felt = np.square(threshold_amplitude(threshold, middle_hz, "um")) / 2
+    hidden = 0.0 if maskers is None else masked_part() ** 2
+    loudest = np.full(len(middle_hz), 1e-60)
+    for start in range(0, len(blocks), _BLOCKS_AT_ONCE):  # to limit memory for long signals
+        here = slice(start, start + _BLOCKS_AT_ONCE)
+        least = felt if maskers is None else np.maximum(felt, hidden * band_power(maskers[here]))
+        loudest = np.maximum(loudest, np.max(band_power(blocks[here]) / least, axis=(0, 1), initial=0.0))
+    return middle_hz, 10 * np.log10(loudest)
+
+
+def _overlapping(samples: NDArray[np.float64], block: int) -> NDArray[np.float64]:
+    """Return blocks of samples (n, channels) that overlap by half, (blocks, channels, block).
+
+    They reach into silence before and after, so that windows cover the very first and last sample too.
+    """
+    padded = np.pad(samples, ((block // 2, block), (0, 0)))
+    return np.lib.stride_tricks.sliding_window_view(padded, block, axis=0)[:: max(1, block // 2)]
+
+
+def skin_density(
+    samples: NDArray[np.float64], rate_hz: float, unit: str
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return frequencies from 20 to 1000 Hz, (n,), and the power density of displacement there, (n, channels).
+
+    It is that of the displacement in um that samples (n, channels) in `unit`, "um" or "m/s^2", stand for: acceleration
+    is divided by (2 pi f)^2. Welch's estimate over frames of 1 s. Raises CodecError for another unit.
+    """
+    from scipy import signal
+
+    frame = max(1, min(len(samples), math.ceil(rate_hz)))
+    frequency_hz, density = signal.welch(samples, rate_hz, nperseg=frame, detrend=False, axis=0)
+    within = (frequency_hz >= SKIN_MIN_HZ) & (frequency_hz <= MAX_HZ)
+    one_um = threshold_amplitude(np.array([[1.0, 0.0]]), frequency_hz[within], unit)
+    return frequency_hz[within], density[within] / np.square(one_um)[:, None]
+
+
+def skin_power(
+    samples: NDArray[np.float64], rate_hz: float, unit: str, threshold: NDArray[np.float64] | None = None
+) -> NDArray[np.float64]:
+    """Return the power of the displacement of samples (n, channels), the sum of `skin_density`: float64 (channels,).
+
+    `threshold`: rows as from `read_threshold`; the displacement counts in parts of the least that is felt at its
+    frequency then, otherwise in um. Raises CodecError for a unit that is not physical.
+    """
+    frequency_hz, density = skin_density(samples, rate_hz, unit)
+    if threshold is not None:
+        density = density / np.square(threshold_amplitude(threshold, frequency_hz, "um"))[:, None]
+    power: NDArray[np.float64] = np.sum(density, axis=0)
+    return power
+
+
+def skin_snr_db(
+    reference: NDArray[np.float64],
+    decoded: NDArray[np.float64],
+    rate_hz: float,
+    unit: str,
+    threshold: NDArray[np.float64] | None = None,
+) -> float | None:
+    """Return the SNR in dB of two arrays (n, channels) as displacement: the mean over channels that have one.
+
+    The other parameters are those of `skin_power`. None where no channel has a signal and an error.
+    """
+    powers = (skin_power(each, rate_hz, unit, threshold) for each in (reference, reference - decoded))
+    ratios = [10 * math.log10(x / e) for x, e in zip(*powers, strict=True) if x > 0 and e > 0]
+    return sum(ratios) / len(ratios) if ratios else None

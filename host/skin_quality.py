@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast import textures
+from vibrocast.codec.threshold import read_threshold, skin_snr_db
 from vibrocast.evaluation import metrics
 from vibrocast.host.alignment import Alignment, AlignmentError, align
 from vibrocast.output.rendering import HIGH_PASS_HZ, displacement_filter
@@ -28,9 +29,10 @@ _NOTICEABLE_DB = 6.0
 class SkinQuality:
     """Quality at the skin, as displacement above 20 Hz.
 
-    `snr_db`, `st_sim`, `gain`: of the skin against the texture. `decoded_snr_db`: of the decoded signal against the
-    texture, the most that the skin can have. `playing_snr_db`: of the skin against the decoded signal, which leaves the
-    codec out. None: not known, or an exact copy.
+    `snr_db`, `st_sim`, `gain`: of the skin against the texture. `weighted_snr_db`: the same SNR, with each frequency
+    weighted by the threshold of touch (`codec.threshold.skin_power`). `decoded_snr_db`: of the decoded signal against
+    the texture, the most that the skin can have. `playing_snr_db`: of the skin against the decoded signal, which leaves
+    the codec out. None: not known, or an exact copy.
     """
 
     snr_db: float | None
@@ -38,6 +40,7 @@ class SkinQuality:
     playing_snr_db: float | None
     st_sim: float | None
     gain: float | None
+    weighted_snr_db: float | None = None
 
 
 def compare_skin(
@@ -64,6 +67,7 @@ def compare_skin(
         playing_snr_db=_finite(playing.snr_db),
         st_sim=at_skin.st_sim_2800,
         gain=_finite(laid.gain),
+        weighted_snr_db=skin_snr_db(sent_um[:, None], laid.aligned[:, None], rate_hz, "um", read_threshold()),
     )
     return quality, _unpadded(laid, margin, rate_hz)
 

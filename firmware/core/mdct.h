@@ -8,6 +8,12 @@
 #define VC_MAX_PACKET_BLOCKS 4095
 #define VC_STEP_CODES (21 * 64)
 #define VC_STEP_CODE_BITS 11 /* of the 16 in the configuration; above them, the fill */
+/* Sections that may follow the steps in a configuration, by their bits in its features byte. */
+#define VC_RATE_CONTROLLED 1u
+#define VC_STEP_SHAPE 4u
+#define VC_SHAPE_NODES 7      /* at 0, 1/32, 1/16 ... 1/2 and 1 of half the rate */
+#define VC_SHAPE_BYTES 4      /* 4 bits for the unit, and for each node */
+#define VC_SHAPE_UNIT_CODES 4 /* step codes in one unit of the unit */
 /* Coefficients, in 1/256 of a sample's least significant bit, stay within this: 21 times full scale, by
  * 4 / pi * sqrt(2 * 128). */
 #define VC_MAX_COEFFICIENT (1 << 28)
@@ -25,7 +31,8 @@ typedef struct {
     unsigned channels;
     int rate_controlled; /* packets carry their quantiser offset */
     uint16_t step_code[VC_MAX_CHANNELS];
-    uint8_t fill[VC_MAX_CHANNELS]; /* magnitude that replaces a level of 0, in 1/128 step */
+    uint8_t fill[VC_MAX_CHANNELS];  /* magnitude that replaces a level of 0, in 1/128 step */
+    uint16_t shape[VC_SHAPE_NODES]; /* step codes by which steps are coarser at the nodes */
 } vc_mdct_configuration;
 
 /* Inputs of the mixer: the contexts' probabilities, the network's, and a constant. */
@@ -76,12 +83,23 @@ static inline int32_t vc_step_of(uint32_t code)
     return (int32_t)((64 + (code & 63)) << (code >> 6));
 }
 
-/* The step of a channel, in 1/256 of a sample's least significant bit, in a packet of this quantiser offset, in 1/4
- * octave; within the steps that there are. */
-static inline int32_t vc_packet_step(const vc_mdct_configuration *configuration, unsigned channel,
-                                     int32_t quantiser_offset)
+/* Step codes by which the step of bin k is coarser: between the nodes, linear over frequency. */
+static inline int32_t vc_shape_at(const vc_mdct_configuration *configuration, uint32_t k)
 {
-    const int32_t code = configuration->step_code[channel] + 16 * quantiser_offset;
+    const uint32_t middle = (2 * k + 1) * (256 / configuration->hop); /* in 1/512 of half the rate */
+    const unsigned node = middle < 16 ? 0 : vc_floor_log2(middle) - 3;
+    const unsigned width_bits = node == 0 ? 4 : node + 3;
+    const uint32_t above = middle - (node == 0 ? 0 : 1u << width_bits);
+    const uint32_t low = configuration->shape[node], high = configuration->shape[node + 1];
+    return (int32_t)((low * ((1u << width_bits) - above) + high * above) >> width_bits);
+}
+
+/* The step of bin k of a channel, in 1/256 of a sample's least significant bit, in a packet of this quantiser offset,
+ * in 1/4 octave; within the steps that there are. */
+static inline int32_t vc_bin_step(const vc_mdct_configuration *configuration, unsigned channel,
+                                  int32_t quantiser_offset, uint32_t k)
+{
+    const int32_t code = configuration->step_code[channel] + 16 * quantiser_offset + vc_shape_at(configuration, k);
     return vc_step_of(code < 0 ? 0 : code < VC_STEP_CODES ? (uint32_t)code : VC_STEP_CODES - 1);
 }
 

@@ -13,6 +13,36 @@ size_t vc_mdct_decoder_size(void)
     return sizeof(vc_mdct_decoder);
 }
 
+/* Reads the step shape: a unit, then how many units coarser each node is; nibbles, the lower one first. Returns 0 for a
+ * unit of 0. */
+static int read_shape(vc_mdct_configuration *configuration, const uint8_t *bytes)
+{
+    const uint32_t unit = VC_SHAPE_UNIT_CODES * (bytes[0] & 15u);
+    unsigned node;
+    for (node = 0; node < VC_SHAPE_NODES; node++)
+        configuration->shape[node] = (uint16_t)(unit * (bytes[(node + 1) / 2] >> (node % 2 ? 0 : 4) & 15u));
+    return unit != 0;
+}
+
+/* Reads what follows the steps, from `used` on: nothing, or a features byte and its sections. Returns 0 where it is
+ * malformed. */
+static int read_features(vc_mdct_configuration *configuration, const uint8_t *bytes, size_t length, size_t used)
+{
+    uint32_t features;
+    if (length <= used)
+        return length == used;
+    features = bytes[used++];
+    if (features == 0 || (features & ~(VC_RATE_CONTROLLED | VC_STEP_SHAPE)) != 0)
+        return 0;
+    configuration->rate_controlled = (features & VC_RATE_CONTROLLED) != 0;
+    if (features & VC_STEP_SHAPE) {
+        if (length < used + VC_SHAPE_BYTES || !read_shape(configuration, bytes + used))
+            return 0;
+        used += VC_SHAPE_BYTES;
+    }
+    return length == used;
+}
+
 int vc_configuration_read(vc_mdct_configuration *configuration, const uint8_t *bytes, size_t length, unsigned channels)
 {
     vc_mdct_configuration read;
@@ -32,7 +62,7 @@ int vc_configuration_read(vc_mdct_configuration *configuration, const uint8_t *b
     if (head >> 2 < 1 || head >> 2 > VC_MAX_PACKET_BLOCKS)
         return VC_BAD_CONFIGURATION;
     memset(&read, 0, sizeof read);
-    if (!vc_rate_control_read(bytes, length, used + 2 * channels, &read.rate_controlled))
+    if (!read_features(&read, bytes, length, used + 2 * channels))
         return VC_BAD_CONFIGURATION;
     read.hop = 16u << (head & 3u);
     read.packet_blocks = head >> 2;
@@ -79,18 +109,17 @@ uint32_t vc_spectra_cycles(const uint8_t *tables, size_t length)
 
 static void decode_block(vc_mdct_decoder *decoder, vc_range_coder *coder, unsigned number)
 {
-    const uint32_t hop = decoder->configuration.hop;
-    const int32_t step = vc_packet_step(&decoder->configuration, number, decoder->quantiser_offset.value);
+    const vc_mdct_configuration *configuration = &decoder->configuration;
     vc_mdct_channel *channel = &decoder->channels[number];
-    int32_t fill;
-    uint32_t k;
-    vc_block_decode(coder, &decoder->model, &channel->block, hop, channel->spectrum);
-    fill = channel->block.history.silent_history & 1
-               ? 0
-               : (int32_t)((int64_t)step * decoder->configuration.fill[number] / 128);
-    for (k = 0; k < hop; k++)
-        channel->spectrum[k] = channel->spectrum[k] == 0 ? fill * vc_random_sign(&decoder->random)
-                                                         : vc_reconstruct(channel->spectrum[k], step);
+    uint32_t k, fill;
+    vc_block_decode(coder, &decoder->model, &channel->block, configuration->hop, channel->spectrum);
+    fill = channel->block.history.silent_history & 1 ? 0 : configuration->fill[number];
+    for (k = 0; k < configuration->hop; k++) {
+        const int32_t step = vc_bin_step(configuration, number, decoder->quantiser_offset.value, k);
+        channel->spectrum[k] = channel->spectrum[k] == 0
+                                   ? (int32_t)((int64_t)step * fill / 128) * vc_random_sign(&decoder->random)
+                                   : vc_reconstruct(channel->spectrum[k], step);
+    }
 }
 
 int vc_spectra_feed(vc_mdct_decoder *decoder, const uint8_t *packet, size_t length)

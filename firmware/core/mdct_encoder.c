@@ -71,14 +71,17 @@ static uint32_t magnitude_of(int32_t value)
     return (uint32_t)(magnitude < VC_MAX_COEFFICIENT ? magnitude : VC_MAX_COEFFICIENT);
 }
 
-static void encode_block(vc_mdct_encoder *encoder, vc_range_coder *coder, vc_block_state *channel,
-                         const int32_t *coefficients, int32_t step, uint32_t lambda)
+static void encode_block(vc_mdct_encoder *encoder, vc_range_coder *coder, unsigned channel, const int32_t *coefficients,
+                         uint32_t lambda)
 {
-    const uint32_t hop = encoder->configuration.hop;
+    const vc_mdct_configuration *configuration = &encoder->configuration;
     uint32_t magnitudes[VC_MAX_BINS], k;
-    for (k = 0; k < hop; k++)
+    for (k = 0; k < configuration->hop; k++) {
+        const int32_t step = vc_bin_step(configuration, channel, encoder->quantiser_offset.value, k);
         magnitudes[k] = (uint32_t)(((uint64_t)magnitude_of(coefficients[k]) << 8) / (uint32_t)step);
-    vc_block_encode(coder, &encoder->model, channel, &encoder->search, hop, magnitudes, coefficients, lambda);
+    }
+    vc_block_encode(coder, &encoder->model, &encoder->channels[channel], &encoder->search, configuration->hop,
+                    magnitudes, coefficients, lambda);
 }
 
 /* Begins the next packet: its head, and at a refresh a new start. Returns where its payload begins. */
@@ -115,8 +118,7 @@ int32_t vc_mdct_encode(vc_mdct_encoder *encoder, const int32_t *coefficients, in
         lambda = vc_quantiser_offset_encode_fours(&coder, &encoder->quantiser_offset, quantiser_offset, lambda);
     for (block = 0; block < configuration->packet_blocks; block++)
         for (channel = 0; channel < configuration->channels; channel++, coefficients += configuration->hop)
-            encode_block(encoder, &coder, &encoder->channels[channel], coefficients,
-                         vc_packet_step(configuration, channel, encoder->quantiser_offset.value), lambda);
+            encode_block(encoder, &coder, channel, coefficients, lambda);
     return end_packet(&coder, packet, payload);
 }
 

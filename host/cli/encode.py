@@ -92,17 +92,17 @@ def encode(
     if target is not None:
         encode_rate_controlled(loaded, out, target, quality.arguments(recording.unit))
         return
-    write_encoding(out, encoded(loaded, quality, recording.unit, live=False))
+    write_encoding(out, encoded(loaded, quality, recording.unit, live=False), skin=quality.purpose is not None)
 
 
-def write_encoding(out: Path, encoding: Encoding) -> None:
-    """Write a .vct file, and print its size and quality."""
+def write_encoding(out: Path, encoding: Encoding, skin: bool = False) -> None:
+    """Write a .vct file, and print its size and quality; `skin`: the quality as displacement as well."""
     encoding.stream.save(out)
     stream = encoding.stream
     model = f", model {stream.model_name}" if stream.image else ""
     size = f"{stream.size_bytes} bytes, {stream.bits_per_second:.0f} bit/s{model}"
     tell(
-        f"{out}: {size}, {describe_quality(encoding.quality)}",
+        f"{out}: {size}, {describe_quality(encoding.quality, skin)}",
         out=str(out),
         **stream.facts(),
         quality=asdict(encoding.quality),

@@ -39,6 +39,7 @@ from vibrocast.host.cli.options import (
     keep_dc_option,
     model_option,
     own_actuator,
+    purpose_option,
     setting_option,
 )
 from vibrocast.host.cli.rate_options import RateOptions, rate_controlled_options
@@ -79,6 +80,7 @@ class CodingOptions:
     setting: codec.Setting
     model: models.Model | None
     snr_db: float | None
+    purpose: str | None
 
 
 @click.command(cls=SectionedCommand)
@@ -139,6 +141,7 @@ class CodingOptions:
             type=Number("dB"),
             help="Set the signal-to-noise ratio of packets, for --capped-rate-bps and --constant-quality.",
         ),
+        purpose_option,
     ),
 )
 @rate_controlled_options
@@ -193,6 +196,10 @@ def live(
     highpass_hz = chosen_highpass_hz(samples.keep_dc, samples.unit)
     model = coding.model
     chosen = chosen_codec(coding.codec_name, model)
+    setting = coding.setting
+    if coding.purpose is not None:
+        known = texture.samples if source != STANDARD_INPUT else None
+        setting = {**codec.shape_setting(chosen, coding.purpose, known, rate_hz, signal_format.unit), **setting}
     if chosen.needs_model and model is None:
         model = default_model(chosen)
     actuator = own_actuator(address, actuator_name, bench)
@@ -201,12 +208,12 @@ def live(
         check_bench_actuator(bench, address, controller.description.actuator)
         if model is not None:
             uploader.provide(controller, address, model.image)
-        live_coding = streaming.LiveCoding(chosen.name, coding.setting, model)
+        live_coding = streaming.LiveCoding(chosen.name, setting, model)
         if target is not None:
             equal = codec.equal_error(chosen, signal_format) if target.equal_error else {}
             live_coding = replace(
                 live_coding,
-                setting={**equal, **coding.setting},
+                setting={**equal, **setting},
                 policy=target.policy(signal_format),
                 packet_samples=target.framing(rate_hz).packet_samples,
             )

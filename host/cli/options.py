@@ -195,6 +195,13 @@ setting_option = click.option(
     help="Fix a parameter that `vibrocast codecs` lists; may be repeated.",
 )
 
+purpose_option = click.option(
+    "--for",
+    "purpose",
+    type=click.Choice(codec.PURPOSES),
+    help="Shape the error by the signal, or by the threshold of touch. Default: the least error.",
+)
+
 actuator_option = click.option(
     "--actuator",
     "actuator_name",
@@ -324,6 +331,7 @@ class QualityOptions:
     keep_dc: bool
     setting: codec.Setting
     model: models.Model | None
+    purpose: str | None
 
     def arguments(self, unit: str | None = None) -> dict[str, Any]:
         """Return the arguments of `encode_recording` for a recording in a unit. Raises click.UsageError."""
@@ -345,8 +353,10 @@ quality_options = section(
         click.option(
             "--snr-db",
             type=Number("dB"),
-            help=f"Set the signal-to-noise ratio. Default: {DEFAULT_SNR_DB:g} without --rate-bps.",
+            help="Set the signal-to-noise ratio; for threshold, that at the skin, weighted. "
+            f"Default: {DEFAULT_SNR_DB:g} without --rate-bps.",
         ),
+        purpose_option,
         click.option(
             "--stream-rate-hz",
             type=Whole("Hz", 1, MAX_RATE_HZ),

@@ -73,14 +73,19 @@ def _noted(encoding: Encoding) -> Encoding:
     return encoding
 
 
-def describe_quality(quality: CodingQuality | Report) -> str:
-    """Return the SNR of a coded recording, that in the tactile band, and the energy that was removed, in words."""
+def describe_quality(quality: CodingQuality | Report, skin: bool = False) -> str:
+    """Return the SNR of a coded recording, that in the tactile band, and the energy that was removed, in words.
+
+    `skin`: the SNR as displacement as well, where it is known.
+    """
     if quality.snr_db is None:
         text = "SNR unknown (silent, lossless, or coded before)"
     else:
         text = f"SNR {quality.snr_db:.2f} dB"
         if quality.tactile_snr_db is not None:
             text += f" ({quality.tactile_snr_db:.2f} dB within {TACTILE_BAND_HZ[0]:g} to {TACTILE_BAND_HZ[1]:g} Hz)"
+        if skin and isinstance(quality, CodingQuality) and quality.skin_snr_db is not None:
+            text += f", as displacement {quality.skin_snr_db:.2f} dB{_weighted(quality.weighted_skin_snr_db)}"
     if quality.highpass_hz is None:
         return text
     return (
@@ -88,11 +93,16 @@ def describe_quality(quality: CodingQuality | Report) -> str:
     )
 
 
+def _weighted(weighted_db: float | None) -> str:
+    """Return the SNR that the threshold of touch weights, in words, to stand behind the plain one."""
+    return "" if weighted_db is None else f" ({weighted_db:.2f} dB weighted by the threshold of touch)"
+
+
 def describe_skin(skin: SkinQuality | None, note: str | None) -> str:
     """Return the SNR and the gain at the skin, and why the SNR differs from that of the codec, in words."""
     if skin is None:
         return "not compared: the skin hardly moves as the texture does"
-    ratio = f"SNR {skin.snr_db:.2f} dB" if skin.snr_db is not None else "SNR unknown"
+    ratio = f"SNR {skin.snr_db:.2f} dB{_weighted(skin.weighted_snr_db)}" if skin.snr_db is not None else "SNR unknown"
     alone = f", without the codec {skin.playing_snr_db:.2f} dB" if skin.playing_snr_db is not None else ""
     gain = f", gain {skin.gain:.2f}" if skin.gain is not None else ""
     return f"{ratio}{alone}{gain}" + (f"; {note}" if note else "")

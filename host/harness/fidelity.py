@@ -35,7 +35,7 @@ class Fidelity:
     signal, in the texture's unit; `decoded_snr_db`: of the same as displacement above 20 Hz, for which acceleration is
     integrated twice: the codec's noise at low frequencies weighs most then. The rest is of that displacement at the
     skin, which `source` measured or modelled: `snr_db` and `st_sim` compare it with the texture, `playing_snr_db` with
-    the decoded signal, which leaves the codec out.
+    the decoded signal, which leaves the codec out. `weighted_snr_db`: weighted by the threshold of touch.
     `gain`: at the skin over sent. `lag_ms`: within the recording. `drift_ppm`: of the recorder's clock. `packets`: that
     were sent; `underruns`, `lost_packets`: while it played.
     """
@@ -47,6 +47,7 @@ class Fidelity:
     coding_snr_db: float | None
     decoded_snr_db: float | None
     snr_db: float | None
+    weighted_snr_db: float | None
     st_sim: float | None
     playing_snr_db: float | None
     gain: float
@@ -109,6 +110,7 @@ def measure_fidelity(
         coding_snr_db=encoding.quality.snr_db,
         decoded_snr_db=quality.decoded_snr_db,
         snr_db=quality.snr_db,
+        weighted_snr_db=quality.weighted_snr_db,
         st_sim=quality.st_sim,
         playing_snr_db=quality.playing_snr_db,
         gain=laid.gain,

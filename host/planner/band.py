@@ -157,9 +157,13 @@ def _response(actuator: Actuator, frequencies_hz: Samples) -> Samples:
 
 
 def error_over_threshold_db(reference: Recording, decoded: Samples, actuator: Actuator, threshold: Samples) -> float:
-    """Return the level of the error at the skin in its loudest third octave, dB re the detection threshold."""
+    """Return the level of the error at the skin in its loudest third octave, dB re what is felt.
+
+    That is the detection threshold or, where it is higher, what the reference masks (codec/data/masking.csv).
+    """
     error = Recording(reference.samples - decoded, reference.rate_hz, reference.unit, reference.name)
-    return float(np.max(over_threshold_db(at_the_skin(error, actuator), reference.rate_hz, threshold)[1]))
+    masker_um = at_the_skin(reference, actuator)
+    return float(np.max(over_threshold_db(at_the_skin(error, actuator), reference.rate_hz, threshold, masker_um)[1]))
 
 
 def played_codes(stream: Stream, decoded: Codes, actuator: Actuator) -> Codes:
@@ -182,10 +186,11 @@ def played_error_over_threshold_db(
     skin_model: Actuator,
     threshold: Samples,
 ) -> float:
-    """Return the level of the error at the skin in its loudest third octave, dB re the detection threshold.
+    """Return the level of the error at the skin in its loudest third octave, dB re what is felt.
 
-    The error is the displacement by the DAC's `codes`, minus the displacement by the recording without a codec. Both
-    pass the output stage of a controller that works with `driven`, limits included, and `skin_model`.
+    That is the detection threshold or, where it is higher, what the recording masks. The error is the displacement by
+    the DAC's `codes`, minus the displacement by the recording without a codec. Both pass the output stage of a
+    controller that works with `driven`, limits included, and `skin_model`.
     """
     decoder = stream.decoder()
     delay = decoder.delay_samples
@@ -194,10 +199,11 @@ def played_error_over_threshold_db(
     exact[delay : delay + len(full_scale)] = np.clip(np.round(32768 * full_scale), -32768, 32767)
     wanted = played_codes(stream, exact, driven)
     length, rate_hz = min(len(wanted), len(codes)), driven.dac_rate_hz
-    error = skin_model.displacement_um(codes[:length]) - skin_model.displacement_um(wanted[:length])
     late = round(rendering_s(stream, driven) * rate_hz)
-    error = error[late : late + math.ceil(recording.seconds * rate_hz)]
-    return float(np.max(over_threshold_db(error, rate_hz, threshold)[1]))
+    heard = slice(late, late + math.ceil(recording.seconds * rate_hz))
+    masker_um = skin_model.displacement_um(wanted[:length])[heard]
+    error_um = skin_model.displacement_um(codes[:length])[heard] - masker_um
+    return float(np.max(over_threshold_db(error_um, rate_hz, threshold, masker_um)[1]))
 
 
 def _edges(levels: tuple[Level, ...], name: str) -> tuple[float, float]:

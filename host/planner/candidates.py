@@ -11,6 +11,7 @@ from vibrocast.codec.encoding import Encoding, encoder_model, families
 from vibrocast.codec.rate_control import DEFAULT_RATE_BUFFER_S
 from vibrocast.codec.rate_controlled import RateTarget, added_bytes
 from vibrocast.codec.registry import LIVE_REFRESH_S
+from vibrocast.codec.shaping import FLAT
 from vibrocast.codec.target_search import settings
 from vibrocast.codec.threshold import read_threshold
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT, StreamHeader
@@ -46,6 +47,8 @@ SPQI_RATE_HZ = 2800
 BUFFERS_MS = (10.0, 8.0, 6.0, 4.0)
 """Playout delays, the usual one first; docs/benchmarks/latency.md has the shortest stable one of each controller."""
 
+_PURPOSES = {"spqi": ("spqi", "threshold"), "imperceptible": ("threshold",)}
+"""What a texture may be coded for, by the required quality."""
 # In any second, a capped rate may exceed the cap by its rate buffer; half a packet may round that second. A larger
 # rate buffer would need a lower cap, and lose more than it brings.
 _CAP = 1 / (1 + DEFAULT_RATE_BUFFER_S / (1 - MAX_PACKET_S / 2))
@@ -54,7 +57,7 @@ _CAP = 1 / (1 + DEFAULT_RATE_BUFFER_S / (1 - MAX_PACKET_S / 2))
 @dataclass(frozen=True)
 class CodingOption:
     """A way to code a texture, without the quality. `family`: of models, None = no model. `block`: samples, None if the
-    codec has one length only.
+    codec has one length only. `purpose`: by which steps differ over frequency (codec.shaping), None = the same at all.
 
     `rate_limit_bps`: limit over any second that a capped rate keeps; None = every packet has the setting.
     """
@@ -62,6 +65,7 @@ class CodingOption:
     codec: str
     family: str | None
     block: str | None
+    purpose: str | None = None
     rate_limit_bps: float | None = None
 
     @property
@@ -69,7 +73,8 @@ class CodingOption:
         """Name in the answer, such as "mdct, hop 32"."""
         block = "".join(f", {name} {value}" for name, value in self._known.block_setting(self.block).items())
         capped = "" if self.rate_limit_bps is None else f", capped to {self.rate_limit_bps:g} bit/s"
-        return (self.codec if self.family is None else f"{self.codec} with {self.family}") + block + capped
+        purpose = "" if self.purpose is None else f", for {self.purpose}"
+        return (self.codec if self.family is None else f"{self.codec} with {self.family}") + block + purpose + capped
 
     @property
     def decoder(self) -> str:
@@ -78,8 +83,9 @@ class CodingOption:
 
     @property
     def given(self) -> Setting:
-        """The part of the setting that the option fixes."""
-        return {**self._known.planned_setting, **self._known.block_setting(self.block)}
+        """The part of the setting that the option fixes; a purpose replaces the shape of the steps."""
+        flat = {self._known.shape_parameter: FLAT} if self._known.shape_parameter else {}
+        return {**self._known.planned_setting, **self._known.block_setting(self.block), **flat}
 
     @property
     def _known(self) -> Codec:
@@ -91,7 +97,7 @@ class MeasuredCoding:
     """One coding of a texture, measured. Figures that the required quality does not need may be None.
 
     `peak_bps`: the highest rate of the frames over any second. `max_frame_bytes`: of the longest frame.
-    `delay_samples`: by which the codec lags its input. `error_db`: of the error at the skin re the detection threshold.
+    `delay_samples`: by which the codec lags its input. `error_db`: of the error at the skin re the felt level.
     `quiet`: as costs.quiet_part. `target`: of rate control, None = every packet has the setting.
     """
 
@@ -233,7 +239,14 @@ class Evaluator:
                 continue
             shipped = [members[0].family for members in families(each)]
             names = shipped if each.needs_model else [None, *shipped]
-            found += [CodingOption(name, family, block) for family in names for block in each.blocks or (None,)]
+            shapes = each.shape_parameter is not None and not self.over_position
+            purposes = [None, *(_PURPOSES.get(self._measure, ()) if shapes else ())]
+            found += [
+                CodingOption(name, family, block, purpose)
+                for family in names
+                for block in each.blocks or (None,)
+                for purpose in purposes
+            ]
         longest = MAX_PACKET_S * self.samples_per_second
         found = [option for option in found if option.block is None or int(option.block) <= longest]
         return [option for option in found if core is None or costs.decoder_cost(option.decoder, core) is not None]
@@ -254,18 +267,26 @@ class Evaluator:
                         part.samples, round(part.rate_hz), option.codec, part.unit, True, encoder_model(model)
                     )
                     name = None if model is None else model.name
-                    found += [(name, chosen.complete(setting)) for setting in settings(source, option.given)]
+                    found += [(name, chosen.complete(setting)) for setting in settings(source, self._given(option))]
             except CodecError:
                 found = []
             self._settings[option] = found
         return self._settings[option]
+
+    def _given(self, option: CodingOption) -> Setting:
+        """Return the part of the setting that an option fixes for this texture. Raises CodecError."""
+        if option.purpose is None:
+            return option.given
+        part, chosen = self.excerpt, codec.codec_by_name(option.codec)
+        shape = codec.shape_setting(chosen, option.purpose, part.samples, round(part.rate_hz), part.unit)
+        return {**option.given, **shape}
 
     def qualities(self, option: CodingOption) -> list[tuple[str | None, Setting, float | None]]:
         """Return models and settings of an option, the coarsest first; with a capped rate, for each SNR of a packet."""
         every = self.settings(option if option.rate_limit_bps is None else replace(option, rate_limit_bps=None))
         if option.rate_limit_bps is None:
             return [(model, setting, None) for model, setting in every]
-        setting = codec.codec_by_name(option.codec).complete(option.given)
+        setting = codec.codec_by_name(option.codec).complete(self._given(option))
         return [(self._model_for(option, snr_db), setting, snr_db) for snr_db in PACKET_SNRS_DB]
 
     def _model_for(self, option: CodingOption, snr_db: float) -> str | None:
@@ -357,7 +378,7 @@ class Evaluator:
         )
 
     def _error_db(self, encoding: Encoding, felt: list[Recording]) -> float:
-        """Return the level of the error at the skin re the detection threshold; over position at several speeds."""
+        """Return the level of the error at the skin re the felt level; over position at several speeds."""
         stream = encoding.stream
         if self.over_position:
             decoded = stream.decode()

@@ -372,7 +372,7 @@ def reached(candidate: Candidate, asked: Asked) -> str:
     if candidate.quality is None:
         return "silence"
     if asked.measure == "imperceptible":
-        return f"an error of {candidate.quality:+.1f} dB re the detection threshold"
+        return f"an error of {candidate.quality:+.1f} dB re the felt level"
     name, unit = QUALITIES[asked.measure]
     return f"{name} {candidate.quality:.3g}{unit}"
 
@@ -380,7 +380,7 @@ def reached(candidate: Candidate, asked: Asked) -> str:
 def target(asked: Asked) -> str:
     """Return the required quality in words."""
     if asked.measure == "imperceptible":
-        return f"an error of {MARGIN_DB:g} dB re the detection threshold"
+        return f"an error of {MARGIN_DB:g} dB re the felt level"
     name, unit = QUALITIES[asked.measure]
     return f"{name} {getattr(asked, asked.measure):.3g}{unit}"
 

@@ -37,7 +37,7 @@ LABELS = {
     "snr_db": "SNR, dB",
     "spqi": "SPQI",
     "third_octave_distance_db": "third-octave distance, dB (less is better)",
-    "imperceptible": "error re detection threshold, dB (less is better)",
+    "imperceptible": "error re felt level, dB (less is better)",
 }
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*", "p", "h")
 # Dark to light, so that grey print keeps them apart; markers differ as well.

@@ -18,7 +18,7 @@ from vibrocast.codec.encoding import Encoding, measure_encoding
 from vibrocast.codec.live_format import recording_format
 from vibrocast.codec.rate_controlled import RateTarget
 from vibrocast.codec.stream import as_stream
-from vibrocast.codec.threshold import DETECTION_THRESHOLD
+from vibrocast.codec.threshold import DETECTION_THRESHOLD, sites, threshold_file
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
 from vibrocast.files import InputFileError, atomic_write
 from vibrocast.host.bench_file import (
@@ -241,8 +241,11 @@ def write_plan(path: Path, plan: Plan) -> None:
     def from_folder(file: Path) -> str:
         return os.path.relpath(file, folder)
 
-    # The threshold that ships has no path: the plan stays valid on another computer.
-    threshold = None if plan.threshold_path == DETECTION_THRESHOLD else from_folder(plan.threshold_path)
+    # A threshold that ships has no path: the plan stays valid on another computer.
+    shipped = {path: name for name, path in sites().items() if path != DETECTION_THRESHOLD} | {
+        DETECTION_THRESHOLD: None
+    }
+    threshold = shipped[plan.threshold_path] if plan.threshold_path in shipped else from_folder(plan.threshold_path)
     parts = [
         "# Written by `vibrocast plan`. docs/reference/toml_files.md describes every key.",
         _lines({"format": FORMAT, "scene": from_folder(plan.scene), "threshold": threshold}),
@@ -328,7 +331,7 @@ def read_plan(path: Path) -> Plan:
             file.controllers,
             read_actuators(file.actuators, names),
             planned,
-            DETECTION_THRESHOLD if file.threshold is None else folder / file.threshold,
+            threshold_file(file.threshold, folder),
         )
 
 

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 from msgspec import Meta, structs
 
 from vibrocast import textures
-from vibrocast.codec.threshold import DETECTION_THRESHOLD, read_threshold
+from vibrocast.codec.threshold import read_threshold, threshold_file
 from vibrocast.device_protocol.transports import BAUD
 from vibrocast.files import InputFileError
 from vibrocast.host.bench_file import (
@@ -143,9 +143,9 @@ class Asked(Table, frozen=True, kw_only=True):
 
     `snr_db`: of the decoded signal in the band worth coding, in its own unit, as `vibrocast play` prints it. `spqi`,
     `third_octave_distance_db`: as evaluation.metrics measures them. `imperceptible`: the error at the skin
-    is below the detection threshold by MARGIN_DB of host.planner.band. `waveform`: excludes parametric coding; None
-    in the file = unless `third_octave_distance_db` is required. `rate_limit_bps`: of the bytes on the wire, of each
-    stream. `delay_limit_ms`: to the skin.
+    is below the detection threshold, or what the texture masks, by MARGIN_DB of host.planner.band. `waveform`: excludes
+    parametric coding; None in the file = unless `third_octave_distance_db` is required. `rate_limit_bps`: of the bytes
+    on the wire, of each stream. `delay_limit_ms`: to the skin.
     """
 
     snr_db: Annotated[float, within(0, 90, "signal-to-noise ratio in dB")] | None = None
@@ -400,7 +400,7 @@ def _check_limits(asked: Asked, link: Link) -> None:
 
 
 def _threshold(folder: Path, skin: _Skin) -> Path:
-    path = DETECTION_THRESHOLD if skin.threshold is None else folder / skin.threshold
+    path = threshold_file(skin.threshold, folder)
     with located("[skin]", ValueError):
         read_threshold(path)
     return path

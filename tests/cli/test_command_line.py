@@ -737,12 +737,27 @@ def test_an_unusable_number_is_reported_in_one_line(arguments: list[str], error:
 def test_play_tells_both_qualities_and_why_they_differ(tmp_path: Path) -> None:
     report_path, oak = tmp_path / "out.json", ROOT / "examples" / "oak.wav"
     printed = succeeds("play", oak, "--report", report_path)
-    assert re.search(r"^at the skin +SNR [\d.]+ dB, without the codec [\d.]+ dB, gain 0.81; the decoded", printed, re.M)
+    weighted = r"\([\d.]+ dB weighted by the threshold of touch\)"
+    pattern = rf"^at the skin +SNR [\d.]+ dB {weighted}, without the codec [\d.]+ dB, gain 0.81; the decoded"
+    assert re.search(pattern, printed, re.M)
     report = json.loads(report_path.read_text())
     assert report["skin"]["snr_db"] <= report["skin"]["decoded_snr_db"] < report["snr_db"] - 10
     assert report["skin"]["playing_snr_db"] > 30
+    assert report["skin"]["weighted_snr_db"] > report["skin"]["snr_db"] + 5
     assert "the noise of acceleration at low frequencies weighs most" in report["skin_note"]
     assert (report["schema"], report["bad_frames"], report["run"]["bench_sha256"]) == (2, 0, None)
+
+
+def test_a_recording_is_coded_for_a_purpose(tmp_path: Path) -> None:
+    oak, out = ROOT / "examples" / "oak.wav", tmp_path / "oak.vct"
+    assert "weighted by the threshold of touch" not in succeeds("encode", oak, out)
+    plain_bytes = out.stat().st_size
+    assert "dB weighted by the threshold of touch)" in succeeds("encode", oak, out, "--for", "threshold")
+    assert out.stat().st_size < 0.7 * plain_bytes
+    assert "coded already; drop --for" in fails(2, "play", out, "--for", "spqi")
+    assert "slp cannot code for a purpose" in fails(2, "encode", oak, out, "--codec", "slp", "--for", "spqi")
+    assert "as displacement" in succeeds("encode", oak, out, "--for", "spqi", "--rate-bps", 3000)
+    succeeds("encode", oak, out, "--for", "threshold", "--constant-rate-bps", 3000)
 
 
 def test_limits_of_a_bench_file_judge_a_playback(texture: Path, tmp_path: Path) -> None:

@@ -56,6 +56,15 @@ def test_raw_samples_are_streamed_to_their_end(name: str, kind: str) -> None:
     assert result.exit_code == 0, result.output
 
 
+def test_raw_samples_are_coded_for_touch_and_not_for_spqi() -> None:
+    data = (3000 * np.random.default_rng(1).standard_normal(800)).astype("<i2").tobytes()
+    given = ("-", "--unit", "m/s^2", "--full-scale", "20", "--playout-delay-ms", "300")
+    assert run(*given, "--for", "threshold", data=data).exit_code == 0
+    rejected = run(*given, "--for", "spqi", data=data)
+    assert rejected.exit_code == 2
+    assert "which a live stream does not know" in rejected.output
+
+
 def test_no_sample_is_no_error() -> None:
     assert run("-", "--unit", "drive").exit_code == 0
 

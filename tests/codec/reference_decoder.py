@@ -250,7 +250,9 @@ class ReferenceDecoder:
         fields = np.frombuffer(configuration, "<u2", channels, position)
         self.codes = [int(code) % 2048 for code in fields]
         self.fills = [int(code) // 2048 for code in fields]
-        self.rate_controlled = configuration[position + 2 * channels :] == b"\x01"
+        features = configuration[position + 2 * channels :]
+        self.rate_controlled = bool(features and features[0] & 1)
+        self.shape = self.coarser(features[1:5]) if features and features[0] & 4 else [0] * self.hop
         self.tables = tables
         self.channels = [Channel(self.hop) for _ in range(channels)]
         window = self.window()
@@ -260,6 +262,19 @@ class ReferenceDecoder:
         self.synthesis = (
             math.sqrt(2 / self.hop) * np.cos(np.pi / self.hop * (n + 0.5 + self.hop / 2) * (k + 0.5)) * window
         )
+
+    def coarser(self, section: bytes) -> list[int]:
+        """Section "`mdct`: step shape": step codes to add, by bin."""
+        unit, *units = [nibble for byte in section for nibble in (byte & 15, byte >> 4)]
+        values = [4 * unit * each for each in units]
+        nodes = [0, 16, 32, 64, 128, 256, 512]
+        found = []
+        for k in range(self.hop):
+            x = (2 * k + 1) * 256 // self.hop
+            i = max(i for i in range(6) if nodes[i] <= x)
+            low, high = nodes[i : i + 2]
+            found.append((values[i] * (high - x) + values[i + 1] * (x - low)) // (high - low))
+        return found
 
     def window(self) -> NDArray[np.float64]:
         return np.sin(np.pi * (np.arange(2 * self.hop) + 0.5) / (2 * self.hop))
@@ -281,17 +296,22 @@ class ReferenceDecoder:
                 silent[number] = channel.silent_history & 1
         return levels
 
-    def steps(self) -> list[float]:
-        """Steps of the last packet, by channel."""
-        codes = [min(max(code + 16 * self.quantiser_offset.value, 0), 1343) for code in self.codes]
-        return [(64 + code % 64) * 2.0 ** (code // 64) / 256 for code in codes]
+    def steps(self) -> NDArray[np.float64]:
+        """Steps of the last packet, (channels, hop)."""
+        moved = [[code + 16 * self.quantiser_offset.value + more for more in self.shape] for code in self.codes]
+        codes = np.clip(np.array(moved), 0, 1343)
+        return np.array((64 + codes % 64) * 2.0 ** (codes // 64) / 256)
 
-    def fill(self, levels: NDArray[np.int64], spectra: NDArray[np.float64], steps: list[float], random: int) -> None:
+    def fill(
+        self, levels: NDArray[np.int64], spectra: NDArray[np.float64], steps: NDArray[np.float64], random: int
+    ) -> None:
         """Section "`mdct`: noise filling": puts a magnitude of random sign in place of zeros."""
-        fills = [int(256 * step * fill / 128) / 256 for step, fill in zip(steps, self.fills, strict=True)]
+        fills = [
+            [int(256 * step * fill / 128) / 256 for step in row] for row, fill in zip(steps, self.fills, strict=True)
+        ]
         for block, channel in np.ndindex(levels.shape[:2]):
-            magnitude = 0.0 if self.silent[block, channel] else fills[channel]
             for k in np.flatnonzero(levels[block, channel] == 0):
+                magnitude = 0.0 if self.silent[block, channel] else fills[channel][k]
                 random = (random * 1664525 + 1013904223) % 2**32
                 spectra[block, channel, k] = -magnitude if random >> 31 else magnitude
 
@@ -299,7 +319,7 @@ class ReferenceDecoder:
         """Exact samples (packet_samples, channels), not rounded, 32768 = full scale."""
         levels = self.levels(packet)
         steps = self.steps()
-        spectra = levels * np.array(steps)[None, :, None]
+        spectra = levels * steps
         self.fill(levels, spectra, steps, read_varint(packet) >> 1)
         signal = np.zeros((self.blocks, self.hop, len(self.channels)))
         for block, spectrum in zip(signal, spectra, strict=True):

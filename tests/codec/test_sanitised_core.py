@@ -81,10 +81,10 @@ def test_streams_with_losses_damage_and_noise(program: Path) -> None:
 
 
 def test_extreme_steps_and_levels(program: Path) -> None:
-    for code, rate_controlled in itertools.product((0, mdct.STEP_CODES - 1), (False, True)):
+    for code, rate_controlled, shape in itertools.product((0, mdct.STEP_CODES - 1), (False, True), (b"", b"\xff" * 4)):
         for hop in mdct.HOPS:
             configuration = mdct.configuration(
-                hop, 2, [code] * 2, noise_filling_code=31, rate_controlled=rate_controlled
+                hop, 2, [code] * 2, noise_filling_code=31, rate_controlled=rate_controlled, shape=shape
             )
             records = record(0, b"") + record(2, configuration)
             records += b"".join(record(0, b"\x01" + bytes([byte]) * 150) for byte in range(256))

@@ -44,6 +44,7 @@ RUN = results.Results(
                 "coding_snr_db": 15.0,
                 "decoded_snr_db": 15.0,
                 "snr_db": 12.0,
+                "weighted_snr_db": 14.0,
                 "st_sim": 0.9,
                 "playing_snr_db": 30.0,
                 "gain": 1.0,

@@ -1,9 +1,11 @@
 """The band worth coding: what is felt, what can be made, and the rate that follows."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from vibrocast.codec.threshold import over_threshold_db, read_threshold, threshold_amplitude
+from vibrocast.codec.threshold import over_threshold_db, read_threshold, sites, threshold_amplitude
 from vibrocast.host.planner.band import (
     MARGIN_DB,
     BandError,
@@ -64,8 +66,40 @@ def test_stroke_voltage_and_slew_limit_what_can_be_made() -> None:
 
 
 def test_the_error_is_measured_at_the_skin() -> None:
-    signal = tone(100.0, 40.0)
-    assert error_over_threshold_db(signal, 0.99 * signal.samples, PIEZO_STACK, THRESHOLD) == pytest.approx(0, abs=1)
+    silence = Recording(np.zeros((4000, 1)), 4000, "um", "silence")
+    error = tone(100.0, 6.0)
+    assert error_over_threshold_db(silence, error.samples, PIEZO_STACK, THRESHOLD) == pytest.approx(6, abs=1)
+
+
+@pytest.mark.parametrize(
+    ("at_hz", "texture_db", "error_db", "felt_db"),
+    [
+        (100.0, 40.0, 20.0, 20.0 - (40.0 - 6.8)),  # hidden by a texture in the same third octave
+        (100.0, 5.0, 3.0, 3.0),  # a texture near the threshold hides nothing
+        (300.0, 40.0, 20.0, 20.0),  # and one elsewhere neither
+    ],
+)
+def test_a_texture_masks_errors_in_its_own_third_octave(
+    at_hz: float, texture_db: float, error_db: float, felt_db: float
+) -> None:
+    texture, error = tone(at_hz, texture_db), tone(100.0, error_db)
+    decoded = texture.samples - error.samples
+    assert error_over_threshold_db(texture, decoded, PIEZO_STACK, THRESHOLD) == pytest.approx(felt_db, abs=1)
+
+
+def test_a_texture_masks_only_while_it_lasts() -> None:
+    texture, error = tone(100.0, 40.0), tone(100.0, 20.0)
+    texture.samples[1000:] = 0
+    decoded = texture.samples - error.samples
+    assert error_over_threshold_db(texture, decoded, PIEZO_STACK, THRESHOLD) == pytest.approx(20, abs=1)
+
+
+@pytest.mark.parametrize("path", sites().values(), ids=sites())
+def test_thresholds_of_other_sites_can_be_read(path: Path) -> None:
+    rows = read_threshold(path)
+    assert rows[0, 0] == 1
+    assert np.all((rows[:, 1] > -30) & (rows[:, 1] < 45))
+    assert path.read_text().startswith("# Detection threshold")
 
 
 def test_a_profile_over_position_is_coded_for_its_slowest_and_its_fastest_hand() -> None:

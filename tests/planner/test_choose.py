@@ -175,6 +175,22 @@ def test_what_nobody_can_feel_needs_a_physical_unit_or_the_actuators_stroke(tmp_
     assert chosen.forecast.error_over_threshold_db is not None and chosen.forecast.error_over_threshold_db <= -8
 
 
+def test_a_texture_may_be_coded_for_touch_where_the_required_quality_gains(tmp_path: Path) -> None:
+    for asked, purposes in (
+        ("imperceptible = true", {None, "threshold"}),
+        ("spqi = 0.5", {None, "spqi", "threshold"}),
+        ("snr_db = 10", {None}),
+    ):
+        read = scene(tmp_path, asked=f"[asked]\n{asked}\n")
+        evaluator = Evaluator(read, read.textures[0])
+        options = evaluator.options("M4F")
+        assert {option.purpose for option in options} == purposes
+        for option in options:
+            assert (option.purpose is None) == (", for " not in option.name)
+            if option.purpose is not None:
+                assert all(setting["shape"] != "flat" for _, setting in evaluator.settings(option))
+
+
 def test_a_texture_that_nobody_can_feel_is_an_error(tmp_path: Path) -> None:
     save(tmp_path / "weak.wav", Recording(np.random.default_rng(0).normal(size=(2800, 1)), 2800, "full scale", ""))
     read = scene(tmp_path, texture='[[textures]]\nfile = "weak.wav"\nunit = "nm"\nfull_scale = 0.001\n')

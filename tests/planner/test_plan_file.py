@@ -8,6 +8,7 @@ import pytest
 from msgspec import structs
 
 from tests.planner.scenes import scene
+from vibrocast.codec.threshold import sites
 from vibrocast.host.planner.plan_file import (
     Forecast,
     Plan,
@@ -45,7 +46,7 @@ def plan(folder: Path) -> Plan:
         over_position=False,
         codec="mdct",
         model=None,
-        setting={"step": 0.7, "rd_weight": 1.0, "hop": "32", "noise_filling": 0.03125},
+        setting={"step": 0.7, "rd_weight": 1.0, "hop": "32", "noise_filling": 0.03125, "shape": "flat"},
         rate=1600,
         lowest=30.0,
         highest=500.0,
@@ -82,6 +83,13 @@ def test_a_plan_with_files_finds_them_from_its_folder(tmp_path: Path) -> None:
     write_plan(path, replace(written, textures=(structs.replace(written.textures[0], source=source),)))
     assert 'file = ["../in/oak.wav"]' in path.read_text()
     assert read_plan(path).textures[0].source.files[0].resolve() == source.files[0]
+
+
+def test_a_threshold_that_ships_is_written_by_its_name(tmp_path: Path) -> None:
+    path = tmp_path / "plan.toml"
+    write_plan(path, replace(plan(tmp_path), threshold_path=sites()["palm-large"]))
+    assert 'threshold = "palm-large"' in path.read_text()
+    assert read_plan(path).threshold_path == sites()["palm-large"]
 
 
 def test_a_texture_is_coded_as_planned(tmp_path: Path) -> None:

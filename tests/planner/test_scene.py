@@ -9,6 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.planner.scenes import ACTUATOR, ASKED, CONTROLLER, TEXTURE, scene, written
+from vibrocast.codec.threshold import sites
 from vibrocast.host.planner.candidates import Evaluator
 from vibrocast.host.planner.scene import SceneError, read_scene
 from vibrocast.textures import Recording, save
@@ -106,6 +107,13 @@ def test_a_mistake_is_reported_with_its_place(changed: dict[str, str], message: 
         read_scene(path)
     assert str(raised.value).startswith(f"{path}: ")
     assert message in str(raised.value)
+
+
+def test_a_scene_names_a_threshold_that_ships_or_a_file_of_its_folder(tmp_path: Path) -> None:
+    for name, path in sites().items():
+        assert scene(tmp_path, skin=f'[skin]\nthreshold = "{name}"\n').threshold_path == path
+    (tmp_path / "own.csv").write_text("frequency_hz,threshold_db_re_1um_peak\n1,0\n")
+    assert scene(tmp_path, skin='[skin]\nthreshold = "own.csv"\n').threshold_path == tmp_path / "own.csv"
 
 
 def test_a_profile_over_a_range_of_speeds_needs_a_controller_that_knows_the_hand(tmp_path: Path) -> None:
