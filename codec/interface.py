@@ -268,6 +268,12 @@ class Decoder(Protocol):
         """Replace one missing packet: same shape as `decode`, the last sound faded out, then silence."""
 
 
+Estimate: TypeAlias = Callable[[float], tuple[float, Signal]]
+"""Returns, for a step, about how many bits coding takes for each sample of all channels, and the mean squared error
+(channels,) relative to full scale.
+"""
+
+
 @dataclass(frozen=True)
 class LearnedTransform:
     """The network of a trained model: channels of its hidden layers, bytes of its ONNX graph."""
@@ -312,6 +318,8 @@ class Codec:
             RMS value; None where steps do not differ by channel.
         step_range: Returns the smallest and the largest step of a search for a format. The search then varies
             `rd_weight` too, if there is one. None: the search uses rate points.
+        estimate: Called with samples in their unit, the format, the complete setting and the model. Returns an estimate
+            of coding them, by the step, where a search for a step can begin; None where the codec has none.
         block_parameter: The parameter that is the length of a block in samples; None where there is one length only.
         live_setting: Called with the rate in Hz. Returns what a live stream has in place of defaults, for the least
             delay.
@@ -340,6 +348,7 @@ class Codec:
     keeps_waveform: bool = True
     step_parameter: str | None = None
     step_range: Callable[[SignalFormat], tuple[float, float]] | None = None
+    estimate: Callable[[Signal, SignalFormat, Setting, Model | None], Estimate] | None = None
     block_parameter: str | None = None
     live_setting: Callable[[int], Setting] = lambda rate_hz: {}
     planned_setting: Setting = field(default_factory=dict)

@@ -18,6 +18,7 @@ from vibrocast.codec.interface import (
     Decoded,
     Decoder,
     Encoder,
+    Estimate,
     Framing,
     Model,
     Setting,
@@ -339,6 +340,12 @@ class Source:
         if self._live or self.codec.resolve is None or AUTO not in setting.values():
             return setting
         return {name: self._choice[name] if value == AUTO else value for name, value in setting.items()}
+
+    def estimate(self) -> Estimate | None:
+        """Return an estimate of coding with default parameters, by the step; None where the codec has none."""
+        if self.codec.estimate is None:
+            return None
+        return self.codec.estimate(self.samples, self.format, self.resolved({}), self.model)
 
     @cached_property
     def _choice(self) -> Setting:
