@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol, TypeAlias
+from typing import Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -242,6 +242,15 @@ class Encoder(Protocol):
         """Pad the end with zeros; return the remaining packets, so that every input sample can be decoded."""
 
 
+@runtime_checkable
+class MeasuringEncoder(Encoder, Protocol):
+    """An encoder that knows its error without decoding."""
+
+    @property
+    def squared_errors(self) -> tuple[float, ...]:
+        """The squared error of each channel in all packets so far, relative to full scale, but for final rounding."""
+
+
 class Decoder(Protocol):
     """Turns packets into samples; keeps the state of one stream."""
 
@@ -408,6 +417,7 @@ class CodedSignal:
     """A whole coded signal, as a container stores it.
 
     `gains`: the physical value of full scale, one per channel, each a number of at most 8 significant bits.
+    `squared_errors`: of each channel, relative to full scale, by the encoder; None if it cannot tell.
     """
 
     codec: str
@@ -416,6 +426,7 @@ class CodedSignal:
     gains: tuple[float, ...]
     configuration: bytes
     packets: tuple[bytes, ...]
+    squared_errors: tuple[float, ...] | None = field(default=None, compare=False)
 
     @property
     def channels(self) -> int:

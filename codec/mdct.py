@@ -166,6 +166,12 @@ class MdctEncoder(PacketwiseEncoder):
         parameters = (*table_arguments, framing.refresh_packets, round(LAMBDA * rd_weight))
         self._core = CoreEncoder(NAME, self.configuration, self._channels, *parameters)
 
+    @property
+    def squared_errors(self) -> tuple[float, ...]:
+        """The squared error of each channel so far; see codec.interface.MeasuringEncoder."""
+        core, unit = library(), 256 * 32_768**2
+        return tuple(core.vc_mdct_squared_error(self._core.pointer, each) / unit for each in range(self._channels))
+
     def adapted_tables(self) -> bytes:
         """Return the adapted state as initial tables for a model image. Training on recordings uses this."""
         core = library()

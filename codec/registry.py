@@ -20,6 +20,7 @@ from vibrocast.codec.interface import (
     Encoder,
     Estimate,
     Framing,
+    MeasuringEncoder,
     Model,
     Setting,
     Signal,
@@ -35,6 +36,8 @@ _WHOLE_FILE_BLOCKS = 1024
 # Every packet fits into one frame of the wire protocol, so a file can be played as it is.
 _MAX_PACKET_BYTES = 4000
 _PART_SAMPLES = 1 << 20
+_ROUNDING_ERROR = 1 / 12 / 32_768**2
+"""Squared error of rounding a sample to 16 bits, relative to full scale."""
 _MAX_GAIN = 2.0**127
 _MIN_GAIN = 2.0**-120
 
@@ -354,6 +357,11 @@ class Source:
         return self.codec.resolve(self.samples, self.format, self.model)
 
     def _coded(self, encoder: Encoder, packets: list[bytes]) -> CodedSignal:
+        errors = None
+        if isinstance(encoder, MeasuringEncoder):
+            samples = len(self.samples)
+            within = samples / (samples + encoder.delay_samples)  # the first and the last window reach beyond the ends
+            errors = tuple(within * error + samples * _ROUNDING_ERROR for error in encoder.squared_errors)
         return CodedSignal(
             self.codec.name,
             self.format.rate_hz,
@@ -361,6 +369,7 @@ class Source:
             self.format.gains,
             encoder.configuration,
             tuple(packets),
+            errors,
         )
 
     def _packets(self, encoder: Encoder) -> list[bytes]:

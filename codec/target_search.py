@@ -4,7 +4,7 @@ import bisect
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TypeAlias
 
@@ -21,6 +21,8 @@ from vibrocast.codec.threshold import TACTILE_BAND_HZ
 
 SNR_TOLERANCE_DB = 0.2
 RATE_TOLERANCE = 0.02
+_ESTIMATE_TOLERANCE_DB = 0.1
+"""If the result of a search differs from the encoder's estimate by more, the search decodes each trial instead."""
 _STEPS_PER_OCTAVE = 64
 _DB_PER_OCTAVE = 20 * math.log10(2)
 _RD_WEIGHTS = (1.0, 0.9, 0.8, 0.65, 0.5, 0.3, 0.0)
@@ -63,7 +65,7 @@ def channel_snrs_db(reference: Signal, decoded: Signal) -> list[float | None]:
 def snr_db(reference: Signal, decoded: Signal) -> float | None:
     """Return the mean of `channel_snrs_db` over the channels that are not silent; None when every channel is silent."""
     ratios = [ratio for ratio in channel_snrs_db(reference, decoded) if ratio is not None]
-    return sum(ratios) / len(ratios) if ratios else None
+    return _mean(ratios) if ratios else None
 
 
 def tactile_snr_db(reference: Signal, decoded: Signal, rate_hz: float) -> float | None:
@@ -99,50 +101,75 @@ def encode_to_snr(source: Source, target_db: float, setting: Setting | None = No
     if source.silent:
         return source.encode(_rate_points(source, setting)[0])
     tables = source.model.tables if source.model is not None else None
+    levels = np.array(source.format.rms)
+    heard = [peak_of(channel) > 0 for channel in source.samples.T]
 
-    @lru_cache(maxsize=1)  # decoding takes as long as coding
-    def ratios_db(coded: CodedSignal) -> list[float | None]:
+    @lru_cache(maxsize=1)  # decoding takes nearly as long as coding
+    def decoded_db(coded: CodedSignal) -> list[float | None]:
         return channel_snrs_db(source.samples, decode(coded, tables))
+
+    def estimated_db(coded: CodedSignal) -> list[float | None]:
+        """Return the SNR of each channel by the encoder's error, if it tells, at the level of the whole signal."""
+        if coded.squared_errors is None:
+            return decoded_db(coded)
+        ratios = coded.samples * np.square(levels) / np.array(coded.squared_errors)
+        return [10 * math.log10(ratio) if each else None for each, ratio in zip(heard, ratios.tolist(), strict=True)]
+
+    # In a short signal, an encoder's error beyond the ends would count.
+    ratios_db = decoded_db if source.excerpt(_EXCERPT_SAMPLES) is None else estimated_db
 
     def excesses_db(coded: CodedSignal) -> list[float]:
         """Return the excess of each channel over the target; 0 for silent ones, which have none."""
         return [0.0 if ratio is None else ratio - target_db for ratio in ratios_db(coded)]
 
     def mean_excess(coded: CodedSignal) -> float:
-        heard = [ratio for ratio in ratios_db(coded) if ratio is not None]
-        return sum(heard) / len(heard) - target_db if heard else math.inf
+        return _mean(ratios_db(coded)) - target_db
 
     def in_excerpt(excerpt: Source) -> Callable[[CodedSignal], float]:
         """Return the mean excess that the noise in an excerpt leads to, at the level of the whole signal."""
-        levels = np.array(source.format.gains) * np.array(source.format.rms)
 
         def excess_db(coded: CodedSignal) -> float:
-            noise = np.sqrt(np.mean(np.square(excerpt.samples - decode(coded, tables)), axis=0))
-            heard = noise > 0
-            return float(np.mean(20 * np.log10(levels[heard] / noise[heard]))) - target_db if heard.any() else math.inf
+            if coded.squared_errors is not None:
+                return _mean(estimated_db(coded)) - target_db
+            gains = np.array(source.format.gains)
+            noise = np.sqrt(np.mean(np.square((excerpt.samples - decode(coded, tables)) / gains), axis=0))
+            noisy = noise > 0
+            return float(np.mean(20 * np.log10(levels[noisy] / noise[noisy]))) - target_db if noisy.any() else math.inf
 
         return excess_db
 
     def expected_excess(bits: float, errors: Signal) -> float:
-        heard = errors > 0
-        ratios_db = 20 * np.log10(np.array(source.format.rms)[heard]) - 10 * np.log10(errors[heard])
-        return float(np.mean(ratios_db)) - target_db if heard.any() else math.inf
+        noisy = errors > 0
+        ratios_db = 20 * np.log10(levels[noisy]) - 10 * np.log10(errors[noisy])
+        return float(np.mean(ratios_db)) - target_db if noisy.any() else math.inf
 
-    if not setting and source.codec.step_range:
-        found = _search(source, mean_excess, _SNR, in_excerpt, expected_excess)
-        best, least = _balance(source, found, excesses_db)
-    elif _differs_by_channel(source, setting):
-        best = _choose_for_each(source, setting, excesses_db)
-        least = excesses_db(best)
-    else:
-        best = _choose(source, setting, lambda coded: min(excesses_db(coded)), _SNR, in_excerpt)
-        least = excesses_db(best)
+    def reached() -> tuple[CodedSignal, list[float]]:
+        if not setting and source.codec.step_range:
+            found = _search(source, mean_excess, _SNR, in_excerpt, expected_excess)
+            return _balance(source, found, excesses_db)
+        if _differs_by_channel(source, setting):
+            best = _choose_for_each(source, setting, excesses_db)
+        else:
+            best = _choose(source, setting, lambda coded: min(excesses_db(coded)), _SNR, in_excerpt)
+        return best, excesses_db(best)
+
+    best, believed = reached()
+    ratios_db = decoded_db
+    least = excesses_db(best)
+    if max(map(abs, np.subtract(least, believed))) > _ESTIMATE_TOLERANCE_DB:  # such as for clipped samples
+        best, least = reached()
     if min(least) < -SNR_TOLERANCE_DB:
         raise TargetUnreachable(
             f"an SNR of {target_db:g} dB cannot be met; this signal reaches {target_db + min(least):.1f} dB "
             f"with {source.codec.name}: ask for less, or give another setting"
         )
     return best
+
+
+def _mean(ratios_db: Sequence[float | None]) -> float:
+    """Return the mean over the channels that are heard; infinity where none is."""
+    heard = [ratio for ratio in ratios_db if ratio is not None]
+    return sum(heard) / len(heard) if heard else math.inf
 
 
 def _balance(
@@ -517,7 +544,7 @@ class _Aim:
         return None if self._expected is None else self._where(self._expected, self._middle, low, high)
 
     def next(self, code: int, excess: float, low: int, high: int) -> int:
-        """Return the code, from `low` to `high`, that should meet the middle of the goal, from the excess at another."""
+        """Return the code, from `low` to `high`, that should meet the goal, from the excess at another."""
         if self._expected is None or not math.isfinite(excess):
             return round(min(max(code + (excess - self._middle) / self.fall, low), high))
         return self._where(self._expected, self._expected(code) - excess + self._middle, low, high)

@@ -10,6 +10,8 @@ struct vc_mdct_encoder {
     vc_quantiser_offset quantiser_offset;
     vc_block_state channels[VC_MAX_CHANNELS];
     vc_block_search search;
+    uint32_t random; /* the decoder's generator of signs of noise filling */
+    uint64_t squared_errors[VC_MAX_CHANNELS];
 };
 
 size_t vc_mdct_encoder_size(void)
@@ -71,21 +73,50 @@ static uint32_t magnitude_of(int32_t value)
     return (uint32_t)(magnitude < VC_MAX_COEFFICIENT ? magnitude : VC_MAX_COEFFICIENT);
 }
 
-static void encode_block(vc_mdct_encoder *encoder, vc_range_coder *coder, vc_block_state *channel,
-                         const int32_t *coefficients, int32_t step, uint32_t lambda)
+/* Adds the squared error of the block that has just been coded; `state`: of dependent quantisation, before it. */
+static void add_error(vc_mdct_encoder *encoder, unsigned channel, const int32_t *coefficients, unsigned state,
+                      int32_t step)
+{
+    const int silent = encoder->channels[channel].history.silent_history & 1;
+    const int32_t fill = silent ? 0 : (int32_t)((int64_t)step * encoder->configuration.fill[channel] / 128);
+    uint64_t sum = 0;
+    uint32_t k;
+    for (k = 0; k < encoder->configuration.hop; k++) {
+        const uint32_t index = silent ? 0 : encoder->search.indices[k];
+        const int32_t level = (int32_t)vc_level_of(index, vc_quantiser_of(state));
+        const int32_t value = level == 0 ? fill * vc_random_sign(&encoder->random)
+                                         : vc_reconstruct(coefficients[k] < 0 ? -level : level, step);
+        const int64_t error = vc_clamped(coefficients[k] - value, VC_MAX_COEFFICIENT);
+        state = vc_next_state(state, index);
+        sum += (uint64_t)(error * error) >> 4; /* so that the sum of a block fits */
+    }
+    encoder->squared_errors[channel] += sum >> 4;
+}
+
+static void encode_block(vc_mdct_encoder *encoder, vc_range_coder *coder, unsigned channel, const int32_t *coefficients,
+                         int32_t step, uint32_t lambda)
 {
     const uint32_t hop = encoder->configuration.hop;
+    const unsigned state = encoder->channels[channel].state;
     uint32_t magnitudes[VC_MAX_BINS], k;
     for (k = 0; k < hop; k++)
         magnitudes[k] = (uint32_t)(((uint64_t)magnitude_of(coefficients[k]) << 8) / (uint32_t)step);
-    vc_block_encode(coder, &encoder->model, channel, &encoder->search, hop, magnitudes, coefficients, lambda);
+    vc_block_encode(coder, &encoder->model, &encoder->channels[channel], &encoder->search, hop, magnitudes,
+                    coefficients, lambda);
+    add_error(encoder, channel, coefficients, state, step);
+}
+
+uint64_t vc_mdct_squared_error(const vc_mdct_encoder *encoder, unsigned channel)
+{
+    return encoder->squared_errors[channel];
 }
 
 /* Begins the next packet: its head, and at a refresh a new start. Returns where its payload begins. */
 static uint8_t *begin_packet(vc_mdct_encoder *encoder, vc_range_coder *coder, int refresh, uint8_t *packet,
                              size_t capacity)
 {
-    uint8_t *payload = packet + vc_packet_head_write(packet, encoder->sequence++, refresh);
+    uint8_t *payload = packet + vc_packet_head_write(packet, encoder->sequence, refresh);
+    encoder->random = encoder->sequence++;
     if (refresh)
         restart(encoder);
     vc_range_encoder_init(coder, payload, capacity - (size_t)(payload - packet));
@@ -115,7 +146,7 @@ int32_t vc_mdct_encode(vc_mdct_encoder *encoder, const int32_t *coefficients, in
         lambda = vc_quantiser_offset_encode_fours(&coder, &encoder->quantiser_offset, quantiser_offset, lambda);
     for (block = 0; block < configuration->packet_blocks; block++)
         for (channel = 0; channel < configuration->channels; channel++, coefficients += configuration->hop)
-            encode_block(encoder, &coder, &encoder->channels[channel], coefficients,
+            encode_block(encoder, &coder, channel, coefficients,
                          vc_packet_step(configuration, channel, encoder->quantiser_offset.value), lambda);
     return end_packet(&coder, packet, payload);
 }
