@@ -329,6 +329,7 @@ class Codec:
             `rd_weight` too, if there is one. None: the search uses rate points.
         estimate: Called with samples in their unit, the format, the complete setting and the model. Returns an estimate
             of coding them, by the step, where a search for a step can begin; None where the codec has none.
+        forget: Drops what encoders keep of a signal for their next trial with it; called before each new signal.
         block_parameter: The parameter that is the length of a block in samples; None where there is one length only.
         live_setting: Called with the rate in Hz. Returns what a live stream has in place of defaults, for the least
             delay.
@@ -358,6 +359,7 @@ class Codec:
     step_parameter: str | None = None
     step_range: Callable[[SignalFormat], tuple[float, float]] | None = None
     estimate: Callable[[Signal, SignalFormat, Setting, Model | None], Estimate] | None = None
+    forget: Callable[[], None] = lambda: None
     block_parameter: str | None = None
     live_setting: Callable[[int], Setting] = lambda rate_hz: {}
     planned_setting: Setting = field(default_factory=dict)

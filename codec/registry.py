@@ -268,6 +268,7 @@ class Source:
             raise CodecError("the signal holds NaN or infinity; repair the recording first")
         self.codec = codec_by_name(codec)
         _check_model(self.codec, model is not None)
+        self.codec.forget()
         self.samples = samples
         self.model = model
         self._progress = progress or (lambda part: None)

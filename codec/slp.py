@@ -177,5 +177,6 @@ CODEC = Codec(
     make_encoder=make_encoder,
     make_decoder=make_decoder,
     controls_rate=True,
+    forget=_predictors.cache_clear,
     block_parameter="frame",
 )
