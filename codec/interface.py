@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol, TypeAlias
+from typing import Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -242,6 +242,15 @@ class Encoder(Protocol):
         """Pad the end with zeros; return the remaining packets, so that every input sample can be decoded."""
 
 
+@runtime_checkable
+class MeasuringEncoder(Encoder, Protocol):
+    """An encoder that knows its error without decoding."""
+
+    @property
+    def squared_errors(self) -> tuple[float, ...]:
+        """The squared error of each channel in all packets so far, relative to full scale, but for final rounding."""
+
+
 class Decoder(Protocol):
     """Turns packets into samples; keeps the state of one stream."""
 
@@ -266,6 +275,12 @@ class Decoder(Protocol):
 
     def conceal(self) -> Decoded:
         """Replace one missing packet: same shape as `decode`, the last sound faded out, then silence."""
+
+
+Estimate: TypeAlias = Callable[[float], tuple[float, Signal]]
+"""Returns, for a step, about how many bits coding takes for each sample of all channels, and the mean squared error
+(channels,) relative to full scale.
+"""
 
 
 @dataclass(frozen=True)
@@ -312,6 +327,9 @@ class Codec:
             RMS value; None where steps do not differ by channel.
         step_range: Returns the smallest and the largest step of a search for a format. The search then varies
             `rd_weight` too, if there is one. None: the search uses rate points.
+        estimate: Called with samples in their unit, the format, the complete setting and the model. Returns an estimate
+            of coding them, by the step, where a search for a step can begin; None where the codec has none.
+        forget: Drops what encoders keep of a signal for their next trial with it; called before each new signal.
         block_parameter: The parameter that is the length of a block in samples; None where there is one length only.
         shape_parameter: The parameter that shapes the steps over frequency (codec/shaping.py); None without one.
         live_setting: Called with the rate in Hz. Returns what a live stream has in place of defaults, for the least
@@ -341,6 +359,8 @@ class Codec:
     keeps_waveform: bool = True
     step_parameter: str | None = None
     step_range: Callable[[SignalFormat], tuple[float, float]] | None = None
+    estimate: Callable[[Signal, SignalFormat, Setting, Model | None], Estimate] | None = None
+    forget: Callable[[], None] = lambda: None
     block_parameter: str | None = None
     shape_parameter: str | None = None
     live_setting: Callable[[int], Setting] = lambda rate_hz: {}
@@ -401,6 +421,7 @@ class CodedSignal:
     """A whole coded signal, as a container stores it.
 
     `gains`: the physical value of full scale, one per channel, each a number of at most 8 significant bits.
+    `squared_errors`: of each channel, relative to full scale, by the encoder; None if it cannot tell.
     """
 
     codec: str
@@ -409,6 +430,7 @@ class CodedSignal:
     gains: tuple[float, ...]
     configuration: bytes
     packets: tuple[bytes, ...]
+    squared_errors: tuple[float, ...] | None = field(default=None, compare=False)
 
     @property
     def channels(self) -> int:

@@ -1,6 +1,6 @@
 """The codec `lapped`: `mdct` with learned windows of four hops; layout in docs/reference/bitstream.md."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache, partial
 
 import numpy as np
@@ -10,6 +10,7 @@ from vibrocast.codec.core import CoreDecoder
 from vibrocast.codec.interface import (
     Codec,
     CodecError,
+    Estimate,
     Framing,
     Model,
     RateControl,
@@ -70,11 +71,18 @@ def check_tables(payload: bytes) -> None:
 
 
 def resolve(samples: Signal, signal_format: SignalFormat, model: Model | None) -> Setting:
-    """Choose the hop of a file with the model's windows and the tables of `mdct`; see codec.interface.Codec."""
-    windows, _ = parts(model.tables if model else None)
-    payload = windows + mdct.built_in_tables()
-    decoder_of = partial(LappedDecoder, payload=payload)
-    return mdct.best_hop(samples, signal_format, partial(analysis_matrix, windows), decoder_of)
+    """Choose the hop of a file with the model's windows; see codec.interface.Codec."""
+    return mdct.best_hop(samples, signal_format, _analysis(model))
+
+
+def estimate(samples: Signal, signal_format: SignalFormat, setting: Setting, model: Model | None) -> Estimate:
+    """Estimate bits and error of coding a signal, by the step; see codec.interface.Codec."""
+    return mdct.estimate(samples, signal_format, setting, model, _analysis(model))
+
+
+def _analysis(model: Model | None) -> Callable[[int], Signal]:
+    """Return the function that makes a model's transform at a hop. Raises CodecError without a model."""
+    return partial(analysis_matrix, parts(model.tables if model else None)[0])
 
 
 def make_encoder(
@@ -112,6 +120,7 @@ CODEC = Codec(
     controls_rate=True,
     step_parameter=mdct.CODEC.step_parameter,
     step_range=mdct.CODEC.step_range,
+    estimate=estimate,
     block_parameter=mdct.CODEC.block_parameter,
     shape_parameter=mdct.CODEC.shape_parameter,
     live_setting=mdct.CODEC.live_setting,

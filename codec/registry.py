@@ -18,7 +18,9 @@ from vibrocast.codec.interface import (
     Decoded,
     Decoder,
     Encoder,
+    Estimate,
     Framing,
+    MeasuringEncoder,
     Model,
     Setting,
     Signal,
@@ -34,6 +36,8 @@ _WHOLE_FILE_BLOCKS = 1024
 # Every packet fits into one frame of the wire protocol, so a file can be played as it is.
 _MAX_PACKET_BYTES = 4000
 _PART_SAMPLES = 1 << 20
+_ROUNDING_ERROR = 1 / 12 / 32_768**2
+"""Squared error of rounding a sample to 16 bits, relative to full scale."""
 _MAX_GAIN = 2.0**127
 _MIN_GAIN = 2.0**-120
 
@@ -279,6 +283,7 @@ class Source:
             raise CodecError("the signal holds NaN or infinity; repair the recording first")
         self.codec = codec_by_name(codec)
         _check_model(self.codec, model is not None)
+        self.codec.forget()
         self.samples = samples
         self.model = model
         self._progress = progress or (lambda part: None)
@@ -358,6 +363,12 @@ class Source:
             return setting
         return {name: self._choice[name] if value == AUTO else value for name, value in setting.items()}
 
+    def estimate(self) -> Estimate | None:
+        """Return an estimate of coding with default parameters, by the step; None where the codec has none."""
+        if self.codec.estimate is None:
+            return None
+        return self.codec.estimate(self.samples, self.format, self.resolved({}), self.model)
+
     @cached_property
     def _choice(self) -> Setting:
         """The codec's choices for this signal: the same at every setting, so that a search meets no jump."""
@@ -365,6 +376,11 @@ class Source:
         return self.codec.resolve(self.samples, self.format, self.model)
 
     def _coded(self, encoder: Encoder, packets: list[bytes]) -> CodedSignal:
+        errors = None
+        if isinstance(encoder, MeasuringEncoder):
+            samples = len(self.samples)
+            within = samples / (samples + encoder.delay_samples)  # the first and the last window reach beyond the ends
+            errors = tuple(within * error + samples * _ROUNDING_ERROR for error in encoder.squared_errors)
         return CodedSignal(
             self.codec.name,
             self.format.rate_hz,
@@ -372,6 +388,7 @@ class Source:
             self.format.gains,
             encoder.configuration,
             tuple(packets),
+            errors,
         )
 
     def _packets(self, encoder: Encoder) -> list[bytes]:

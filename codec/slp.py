@@ -6,7 +6,7 @@ reads none of its streams.
 """
 
 import math
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,8 @@ LEVELS = 32
 _ANALYSIS_SAMPLES = 512
 """Samples to which a predictor is fitted: those up to the end of its frame."""
 _CHUNK_FRAMES = 256
+_KEPT_CHUNKS = 128
+"""Chunks whose predictors are kept, about 16 MB of them."""
 
 
 def relative_step(quality: float) -> float:
@@ -112,8 +114,9 @@ class SlpEncoder(PacketwiseEncoder):
         for start in range(0, frames if self._order else 0, _CHUNK_FRAMES):
             stop = min(start + _CHUNK_FRAMES, frames)
             part = signal[start * self._frame : len(self._before) + stop * self._frame]
-            rows, targets = windows(part, _ANALYSIS_SAMPLES, self._frame, self._order)
-            codes[start:stop] = reflection_codes(stabilised(sparse_predictors(rows, targets)))
+            codes[start:stop] = np.frombuffer(_predictors(part.tobytes(), self._frame, self._order), np.int8).reshape(
+                -1, self._order
+            )
         return codes
 
     def _packet_of(self, units: NDArray[np.int32], codes: NDArray[np.int8], samples: Signal) -> bytes:
@@ -124,6 +127,16 @@ class SlpEncoder(PacketwiseEncoder):
             return encoder.packet(self.packet_samples, units, codes, stated)
 
         return self._chosen(samples, partial(code, self._core), lambda offset: code(self._core.copy(), offset))
+
+
+@lru_cache(maxsize=_KEPT_CHUNKS)
+def _predictors(samples: bytes, frame: int, order: int) -> bytes:
+    """Return the reflection codes, int8 (frames, order), of a chunk of float64 samples.
+
+    They take six times as long as the rest of the encoder, and a search needs the same at each of its settings.
+    """
+    rows, targets = windows(np.frombuffer(samples), _ANALYSIS_SAMPLES, frame, order)
+    return reflection_codes(stabilised(sparse_predictors(rows, targets))).astype(np.int8).tobytes()
 
 
 def make_encoder(
@@ -164,5 +177,6 @@ CODEC = Codec(
     make_encoder=make_encoder,
     make_decoder=make_decoder,
     controls_rate=True,
+    forget=_predictors.cache_clear,
     block_parameter="frame",
 )

@@ -4,7 +4,7 @@ import bisect
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TypeAlias
 
@@ -21,6 +21,8 @@ from vibrocast.codec.threshold import TACTILE_BAND_HZ, read_threshold, skin_powe
 
 SNR_TOLERANCE_DB = 0.2
 RATE_TOLERANCE = 0.02
+_ESTIMATE_TOLERANCE_DB = 0.1
+"""If the result of a search differs from the encoder's estimate by more, the search decodes each trial instead."""
 _STEPS_PER_OCTAVE = 64
 _DB_PER_OCTAVE = 20 * math.log10(2)
 _RD_WEIGHTS = (1.0, 0.9, 0.8, 0.65, 0.5, 0.3, 0.0)
@@ -31,7 +33,12 @@ _NEIGHBOURS = 3
 """
 _STEPS_BETWEEN = 8
 """Steps from one rate point to the next, if the setting is a fraction."""
+_GUIDED_TRIALS = 4
+"""Trials that follow what is expected; then the search halves the steps that are left."""
 _InExcerpt: TypeAlias = Callable[[Source], Callable[[CodedSignal], float]]
+_FEWEST_BITS = 1e-9
+_Expected: TypeAlias = Callable[[float, Signal], float]
+"""Returns the excess that an estimate of bits and errors leads to; see `codec.interface.Estimate`."""
 _EXCERPT_SAMPLES = 1 << 15
 """In a long signal, a search begins in this many samples of each channel."""
 
@@ -58,7 +65,7 @@ def channel_snrs_db(reference: Signal, decoded: Signal) -> list[float | None]:
 def snr_db(reference: Signal, decoded: Signal) -> float | None:
     """Return the mean of `channel_snrs_db` over the channels that are not silent; None when every channel is silent."""
     ratios = [ratio for ratio in channel_snrs_db(reference, decoded) if ratio is not None]
-    return sum(ratios) / len(ratios) if ratios else None
+    return _mean(ratios) if ratios else None
 
 
 def tactile_snr_db(reference: Signal, decoded: Signal, rate_hz: float) -> float | None:
@@ -113,45 +120,76 @@ def encode_to_snr(source: Source, target_db: float, setting: Setting | None = No
     if source.silent:
         return source.encode(_rate_points(source, setting)[0])
     tables = source.model.tables if source.model is not None else None
+    levels = np.array(source.format.rms)
+    heard = [peak_of(channel) > 0 for channel in source.samples.T]
 
-    @lru_cache(maxsize=1)  # decoding takes as long as coding
-    def ratios_db(coded: CodedSignal) -> list[float | None]:
+    @lru_cache(maxsize=1)  # decoding takes nearly as long as coding
+    def decoded_db(coded: CodedSignal) -> list[float | None]:
         return target_snrs_db(source, decode(coded, tables))
+
+    def estimated_db(coded: CodedSignal) -> list[float | None]:
+        """Return the SNR of each channel by the encoder's error, if it tells, at the level of the whole signal."""
+        if coded.squared_errors is None:
+            return decoded_db(coded)
+        ratios = coded.samples * np.square(levels) / np.array(coded.squared_errors)
+        return [10 * math.log10(ratio) if each else None for each, ratio in zip(heard, ratios.tolist(), strict=True)]
+
+    estimates = source.purpose != "threshold"  # an encoder's error is not weighted
+    # In a short signal, an encoder's error beyond the ends would count.
+    ratios_db = estimated_db if estimates and source.excerpt(_EXCERPT_SAMPLES) is not None else decoded_db
 
     def excesses_db(coded: CodedSignal) -> list[float]:
         """Return the excess of each channel over the target; 0 for silent ones, which have none."""
         return [0.0 if ratio is None else ratio - target_db for ratio in ratios_db(coded)]
 
     def mean_excess(coded: CodedSignal) -> float:
-        heard = [ratio for ratio in ratios_db(coded) if ratio is not None]
-        return sum(heard) / len(heard) - target_db if heard else math.inf
+        return _mean(ratios_db(coded)) - target_db
 
     def in_excerpt(excerpt: Source) -> Callable[[CodedSignal], float]:
         """Return the mean excess that the noise in an excerpt leads to, at the level of the whole signal."""
-        levels = _target_power(source, source.samples)
+        powers = _target_power(source, source.samples)
 
         def excess_db(coded: CodedSignal) -> float:
+            if estimates and coded.squared_errors is not None:
+                return _mean(estimated_db(coded)) - target_db
             noise = _target_power(source, excerpt.samples - decode(coded, tables))
-            heard = (noise > 0) & (levels > 0)
-            return float(np.mean(10 * np.log10(levels[heard] / noise[heard]))) - target_db if heard.any() else math.inf
+            noisy = (noise > 0) & (powers > 0)
+            return float(np.mean(10 * np.log10(powers[noisy] / noise[noisy]))) - target_db if noisy.any() else math.inf
 
         return excess_db
 
-    if not setting and source.codec.step_range:
-        found = _search(source, mean_excess, _SNR, in_excerpt)
-        best, least = _balance(source, found, excesses_db)
-    elif _differs_by_channel(source, setting):
-        best = _choose_for_each(source, setting, excesses_db)
-        least = excesses_db(best)
-    else:
-        best = _choose(source, setting, lambda coded: min(excesses_db(coded)), _SNR, in_excerpt)
-        least = excesses_db(best)
+    def expected_excess(bits: float, errors: Signal) -> float:
+        noisy = errors > 0
+        ratios_db = 20 * np.log10(levels[noisy]) - 10 * np.log10(errors[noisy])
+        return float(np.mean(ratios_db)) - target_db if noisy.any() else math.inf
+
+    def reached() -> tuple[CodedSignal, list[float]]:
+        if not setting and source.codec.step_range:
+            found = _search(source, mean_excess, _SNR, in_excerpt, expected_excess)
+            return _balance(source, found, excesses_db)
+        if _differs_by_channel(source, setting):
+            best = _choose_for_each(source, setting, excesses_db)
+        else:
+            best = _choose(source, setting, lambda coded: min(excesses_db(coded)), _SNR, in_excerpt)
+        return best, excesses_db(best)
+
+    best, believed = reached()
+    ratios_db = decoded_db
+    least = excesses_db(best)
+    if max(map(abs, np.subtract(least, believed))) > _ESTIMATE_TOLERANCE_DB:  # such as for clipped samples
+        best, least = reached()
     if min(least) < -SNR_TOLERANCE_DB:
         raise TargetUnreachable(
             f"an SNR of {target_db:g} dB cannot be met; this signal reaches {target_db + min(least):.1f} dB "
             f"with {source.codec.name}: ask for less, or give another setting"
         )
     return best
+
+
+def _mean(ratios_db: Sequence[float | None]) -> float:
+    """Return the mean over the channels that are heard; infinity where none is."""
+    heard = [ratio for ratio in ratios_db if ratio is not None]
+    return sum(heard) / len(heard) if heard else math.inf
 
 
 def _balance(
@@ -235,8 +273,11 @@ def encode_to_rate(
     def excess(coded: CodedSignal) -> float:
         return math.log(rate(coded)) - math.log(bits_per_second)
 
+    def expected_excess(bits: float, errors: Signal) -> float:
+        return math.log(max(bits, _FEWEST_BITS) * source.format.rate_hz / bits_per_second)
+
     if not setting and source.codec.step_range:
-        best = _search(source, excess, _RATE, lambda excerpt: excess).coded
+        best = _search(source, excess, _RATE, lambda excerpt: excess, expected_excess).coded
     else:
         best = _choose(source, setting, excess, _RATE, lambda excerpt: excess)
     if _RATE.misses(excess(best)):
@@ -394,13 +435,6 @@ class _Goal:
     ceiling: bool
     per_octave: float
 
-    def codes_to(self, excess: float, fall: float) -> int:
-        """Return by how many step codes a search moves from an excess to the middle of those that meet the target.
-
-        `fall`: of the excess from one code to the next.
-        """
-        return round((excess - (self.low + self.high) / 2) / fall)
-
     def misses(self, excess: float) -> bool:
         """Return whether an excess lies on the wrong side."""
         return excess > self.high if self.ceiling else excess < self.low
@@ -431,7 +465,12 @@ class _Found:
     @property
     def step(self) -> float:
         """The step of its code."""
-        return float(2 ** (self.exponent / _STEPS_PER_OCTAVE))
+        return _step_of(self.exponent)
+
+
+def _step_of(code: int) -> float:
+    """Return the step of a step code."""
+    return float(2 ** (code / _STEPS_PER_OCTAVE))
 
 
 def _search(
@@ -439,55 +478,98 @@ def _search(
     excess: Callable[[CodedSignal], float],
     goal: _Goal,
     in_excerpt: _InExcerpt | None = None,
+    expected: _Expected | None = None,
     rd_weights: Sequence[float] = _RD_WEIGHTS,
 ) -> _Found:
     """Find the step, the same for all channels, whose `excess` is nearest zero; on the whole it falls with the step.
 
     The codec must have a `step_range`. The result, which the goal prefers, lies on its wrong side only if every step
-    does. `in_excerpt`: returns the excess in an excerpt; in a long signal the search begins there.
+    does. `in_excerpt`: returns the excess in an excerpt; in a long signal the search begins there. `expected`: returns
+    the excess of a codec's estimate; the search begins where it is zero.
     """
     best: _Found | None = None
     step_range = source.codec.step_range
     assert step_range is not None, "its steps can be searched"
-    guess, fall = None, goal.per_octave / _STEPS_PER_OCTAVE
-    if in_excerpt is not None and (excerpt := source.excerpt(_EXCERPT_SAMPLES)):
+    finest, coarsest = (round(_STEPS_PER_OCTAVE * math.log2(limit)) for limit in step_range(source.format))
+    excerpt = source.excerpt(_EXCERPT_SAMPLES) if in_excerpt is not None else None
+    estimate = (excerpt or source).estimate() if expected is not None else None
+    aim = _Aim(goal, None if expected is None or estimate is None else lambda code: expected(*estimate(_step_of(code))))
+    guess = aim.first(finest, coarsest)
+    if in_excerpt is not None and excerpt is not None:
         excess_in_excerpt = in_excerpt(excerpt)
-        begun = _search(excerpt, excess_in_excerpt, goal, rd_weights=_RD_WEIGHTS[:1])
-        beyond = replace(begun, exponent=begun.exponent + _STEPS_PER_OCTAVE // 2)
-        coarser = excerpt.encode(_setting(source, beyond.step, beyond.rd_weight))
-        fall = max((begun.excess - excess_in_excerpt(coarser)) / (_STEPS_PER_OCTAVE // 2), fall / 4)
-        guess = begun.exponent + goal.codes_to(begun.excess, fall)
-    is_long = guess is not None
+        begun = _search(excerpt, excess_in_excerpt, goal, None, expected, _RD_WEIGHTS[:1])
+        if guess is None:
+            aim.fall = max(_fall(excerpt, begun, excess_in_excerpt), aim.fall / 4)
+        guess = aim.next(begun.exponent, begun.excess, finest, coarsest)
+    is_guided = guess is not None
 
     # Rounding for the best rate makes the excess jump, most of all for signals of few coefficients. If the sign changes
     # in a jump, the search tests other weights of bits against error: their jumps lie elsewhere.
     for rd_weight in rd_weights if "rd_weight" in source.codec.parameters else rd_weights[:1]:
-        finest, coarsest = (round(_STEPS_PER_OCTAVE * math.log2(limit)) for limit in step_range(source.format))
+        low, high = finest, coarsest
         above = below = math.nan  # excess next to the finest and the coarsest step that are left
         interpolates = False
-        while finest <= coarsest:
-            width = coarsest - finest
-            exponent = (finest + coarsest) // 2
+        trials = 0
+        while low <= high:
+            width = high - low
+            exponent = (low + high) // 2
             if guess is not None:
-                exponent = min(max(guess, finest), coarsest)
+                exponent = min(max(guess, low), high)
             elif interpolates:
-                exponent = finest + round(width * min(max(above / (above - below), 0.0), 1.0))
-            coded = source.encode(_setting(source, 2 ** (exponent / _STEPS_PER_OCTAVE), rd_weight))
+                exponent = low + round(width * min(max(above / (above - below), 0.0), 1.0))
+            coded = source.encode(_setting(source, _step_of(exponent), rd_weight))
             found = _Found(coded, excess(coded), exponent, rd_weight)
             if best is None or goal.preference(found.excess) < goal.preference(best.excess):
                 best = found
-            if goal.meets(best.excess, part=1.0 if is_long else 0.5):
+            if goal.meets(best.excess, part=1.0 if is_guided else 0.5):
                 return best
             if found.excess > 0:
-                finest, above = exponent + 1, found.excess
+                low, above = exponent + 1, found.excess
             else:
-                coarsest, below = exponent - 1, found.excess
+                high, below = exponent - 1, found.excess
+            trials += 1
             # Interpolation converges fast, unless one end stays where it is, or the excess jumps: then halve.
             is_bracketed = math.isfinite(above - below)
-            guess = exponent + goal.codes_to(found.excess, fall) if is_long and not is_bracketed else None
-            halved = 2 * (coarsest - finest) <= width
+            guess = None
+            if is_guided and low <= high and trials <= _GUIDED_TRIALS and not (is_bracketed and trials > 1):
+                guess = aim.next(exponent, found.excess, low, high)
+            halved = 2 * (high - low) <= width
             interpolates = rd_weight == _RD_WEIGHTS[0] and halved and is_bracketed
         if best is not None and (goal.meets(best.excess) or goal.misses(best.excess)):
             break
     assert best is not None, "there is a step to try"
     return best
+
+
+def _fall(source: Source, found: _Found, excess: Callable[[CodedSignal], float]) -> float:
+    """Return by how much the excess falls from one step code to the next, measured over half an octave."""
+    codes = _STEPS_PER_OCTAVE // 2
+    coarser = source.encode(_setting(source, _step_of(found.exponent + codes), found.rd_weight))
+    return (found.excess - excess(coarser)) / codes
+
+
+class _Aim:
+    """Chooses step codes by the way that the excess falls with them: as expected, or evenly.
+
+    `fall`: from one code to the next, where nothing else is expected.
+    """
+
+    def __init__(self, goal: _Goal, expected: Callable[[int], float] | None) -> None:
+        self._middle = (goal.low + goal.high) / 2
+        self._expected = expected
+        self.fall = goal.per_octave / _STEPS_PER_OCTAVE
+
+    def first(self, low: int, high: int) -> int | None:
+        """Return the code to begin with, from `low` to `high`; None where nothing is expected."""
+        return None if self._expected is None else self._where(self._expected, self._middle, low, high)
+
+    def next(self, code: int, excess: float, low: int, high: int) -> int:
+        """Return the code, from `low` to `high`, that should meet the goal, from the excess at another."""
+        if self._expected is None or not math.isfinite(excess):
+            return round(min(max(code + (excess - self._middle) / self.fall, low), high))
+        return self._where(self._expected, self._expected(code) - excess + self._middle, low, high)
+
+    @staticmethod
+    def _where(expected: Callable[[int], float], value: float, low: int, high: int) -> int:
+        """Return the code where the expected excess, which falls, comes down to a value."""
+        return low + bisect.bisect_left(range(low, high), -value, key=lambda code: -expected(code))

@@ -23,6 +23,9 @@ from vibrocast.host.stream_session import configure_steps, stopped_on_error
 
 # How long a packet lies on the controller before it is needed: sending may be late by this. All of it is delay.
 PLAYOUT_DELAY_S = 0.01
+# Of the least delay: the chain of codec, output and playout delay takes less than 10 ms.
+LOW_DELAY_PLAYOUT_S = 0.002
+LOW_DELAY_RATE_HZ = 8000
 REFRESH_S = 0.25
 # A source hands over blocks of at most this, so that the controller is heard between them.
 MAX_BLOCK_S = 0.01

@@ -10,6 +10,8 @@ struct vc_mdct_encoder {
     vc_quantiser_offset quantiser_offset;
     vc_block_state channels[VC_MAX_CHANNELS];
     vc_block_search search;
+    uint32_t random; /* the decoder's generator of signs of noise filling */
+    uint64_t squared_errors[VC_MAX_CHANNELS];
 };
 
 size_t vc_mdct_encoder_size(void)
@@ -71,10 +73,32 @@ static uint32_t magnitude_of(int32_t value)
     return (uint32_t)(magnitude < VC_MAX_COEFFICIENT ? magnitude : VC_MAX_COEFFICIENT);
 }
 
+/* Adds the squared error of the block that has just been coded; `state`: of dependent quantisation, before it. */
+static void add_error(vc_mdct_encoder *encoder, unsigned channel, const int32_t *coefficients, unsigned state)
+{
+    const vc_mdct_configuration *configuration = &encoder->configuration;
+    const int silent = encoder->channels[channel].history.silent_history & 1;
+    uint64_t sum = 0;
+    uint32_t k;
+    for (k = 0; k < configuration->hop; k++) {
+        const int32_t step = vc_bin_step(configuration, channel, encoder->quantiser_offset.value, k);
+        const int32_t fill = silent ? 0 : (int32_t)((int64_t)step * configuration->fill[channel] / 128);
+        const uint32_t index = silent ? 0 : encoder->search.indices[k];
+        const int32_t level = (int32_t)vc_level_of(index, vc_quantiser_of(state));
+        const int32_t value = level == 0 ? fill * vc_random_sign(&encoder->random)
+                                         : vc_reconstruct(coefficients[k] < 0 ? -level : level, step);
+        const int64_t error = vc_clamped(coefficients[k] - value, VC_MAX_COEFFICIENT);
+        state = vc_next_state(state, index);
+        sum += (uint64_t)(error * error) >> 4; /* so that the sum of a block fits */
+    }
+    encoder->squared_errors[channel] += sum >> 4;
+}
+
 static void encode_block(vc_mdct_encoder *encoder, vc_range_coder *coder, unsigned channel, const int32_t *coefficients,
                          uint32_t lambda)
 {
     const vc_mdct_configuration *configuration = &encoder->configuration;
+    const unsigned state = encoder->channels[channel].state;
     uint32_t magnitudes[VC_MAX_BINS], k;
     for (k = 0; k < configuration->hop; k++) {
         const int32_t step = vc_bin_step(configuration, channel, encoder->quantiser_offset.value, k);
@@ -82,13 +106,20 @@ static void encode_block(vc_mdct_encoder *encoder, vc_range_coder *coder, unsign
     }
     vc_block_encode(coder, &encoder->model, &encoder->channels[channel], &encoder->search, configuration->hop,
                     magnitudes, coefficients, lambda);
+    add_error(encoder, channel, coefficients, state);
+}
+
+uint64_t vc_mdct_squared_error(const vc_mdct_encoder *encoder, unsigned channel)
+{
+    return encoder->squared_errors[channel];
 }
 
 /* Begins the next packet: its head, and at a refresh a new start. Returns where its payload begins. */
 static uint8_t *begin_packet(vc_mdct_encoder *encoder, vc_range_coder *coder, int refresh, uint8_t *packet,
                              size_t capacity)
 {
-    uint8_t *payload = packet + vc_packet_head_write(packet, encoder->sequence++, refresh);
+    uint8_t *payload = packet + vc_packet_head_write(packet, encoder->sequence, refresh);
+    encoder->random = encoder->sequence++;
     if (refresh)
         restart(encoder);
     vc_range_encoder_init(coder, payload, capacity - (size_t)(payload - packet));

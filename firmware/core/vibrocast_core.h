@@ -73,6 +73,11 @@ int vc_mdct_encoder_init(vc_mdct_encoder *encoder, const uint8_t *configuration,
 int32_t vc_mdct_encode(vc_mdct_encoder *encoder, const int32_t *coefficients, int32_t quantiser_offset, uint8_t *packet,
                        size_t capacity);
 
+/* Returns the squared error of the coefficients of a channel in all packets so far, noise filling included, in 1/256 of
+ * a squared least significant bit. The transform is orthogonal, so the decoded samples have this error, except for
+ * their rounding. */
+uint64_t vc_mdct_squared_error(const vc_mdct_encoder *encoder, unsigned channel);
+
 /* Re-packing: the same levels in packets of another length. Both functions take a structure that vc_mdct_encoder_init
  * has prepared, with lambda 0. One has the configuration of the packets, the other a configuration of another length.
  *

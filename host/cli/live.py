@@ -63,7 +63,7 @@ STANDARD_INPUT = "-"
 class SampleOptions:
     """The samples of the source. `seconds` is for a texture; all below it are for raw samples."""
 
-    rate_hz: int
+    rate_hz: int | None
     seconds: float
     sample_format: str
     channels: int
@@ -83,6 +83,21 @@ class CodingOptions:
     purpose: str | None
 
 
+@dataclass(frozen=True)
+class DelayOptions:
+    """How long packets wait at the controller, and whether all else is chosen for the least delay."""
+
+    playout_delay_ms: float | None
+    low_delay: bool
+
+    @property
+    def playout_delay_s(self) -> float | None:
+        """The playout delay; None = the stream's default."""
+        if self.playout_delay_ms is not None:
+            return self.playout_delay_ms / 1e3
+        return streaming.LOW_DELAY_PLAYOUT_S if self.low_delay else None
+
+
 @click.command(cls=SectionedCommand)
 @click.argument("source", type=click.Choice((STANDARD_INPUT, *sorted(textures.GENERATORS))))
 @section(
@@ -94,9 +109,8 @@ class CodingOptions:
         click.option(
             "--rate-hz",
             type=Whole("Hz", 1, MAX_RATE_HZ),
-            default=DEFAULT_STREAM_RATE_HZ,
-            show_default=True,
-            help="Set the sample rate of the source.",
+            help=f"Set the sample rate of the source. Default: {DEFAULT_STREAM_RATE_HZ}, "
+            f"or {streaming.LOW_DELAY_RATE_HZ} with --low-delay.",
         ),
         click.option(
             "--format",
@@ -150,11 +164,20 @@ class CodingOptions:
     bench_option,
     device_option,
     actuator_option,
-    click.option(
-        "--playout-delay-ms",
-        type=Number("ms", 0, 10_000),
-        help="Delay the output to bear late packets. "
-        f"Default: {1e3 * streaming.PLAYOUT_DELAY_S:g}, or a quarter packet if longer; more on a slow link.",
+    grouped(
+        "delay",
+        DelayOptions,
+        click.option(
+            "--playout-delay-ms",
+            type=Number("ms", 0, 10_000),
+            help="Delay the output to bear late packets. "
+            f"Default: {1e3 * streaming.PLAYOUT_DELAY_S:g}, or a quarter packet if longer; more on a slow link.",
+        ),
+        click.option(
+            "--low-delay",
+            is_flag=True,
+            help=f"Send the shortest blocks, with a playout delay of {1e3 * streaming.LOW_DELAY_PLAYOUT_S:g} ms.",
+        ),
     ),
 )
 @section(OUTPUT, click.option("--report", "report_path", type=OutputFile(".json"), help="Write the figures as JSON."))
@@ -164,7 +187,7 @@ def live(
     address: str,
     actuator_name: str | None,
     samples: SampleOptions,
-    playout_delay_ms: float | None,
+    delay: DelayOptions,
     report_path: Path | None,
     coding: CodingOptions,
     rate: RateOptions,
@@ -180,7 +203,10 @@ def live(
     1 % of the packets may be lost.
     """
     target = rate.target(coding.snr_db)
-    rate_hz, full_scale = samples.rate_hz, samples.full_scale
+    if target is not None and delay.low_delay:
+        raise click.UsageError("--low-delay sends each block at once, at any rate; drop it, or the rate control")
+    default_rate_hz = streaming.LOW_DELAY_RATE_HZ if delay.low_delay else DEFAULT_STREAM_RATE_HZ
+    rate_hz, full_scale = samples.rate_hz or default_rate_hz, samples.full_scale
     if source != STANDARD_INPUT:
         texture = textures.GENERATORS[source](seconds=samples.seconds, rate_hz=rate_hz)
         peaks, rms = np.max(np.abs(texture.samples), axis=0), np.sqrt(np.mean(np.square(texture.samples), axis=0))
@@ -208,7 +234,8 @@ def live(
         check_bench_actuator(bench, address, controller.description.actuator)
         if model is not None:
             uploader.provide(controller, address, model.image)
-        live_coding = streaming.LiveCoding(chosen.name, setting, model)
+        shortest = chosen.block_setting(chosen.blocks[0]) if delay.low_delay and chosen.blocks else {}
+        live_coding = streaming.LiveCoding(chosen.name, {**shortest, **setting}, model)
         if target is not None:
             equal = codec.equal_error(chosen, signal_format) if target.equal_error else {}
             live_coding = replace(
@@ -217,8 +244,9 @@ def live(
                 policy=target.policy(signal_format),
                 packet_samples=target.framing(rate_hz).packet_samples,
             )
-        playout_delay_s = None if playout_delay_ms is None else playout_delay_ms / 1e3
-        stream = streaming.LiveStream(controller, signal_format, coding=live_coding, playout_delay_s=playout_delay_s)
+        stream = streaming.LiveStream(
+            controller, signal_format, coding=live_coding, playout_delay_s=delay.playout_delay_s
+        )
         watch, beginning = Watch(stream), CodedBeginning(stream)
         block_samples = min(stream.packet_samples, math.ceil(streaming.MAX_BLOCK_S * rate_hz))
         blocks: Iterator[NDArray[np.float64]]

@@ -65,6 +65,15 @@ def test_raw_samples_are_coded_for_touch_and_not_for_spqi() -> None:
     assert "which a live stream does not know" in rejected.output
 
 
+def test_low_delay_means_blocks_of_2_ms(tmp_path: Path) -> None:
+    report = tmp_path / "live.json"
+    given = ("rough", "--seconds", "0.3", "--low-delay", "--report", str(report))
+    result = run(*given, "--playout-delay-ms", "300")
+    assert result.exit_code == 0, result.output
+    assert json.loads(report.read_text())["packets"] == pytest.approx(0.3 * 8000 / 16, abs=2)
+    assert run(*given, "--constant-rate-bps", "8000").exit_code == 2
+
+
 def test_no_sample_is_no_error() -> None:
     assert run("-", "--unit", "drive").exit_code == 0
 
