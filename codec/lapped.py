@@ -69,12 +69,12 @@ def check_tables(payload: bytes) -> None:
     parts(payload)
 
 
-def resolve(samples: Signal, signal_format: SignalFormat, model: Model | None) -> Setting:
-    """Choose the hop of a file with the model's windows and the tables of `mdct`; see codec.interface.Codec."""
+def resolve(samples: Signal, signal_format: SignalFormat, model: Model | None, words: Setting) -> Setting:
+    """Choose the hop and the rotation of a file with the model's windows and the tables of `mdct`; see codec.interface.Codec."""
     windows, _ = parts(model.tables if model else None)
     payload = windows + mdct.built_in_tables()
     decoder_of = partial(LappedDecoder, payload=payload)
-    return mdct.best_hop(samples, signal_format, partial(analysis_matrix, windows), decoder_of)
+    return mdct.best_choice(samples, signal_format, words, partial(analysis_matrix, windows), decoder_of)
 
 
 def make_encoder(

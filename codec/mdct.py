@@ -25,6 +25,7 @@ from vibrocast.codec.interface import (
     word,
 )
 from vibrocast.codec.packetwise import PacketwiseEncoder
+from vibrocast.codec.rotation import Rotation, aligned, candidates
 from vibrocast.device_protocol.coded_stream import packet_sequence
 from vibrocast.device_protocol.encoding import pack_varint, unpack_varint
 from vibrocast.firmware.native_core import ffi, library
@@ -37,7 +38,11 @@ STEP_CODES = 21 * 64
 STEP_CODES_OF_QUANTISER_OFFSET = 4
 """Step codes in one unit of the quantiser offset."""
 RATE_CONTROLLED = b"\x01"
-"""End of the configuration of a stream whose packets state their quantiser offsets."""
+"""End of the configuration of a stream whose packets state their quantiser offsets, of codecs without a rotation."""
+_RATE_CONTROLLED, _ROTATED = 1, 2
+"""Features in a configuration: packets state their quantiser offsets; the section of a rotation follows."""
+NONE = "none"
+"""The value of the parameter `rotation` for none."""
 MAX_NOISE_FILLING = 31 / 128
 LAMBDA = 96
 """Weight of a bit against squared error, in 1/256 of a squared step; 70 to 125 differ by at most 1 % of BD-rate."""
@@ -46,6 +51,7 @@ _MAX_COEFFICIENT = 2**28
 _CHUNK_BLOCKS = 8192
 _RESOLVING_SAMPLES = 1 << 16
 _RESOLVING_PACKET = 1024
+_TRIED_ROTATIONS = 2
 _NOISE_FILLING_UNIT = 128
 
 
@@ -65,13 +71,24 @@ def step_code(step: float) -> int:
     return min(max(64 * exponent + round(math.ldexp(unit_step, -exponent)) - 64, 0), STEP_CODES - 1)
 
 
+def step_of(code: int) -> float:
+    """Return the quantiser step of a code, in 1/256 of a sample's least significant bit."""
+    return math.ldexp(64 + code % 64, code // 64)
+
+
 def configuration(
-    hop: int, packet_blocks: int, step_codes: Sequence[int], noise_filling_code: int = 0, rate_controlled: bool = False
+    hop: int,
+    packet_blocks: int,
+    step_codes: Sequence[int],
+    noise_filling_code: int = 0,
+    rate_controlled: bool = False,
+    rotation: bytes = b"",
 ) -> bytes:
-    """Return the codec's bytes in the stream header."""
+    """Return the codec's bytes in the stream header; `rotation`: the section of one, empty for none."""
     head = pack_varint(packet_blocks << 2 | HOPS.index(hop))
     steps = b"".join((noise_filling_code << 11 | code).to_bytes(2, "little") for code in step_codes)
-    return head + steps + RATE_CONTROLLED * rate_controlled
+    features = _RATE_CONTROLLED * rate_controlled | _ROTATED * bool(rotation)
+    return head + steps + bytes((features,) if features else ()) + rotation
 
 
 def built_in_tables() -> bytes:
@@ -98,6 +115,14 @@ def analysis_matrix(hop: int) -> Signal:
     return modulated(np.sin(np.pi * (np.arange(2 * hop) + 0.5) / (2 * hop)), hop)
 
 
+def spectra_of(samples: Signal, analysis: Signal) -> Signal:
+    """Return the spectra (blocks, channels, hop) of samples (n, channels), by a transform (samples of a window, hop)."""
+    hop = analysis.shape[1]
+    frames = np.lib.stride_tricks.sliding_window_view(samples, len(analysis), axis=0)[::hop]
+    spectra: Signal = frames @ analysis
+    return spectra
+
+
 def modulated(window: Signal, hop: int) -> Signal:
     """Return sqrt(2/N) w[n] cos(pi/N (n + 1/2 + N/2)(k + 1/2)), (len(window), hop), of a window w at hop N."""
     n = np.arange(len(window))[:, None]
@@ -120,14 +145,15 @@ class MdctEncoder(PacketwiseEncoder):
         noise_filling: float = 0.0,
         rate_control: RateControl | None = None,
         analysis: Callable[[int], Signal] = analysis_matrix,
+        rotation: Rotation | None = None,
     ) -> None:
         """Make an encoder of len(steps) channels with quantiser steps relative to full scale.
 
         `rd_weight`: weight of bits against squared error in rounding, 1 = the best for its rate, 0 = the least error.
         `hop`: one of HOPS, None = the one of live streams. `noise_filling`: magnitude that replaces coefficients
         rounded to zero, in quantiser steps. `rate_control`: chooses the quantiser offset of each packet, in 1/16 octave
-        of the steps; None = no offsets. `analysis`: returns the transform at a hop, (samples of a window, hop). Raises
-        CodecError for a channel count, step, packet length, hop, noise filling or tables that the codec cannot have.
+        of the steps; None = no offsets. `analysis`: returns the transform at a hop, (samples of a window, hop).
+        `rotation`: mixes the channels, which need delays for it; None = each is coded alone. Raises CodecError for a channel count, step, packet length, hop, noise filling or tables that the codec cannot have.
         """
         self._hop = hop_samples(rate_hz) if hop is None else hop
         if self._hop not in HOPS:
@@ -135,7 +161,10 @@ class MdctEncoder(PacketwiseEncoder):
         if not all(math.isfinite(step) and step > 0 for step in steps):
             raise CodecError("a quantiser step is not positive; give positive numbers")
         self._analysis = analysis(self._hop)
-        self._history = self.delay_samples = len(self._analysis) - self._hop
+        self._rotation = rotation
+        self._history = self.delay_samples = (
+            len(self._analysis) - self._hop + (rotation.delay_samples if rotation else 0)
+        )
         self._chunk_samples = max(1, _CHUNK_BLOCKS * self._hop // max(1, len(steps)))
         super().__init__(len(steps), framing, self._hop, MAX_PACKET_BLOCKS)
         if not 0 <= noise_filling <= MAX_NOISE_FILLING:
@@ -147,7 +176,10 @@ class MdctEncoder(PacketwiseEncoder):
             step_codes,
             round(noise_filling * _NOISE_FILLING_UNIT),
             rate_control is not None,
+            rotation.pack() if rotation else b"",
         )
+        # Coded channels of a rotation all have the largest step.
+        self._relative_steps = np.array([step_of(max(step_codes)) / step_of(code) for code in step_codes])
         self._rate_control = rate_control
         self._quantiser_offsets = range(
             -(max(step_codes) // STEP_CODES_OF_QUANTISER_OFFSET),
@@ -176,8 +208,11 @@ class MdctEncoder(PacketwiseEncoder):
 
     def _code_packets(self, samples: Signal) -> list[bytes]:
         count = (len(samples) - self._history) // self.packet_samples
-        frames = np.lib.stride_tricks.sliding_window_view(samples, len(self._analysis), axis=0)[:: self._hop]
-        exact = frames @ self._analysis * UNIT
+        if self._rotation is None:
+            exact = spectra_of(samples, self._analysis) * UNIT
+        else:
+            spectra = spectra_of(aligned(samples, self._rotation.delays), self._analysis)
+            exact = self._rotation.coded(spectra * self._relative_steps[None, :, None]) * UNIT
         coefficients = np.clip(np.rint(exact), -_MAX_COEFFICIENT, _MAX_COEFFICIENT).astype(np.int32)
         return [
             self._packet_of(part, samples[index * self.packet_samples : (index + 1) * self.packet_samples])
@@ -220,34 +255,62 @@ def check_tables(tables: bytes) -> None:
     _tables_arguments(tables)
 
 
-def resolve(samples: Signal, signal_format: SignalFormat, model: Model | None) -> Setting:
-    """Choose the hop of a file by the built-in tables; see codec.interface.Codec."""
-    return best_hop(samples, signal_format, analysis_matrix, MdctDecoder)
+def resolve(samples: Signal, signal_format: SignalFormat, model: Model | None, words: Setting) -> Setting:
+    """Choose the hop and the rotation of a file by the built-in tables; see codec.interface.Codec."""
+    return best_choice(samples, signal_format, words, analysis_matrix, MdctDecoder)
 
 
-def best_hop(
+def best_choice(
     samples: Signal,
     signal_format: SignalFormat,
+    words: Setting,
     analysis: Callable[[int], Signal],
     decoder_of: Callable[[bytes, int], CoreDecoder],
 ) -> Setting:
-    """Choose the hop for a whole signal (n, channels) in its physical unit, by coding its beginning with each.
+    """Choose a hop and a rotation for a whole signal (n, channels) in its physical unit, where they are left open.
 
-    The best hop has the least squared error + lambda * bits, as in the encoder's search, at a step of the RMS value.
+    The beginning is coded with each hop, then with the rotations that save bits by estimate. The best has the least
+    squared error + lambda * bits, as in the encoder's search, at a step of the RMS value.
     """
     normalised = samples[:_RESOLVING_SAMPLES] / np.array(signal_format.gains)
     steps = np.array(signal_format.rms)
 
-    def cost(hop: int) -> float:
+    def cost(hop: int, rotation: Rotation | None) -> float:
         framing = Framing(_RESOLVING_PACKET, 0)
-        encoder = MdctEncoder(list(steps), signal_format.rate_hz, framing, hop=hop, analysis=analysis)
+        encoder = MdctEncoder(
+            list(steps), signal_format.rate_hz, framing, hop=hop, analysis=analysis, rotation=rotation
+        )
         decoder = decoder_of(encoder.configuration, signal_format.channels)
         packets = encoder.encode(normalised) + encoder.finish()
         decoded = np.concatenate([decoder.decode(packet) for packet in packets])[decoder.delay_samples :]
         error = np.sum(np.square((normalised - decoded[: len(normalised)] / 32768) / steps))
-        return float(error + LAMBDA / 256 * 8 * sum(map(len, packets)))
+        return float(error + LAMBDA / 256 * 8 * (sum(map(len, packets)) + len(encoder.configuration)))
 
-    return {"hop": str(min(HOPS, key=cost))}
+    hop, rotation = word(words, "hop"), word(words, "rotation")
+    given = _rotation(rotation, signal_format.channels)
+    mixable = rotation == AUTO and signal_format.channels > 1
+    least = math.inf
+    if hop == AUTO or mixable:
+        least, best = min((cost(each, given), each) for each in (HOPS if hop == AUTO else (int(hop),)))
+        hop = str(best)
+    if mixable:
+        transform = analysis(int(hop))
+        trials = candidates(normalised / steps, int(hop), lambda part: spectra_of(part, transform))[:_TRIED_ROTATIONS]
+        for trial in trials:
+            if (reached := cost(int(hop), trial)) < least:
+                least, given = reached, trial
+    return {"hop": hop, "rotation": given.pack().hex() if given else NONE}
+
+
+def _rotation(text: str, channels: int) -> Rotation | None:
+    """Return the rotation of a setting. Raises CodecError for text that is none."""
+    if text in (AUTO, NONE):
+        return None
+    try:
+        section = bytes.fromhex(text)
+    except ValueError as error:
+        raise CodecError(f"rotation is {text!r}; give {AUTO}, {NONE}, or the section of one in hexadecimal") from error
+    return Rotation.unpack(section, channels)
 
 
 def make_encoder(
@@ -265,7 +328,8 @@ def make_encoder(
     ]
     live_hop = hop_samples(signal_format.rate_hz)
     hop = live_hop if word(setting, "hop") == AUTO else int(word(setting, "hop"))
-    delay_samples = len(analysis(hop)) - hop
+    rotation = _rotation(word(setting, "rotation"), signal_format.channels)
+    delay_samples = len(analysis(hop)) - hop + (rotation.delay_samples if rotation else 0)
     if framing.refresh_packets == 0:
         # A file's framing has room for one block of a live stream after the end; this hop needs another.
         framing = Framing(max(1, framing.packet_samples + delay_samples - live_hop), 0)
@@ -279,6 +343,7 @@ def make_encoder(
         number(setting, "noise_filling"),
         rate_control,
         analysis,
+        rotation,
     )
 
 
@@ -305,7 +370,8 @@ def repack(
     blocks, hop = head >> 2, HOPS[head & 3]
     refreshes = [packet_sequence(packet)[1] for packet in packets]
     # A packet must begin wherever a refresh or another quantiser offset does.
-    rate_controlled = len(configuration) > head_bytes + 2 * channels
+    features = configuration[head_bytes + 2 * channels :][:1]
+    rate_controlled = bool(features) and bool(features[0] & _RATE_CONTROLLED)
     starts = math.gcd(blocks * rate_controlled, *(blocks * before for before, each in enumerate(refreshes) if each))
     longest = min(packet_samples // hop, MAX_PACKET_BLOCKS)
     length = max((count for count in range(1, longest + 1) if starts % count == 0), default=0)
@@ -355,6 +421,11 @@ CODEC = Codec(
             "samples from block to block; auto = by rate for live streams, by signal for files",
             AUTO,
             choices=(AUTO, *map(str, HOPS)),
+        ),
+        "rotation": Parameter(
+            "mixes the channels: auto = by signal for files, none for live streams; or a section in hexadecimal",
+            AUTO,
+            text=True,
         ),
         "noise_filling": Parameter(
             "noise in place of zeros, in quantiser steps; 0 = none", 1 / 32, low=0, high=MAX_NOISE_FILLING
