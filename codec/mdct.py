@@ -178,8 +178,8 @@ class MdctEncoder(PacketwiseEncoder):
             rate_control is not None,
             rotation.pack() if rotation else b"",
         )
-        # Coded channels of a rotation all have the largest step.
-        self._relative_steps = np.array([step_of(max(step_codes)) / step_of(code) for code in step_codes])
+        # Coded channels of a rotation all have the smallest step.
+        self._relative_steps = np.array([step_of(min(step_codes)) / step_of(code) for code in step_codes])
         self._rate_control = rate_control
         self._quantiser_offsets = range(
             -(max(step_codes) // STEP_CODES_OF_QUANTISER_OFFSET),
@@ -284,7 +284,8 @@ def best_choice(
         packets = encoder.encode(normalised) + encoder.finish()
         decoded = np.concatenate([decoder.decode(packet) for packet in packets])[decoder.delay_samples :]
         error = np.sum(np.square((normalised - decoded[: len(normalised)] / 32768) / steps))
-        return float(error + LAMBDA / 256 * 8 * (sum(map(len, packets)) + len(encoder.configuration)))
+        side_bytes = 1 + len(rotation.pack()) if rotation else 0
+        return float(error + LAMBDA / 256 * 8 * (sum(map(len, packets)) + side_bytes))
 
     hop, rotation = word(words, "hop"), word(words, "rotation")
     given = _rotation(rotation, signal_format.channels)

@@ -26,7 +26,7 @@ typedef struct {
     int rate_controlled;    /* packets carry their quantiser offset */
     size_t rotation;        /* where the section of a rotation begins (mdct_rotation.h); 0 = there is none */
     uint32_t longest_delay; /* of a channel, in samples, by the rotation */
-    unsigned coarsest;      /* the channel of the largest step, which all coded channels have with a rotation */
+    unsigned finest;        /* the channel of the smallest step, which all coded channels have with a rotation */
     uint16_t step_code[VC_MAX_CHANNELS];
     uint8_t fill[VC_MAX_CHANNELS]; /* magnitude that replaces a level of 0, in 1/128 step */
 } vc_mdct_configuration;
@@ -84,7 +84,7 @@ static inline int32_t vc_step_of(uint32_t code)
 static inline int32_t vc_packet_step(const vc_mdct_configuration *configuration, unsigned channel,
                                      int32_t quantiser_offset)
 {
-    const unsigned source = configuration->rotation ? configuration->coarsest : channel;
+    const unsigned source = configuration->rotation ? configuration->finest : channel;
     const int32_t code = configuration->step_code[source] + 16 * quantiser_offset;
     return vc_step_of(code < 0 ? 0 : code < VC_STEP_CODES ? (uint32_t)code : VC_STEP_CODES - 1);
 }

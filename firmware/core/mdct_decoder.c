@@ -73,8 +73,8 @@ int vc_configuration_read(vc_mdct_configuration *configuration, const uint8_t *b
         if (code >= VC_STEP_CODES)
             return VC_BAD_CONFIGURATION;
         read.step_code[channel] = (uint16_t)code;
-        if (code > read.step_code[read.coarsest])
-            read.coarsest = channel;
+        if (code < read.step_code[read.finest])
+            read.finest = channel;
     }
     if (!read_features(&read, bytes, length, used + 2 * channels))
         return VC_BAD_CONFIGURATION;

@@ -70,13 +70,14 @@ static void read_matrix(bit_reader *reader, unsigned channels, int32_t (*matrix)
         }
 }
 
-/* The step of a channel relative to that of the coded channels, at most 1, in 1/2^24. */
-static int32_t relative_step(const vc_mdct_configuration *configuration, unsigned channel)
+/* The step of a channel relative to that of the coded channels, in 1/2^24, without its octaves, which become `octaves`.
+ */
+static int32_t relative_step(const vc_mdct_configuration *configuration, unsigned channel, uint8_t *octaves)
 {
     const unsigned code = configuration->step_code[channel];
-    const unsigned coarsest = configuration->step_code[configuration->coarsest];
-    const uint32_t mantissas = ((64 + (code & 63u)) << 24) / (64 + (coarsest & 63u));
-    return (int32_t)(mantissas >> ((coarsest >> 6) - (code >> 6)));
+    const unsigned finest = configuration->step_code[configuration->finest];
+    *octaves = (uint8_t)((code >> 6) - (finest >> 6));
+    return (int32_t)(((64 + (code & 63u)) << 24) / (64 + (finest & 63u)));
 }
 
 void vc_rotation_init(vc_rotation *rotation, const vc_mdct_configuration *configuration, const uint8_t *section)
@@ -104,10 +105,11 @@ void vc_rotation_init(vc_rotation *rotation, const vc_mdct_configuration *config
             matrix[row][row] = ONE;
         if (rotation->mixes[band])
             read_matrix(states[band] == COMMON ? &shared : &reader, channels, matrix);
-        for (row = 0; row < channels; row++)
+        for (row = 0; row < channels; row++) {
+            const int32_t step = relative_step(configuration, row, &rotation->octaves[row]);
             for (column = 0; column < channels; column++)
-                matrix[row][column] =
-                    (int32_t)vc_rounded((int64_t)matrix[row][column] * relative_step(configuration, row));
+                matrix[row][column] = (int32_t)vc_rounded((int64_t)matrix[row][column] * step);
+        }
     }
 }
 
@@ -126,7 +128,8 @@ void vc_rotate(const vc_rotation *rotation, const int32_t *coded, size_t stride,
             int64_t sum = 0;
             for (column = first; column <= last; column++)
                 sum += (int64_t)weights[column] * coded[column * stride + k];
-            spectrum[k] = vc_clamped(vc_scaled_down(sum), VC_MAX_COEFFICIENT);
+            spectrum[k] = vc_clamped(vc_limited(vc_rounded(sum) * ((int64_t)1 << rotation->octaves[channel])),
+                                     VC_MAX_COEFFICIENT);
         }
     }
 }

@@ -9,9 +9,10 @@
 
 typedef struct {
     /* By band: whether it mixes channels; and the weight of a coded channel (column) in an output channel (row), in
-     * 1/2^24. Without mixing only the diagonal counts. */
+     * 1/2^24 of its octaves. Without mixing only the diagonal counts. */
     uint8_t mixes[VC_ROTATION_BANDS];
     int32_t weight[VC_ROTATION_BANDS][VC_MAX_CHANNELS][VC_MAX_CHANNELS];
+    uint8_t octaves[VC_MAX_CHANNELS]; /* by which an output channel's step exceeds that of the coded channels */
     uint8_t delay[VC_MAX_CHANNELS], next[VC_MAX_CHANNELS]; /* next: where a line's oldest sample is */
     int16_t line[VC_MAX_CHANNELS][VC_MAX_DELAY];
 } vc_rotation;
