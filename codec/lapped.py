@@ -70,7 +70,7 @@ def check_tables(payload: bytes) -> None:
 
 
 def resolve(samples: Signal, signal_format: SignalFormat, model: Model | None, words: Setting) -> Setting:
-    """Choose the hop and the rotation of a file with the model's windows and the tables of `mdct`; see codec.interface.Codec."""
+    """Choose the hop and the rotation of a file with the model's windows; see codec.interface.Codec."""
     windows, _ = parts(model.tables if model else None)
     payload = windows + mdct.built_in_tables()
     decoder_of = partial(LappedDecoder, payload=payload)

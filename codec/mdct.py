@@ -51,7 +51,8 @@ _MAX_COEFFICIENT = 2**28
 _CHUNK_BLOCKS = 8192
 _RESOLVING_SAMPLES = 1 << 16
 _RESOLVING_PACKET = 1024
-_TRIED_ROTATIONS = 2
+_LEAST_GAIN = 0.01
+"""Part of the cost by which a rotation, and then its delays, must lower it: the gain at one step shrinks at others."""
 _NOISE_FILLING_UNIT = 128
 
 
@@ -116,7 +117,7 @@ def analysis_matrix(hop: int) -> Signal:
 
 
 def spectra_of(samples: Signal, analysis: Signal) -> Signal:
-    """Return the spectra (blocks, channels, hop) of samples (n, channels), by a transform (samples of a window, hop)."""
+    """Return the spectra (blocks, channels, hop) of samples (n, channels), by a transform (its window, hop)."""
     hop = analysis.shape[1]
     frames = np.lib.stride_tricks.sliding_window_view(samples, len(analysis), axis=0)[::hop]
     spectra: Signal = frames @ analysis
@@ -134,7 +135,7 @@ def modulated(window: Signal, hop: int) -> Signal:
 class MdctEncoder(PacketwiseEncoder):
     """Encoder of `mdct`; see codec.interface.Encoder. Samples beyond full scale are clipped to it."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - the fields of a configuration, and what decides on packets
         self,
         steps: Sequence[float],
         rate_hz: float,
@@ -153,7 +154,8 @@ class MdctEncoder(PacketwiseEncoder):
         `hop`: one of HOPS, None = the one of live streams. `noise_filling`: magnitude that replaces coefficients
         rounded to zero, in quantiser steps. `rate_control`: chooses the quantiser offset of each packet, in 1/16 octave
         of the steps; None = no offsets. `analysis`: returns the transform at a hop, (samples of a window, hop).
-        `rotation`: mixes the channels, which need delays for it; None = each is coded alone. Raises CodecError for a channel count, step, packet length, hop, noise filling or tables that the codec cannot have.
+        `rotation`: mixes the channels, None = each is coded alone. Raises CodecError for a channel
+        count, step, packet length, hop, noise filling or tables that the codec cannot have.
         """
         self._hop = hop_samples(rate_hz) if hop is None else hop
         if self._hop not in HOPS:
@@ -296,9 +298,8 @@ def best_choice(
         hop = str(best)
     if mixable:
         transform = analysis(int(hop))
-        trials = candidates(normalised / steps, int(hop), lambda part: spectra_of(part, transform))[:_TRIED_ROTATIONS]
-        for trial in trials:
-            if (reached := cost(int(hop), trial)) < least:
+        for trial in candidates(normalised / steps, int(hop), lambda part: spectra_of(part, transform)):
+            if (reached := cost(int(hop), trial)) < (1 - _LEAST_GAIN) * least:
                 least, given = reached, trial
     return {"hop": hop, "rotation": given.pack().hex() if given else NONE}
 

@@ -2,10 +2,9 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vibrocast.codec.interface import CodecError, Signal
 
@@ -24,7 +23,7 @@ IDENTITY, COMMON, OWN = range(3)
 _DELAY_BITS, _STATE_BITS, _ANGLE_BITS = 6, 2, 6
 _DISTORTION = 0.25
 """Noise power at which bits are estimated, relative to the mean power of the coefficients. About 6 dB of SNR."""
-_SIGNIFICANT = 0.2
+_SIGNIFICANT = 0.4
 """Least correlation of two channels from which a delay between them is taken."""
 _BETTER = 1.05
 """How much better a delay correlates two channels than none, at least."""
@@ -90,28 +89,30 @@ class Rotation:
     def matrices(self) -> list[Signal]:
         """Return the matrix of each band (channels, channels): row = output channel, column = coded channel."""
         own = iter(self.own)
-        by_state = {IDENTITY: lambda: (), COMMON: lambda: self.common, OWN: lambda: next(own)}
-        return [matrix(by_state[state](), self.channels) for state in self.states]
+        angles = [next(own) if state == OWN else self.common if state == COMMON else () for state in self.states]
+        return [matrix(each, self.channels) for each in angles]
 
     def coded(self, spectra: Signal) -> Signal:
         """Return the coded channels of spectra (blocks, channels, hop) of aligned channels in units of their steps."""
         hop = spectra.shape[2]
         parts = [
-            np.einsum("ij,bik->bjk", each, spectra[:, :, band]) for each, band in zip(self.matrices(), bands(hop))
+            np.einsum("ij,bik->bjk", each, spectra[:, :, band])
+            for each, band in zip(self.matrices(), bands(hop), strict=True)
         ]
         return np.concatenate(parts, axis=2)
 
 
 def bands(hop: int) -> Iterator[slice]:
     """Yield the coefficients of each band at a hop."""
-    for start, stop in zip(EDGES, EDGES[1:]):
+    for start, stop in pairwise(EDGES):
         yield slice(start * hop // 64, stop * hop // 64)
 
 
 def matrix(angles: Sequence[int], channels: int) -> Signal:
     """Return the product of Givens rotations, one for each pair of channels; the identity without angles."""
     product = np.eye(channels)
-    for (first, second), angle in zip(combinations(range(channels), 2), angles):
+    pairs = combinations(range(channels if angles else 0), 2)
+    for (first, second), angle in zip(pairs, angles, strict=True):
         product[:, [first, second]] = product[:, [first, second]] @ _givens(angle)
     return product
 
@@ -139,19 +140,20 @@ def aligned(samples: Signal, delays: Sequence[int]) -> Signal:
 
 
 def candidates(normalised: Signal, hop: int, analyse: Callable[[Signal], Signal]) -> list[Rotation]:
-    """Return rotations that save bits by estimate, the most first: with delays and without.
+    """Return the rotation without delays that saves the most bits by estimate, then the one with delays, if they do.
 
     `normalised`: samples (n, channels) relative to each channel's RMS value. `analyse`: returns the spectra (blocks,
     channels, hop) of samples.
     """
-    channels = normalised.shape[1]
-    found = [
-        (saved_bits, rotation)
-        for delays in dict.fromkeys([(0,) * channels, find_delays(normalised)])
-        for saved_bits, rotation in _gated(analyse(aligned(normalised, delays)), hop, delays)
-        if saved_bits > 0 and len(rotation.pack()) <= MAX_SECTION_BYTES
-    ]
-    return [rotation for _, rotation in sorted(found, key=lambda each: -each[0])]
+    found = []
+    for delays in dict.fromkeys([(0,) * normalised.shape[1], find_delays(normalised)]):
+        gated = [
+            (saved_bits, rotation)
+            for saved_bits, rotation in _gated(analyse(aligned(normalised, delays)), hop, delays)
+            if saved_bits > 0 and len(rotation.pack()) <= MAX_SECTION_BYTES
+        ]
+        found += [rotation for _, rotation in sorted(gated, key=lambda each: -each[0])[:1]]
+    return found
 
 
 def find_delays(samples: Signal) -> tuple[int, ...]:
@@ -193,7 +195,7 @@ def _gated(spectra: Signal, hop: int, delays: tuple[int, ...]) -> Iterator[tuple
     parts = [spectra[:, :, band] for band in bands(hop)]
     plain = [_bits(part).sum() for part in parts]
     own = [_principal(part) for part in parts]
-    own_bits = [_rotated_bits(part, angles) + angle_bits for part, angles in zip(parts, own)]
+    own_bits = [_rotated_bits(part, angles) + angle_bits for part, angles in zip(parts, own, strict=True)]
     common = _principal(spectra)
     common_bits = [_rotated_bits(part, common) for part in parts]
     for side_bits, choices in (
@@ -204,7 +206,7 @@ def _gated(spectra: Signal, hop: int, delays: tuple[int, ...]) -> Iterator[tuple
         best = [min((bits[band], state) for bits, state in choices) for band in range(BANDS)]
         states = tuple(state for _, state in best)
         if any(states):
-            kept = tuple(angles for angles, state in zip(own, states) if state == OWN)
+            kept = tuple(angles for angles, state in zip(own, states, strict=True) if state == OWN)
             rotation = Rotation(delays, states, common if COMMON in states else (), kept)
             yield sum(plain) - sum(bits for bits, _ in best) - side_bits - head_bits, rotation
 
