@@ -25,7 +25,7 @@ from vibrocast.codec.interface import (
     word,
 )
 from vibrocast.codec.packetwise import PacketwiseEncoder
-from vibrocast.codec.rotation import Rotation, aligned, candidates
+from vibrocast.codec.rotation import MAX_DELAY, Rotation, aligned, candidates
 from vibrocast.device_protocol.coded_stream import packet_sequence
 from vibrocast.device_protocol.encoding import pack_varint, unpack_varint
 from vibrocast.firmware.native_core import ffi, library
@@ -296,8 +296,8 @@ def best_choice(
     if hop == AUTO or mixable:
         least, best = min((cost(each, given), each) for each in (HOPS if hop == AUTO else (int(hop),)))
         hop = str(best)
-    if mixable:
-        transform = analysis(int(hop))
+    transform = analysis(int(hop))
+    if mixable and len(normalised) >= len(transform) + MAX_DELAY:
         for trial in candidates(normalised / steps, int(hop), lambda part: spectra_of(part, transform)):
             if (reached := cost(int(hop), trial)) < (1 - _LEAST_GAIN) * least:
                 least, given = reached, trial

@@ -23,8 +23,8 @@ IDENTITY, COMMON, OWN = range(3)
 _DELAY_BITS, _STATE_BITS, _ANGLE_BITS = 6, 2, 6
 _DISTORTION = 0.25
 """Noise power at which bits are estimated, relative to the mean power of the coefficients. About 6 dB of SNR."""
-_SIGNIFICANT = 0.4
-"""Least correlation of two channels from which a delay between them is taken."""
+_SIGNIFICANT = 0.2
+"""Least correlation of two channels from which a delay between them is taken: unrelated textures stay below."""
 _BETTER = 1.05
 """How much better a delay correlates two channels than none, at least."""
 
@@ -212,9 +212,15 @@ def _gated(spectra: Signal, hop: int, delays: tuple[int, ...]) -> Iterator[tuple
 
 
 def _principal(spectra: Signal) -> Angles:
-    """Return the angles that turn spectra (blocks, channels, bins) into principal components, the largest first."""
+    """Return the angles that turn spectra (blocks, channels, bins) into principal components, the largest first.
+
+    Silent channels stay apart: whatever leaks into them would be heard.
+    """
     covariance = np.einsum("bik,bjk->ij", spectra, spectra)
-    return angles_of(np.linalg.eigh(covariance)[1][:, ::-1])
+    heard = np.flatnonzero(np.diag(covariance) > 0)
+    found = iter(angles_of(np.linalg.eigh(covariance[np.ix_(heard, heard)])[1][:, ::-1]))
+    pairs = combinations(range(len(covariance)), 2)
+    return tuple(next(found) if np.isin(pair, heard).all() else 0 for pair in pairs)
 
 
 def _rotated_bits(spectra: Signal, angles: Angles) -> float:

@@ -8,8 +8,8 @@
 #define CYCLES 4300u
 #define NETWORK_CYCLES 15800u
 /* More with a rotation: for a sample of a channel, and for each channel that is mixed into it. */
-#define ROTATION_CYCLES 60u
-#define MIXING_CYCLES 12u
+#define ROTATION_CYCLES 100u
+#define MIXING_CYCLES 11u
 
 /* The byte behind the steps says what else packets and configuration hold. */
 #define FEATURE_RATE_CONTROLLED 1u

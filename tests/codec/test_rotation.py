@@ -286,3 +286,17 @@ def test_golden_rotated_stream() -> None:
     assert hashlib.sha256(samples.astype("<i2").tobytes()).hexdigest()[:32] == "75027539c418d6c0d7020662b79e1965"
     ratio = codec.snr_db(golden_signal(), samples[37:437] * (np.array(header.gains) / 32768))
     assert ratio == pytest.approx(26.78, abs=0.01)
+
+
+def test_a_silent_channel_between_others_stays_silent() -> None:
+    signal = np.insert(moving_together(3000, 2), 1, 0.0, axis=1)
+    source = codec.Source(signal, RATE_HZ)
+    assert source.resolved({})["rotation"] != "none"
+    assert not np.any(codec.decode(source.encode({"step": 0.5}))[:, 1])
+
+
+@pytest.mark.parametrize("samples", [1, 40, 94, 95, 200])
+def test_a_signal_shorter_than_a_block_is_coded(samples: int) -> None:
+    signal = moving_together(samples, 3)
+    coded_signal = codec.encode(signal, RATE_HZ, {"step": 0.1})
+    assert codec.decode(coded_signal).shape == signal.shape
