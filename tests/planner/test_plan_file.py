@@ -45,7 +45,7 @@ def plan(folder: Path) -> Plan:
         over_position=False,
         codec="mdct",
         model=None,
-        setting={"step": 0.7, "rd_weight": 1.0, "hop": "32", "noise_filling": 0.03125},
+        setting={"step": 0.7, "rd_weight": 1.0, "hop": "32", "rotation": "none", "noise_filling": 0.03125},
         rate=1600,
         lowest=30.0,
         highest=500.0,
