@@ -247,7 +247,7 @@ class MeasuringEncoder(Encoder, Protocol):
     """An encoder that knows its error without decoding."""
 
     @property
-    def squared_errors(self) -> tuple[float, ...]:
+    def squared_errors(self) -> tuple[float, ...] | None:
         """The squared error of each channel in all packets so far, relative to full scale, but for final rounding."""
 
 
@@ -307,8 +307,8 @@ class Codec:
         make_encoder: Called with the complete setting, the format, the framing, the model and the rate control. The
             rate control chooses the quality of each packet; None: all packets have that of the setting.
         make_decoder: Called with the configuration, the number of channels and the tables; None: built-in tables.
-        resolve: Called with the samples of a file in their unit, the format and the model. Returns the parameters
-            that are "auto"; None where no signal decides on them.
+        resolve: Called with the samples of a file in their unit, the format, the model, and the words in the complete
+            setting. Returns the parameters that are "auto" among these; None where no signal decides on them.
         check_tables: Raises CodecError for the payload of a model image that decoders reject; None where no model
             brings tables.
         built_in_tables: Returns the built-in tables, where a model may replace them.
@@ -346,7 +346,7 @@ class Codec:
     rate_point_sets: Mapping[str, tuple[Setting, ...]]
     make_encoder: Callable[[Setting, SignalFormat, Framing, Model | None, RateControl | None], Encoder]
     make_decoder: Callable[[bytes, int, bytes | None], Decoder]
-    resolve: Callable[[Signal, SignalFormat, Model | None], Setting] | None = None
+    resolve: Callable[[Signal, SignalFormat, Model | None, Setting], Setting] | None = None
     check_tables: Callable[[bytes], None] | None = None
     built_in_tables: Callable[[], bytes] | None = None
     with_runtime: Callable[[bytes, str], bytes] | None = None

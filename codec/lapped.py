@@ -70,9 +70,10 @@ def check_tables(payload: bytes) -> None:
     parts(payload)
 
 
-def resolve(samples: Signal, signal_format: SignalFormat, model: Model | None) -> Setting:
-    """Choose the hop of a file with the model's windows; see codec.interface.Codec."""
-    return mdct.best_hop(samples, signal_format, _analysis(model))
+def resolve(samples: Signal, signal_format: SignalFormat, model: Model | None, words: Setting) -> Setting:
+    """Choose the hop and the rotation of a file with the model's windows; see codec.interface.Codec."""
+    payload = parts(model.tables if model else None)[0] + mdct.built_in_tables()
+    return mdct.best_choice(samples, signal_format, words, _analysis(model), partial(LappedDecoder, payload=payload))
 
 
 def estimate(samples: Signal, signal_format: SignalFormat, setting: Setting, model: Model | None) -> Estimate:

@@ -27,6 +27,7 @@ from vibrocast.codec.interface import (
     word,
 )
 from vibrocast.codec.packetwise import PacketwiseEncoder
+from vibrocast.codec.rotation import MAX_DELAY, Rotation, aligned, candidates
 from vibrocast.codec.water_filling import WaterFilling
 from vibrocast.device_protocol.coded_stream import packet_sequence
 from vibrocast.device_protocol.encoding import pack_varint, unpack_varint
@@ -43,6 +44,10 @@ RATE_CONTROLLED = b"\x01"
 """Features of a stream whose packets state their quantiser offsets; it ends the configuration of `slp` and `eva`."""
 STEP_SHAPE = 4
 """Bit of the features of a stream whose steps differ over frequency."""
+ROTATION = 2
+"""Bit of the features of a stream whose channels are rotated."""
+NONE = "none"
+"""The value of the parameter `rotation` for none."""
 MAX_NOISE_FILLING = 31 / 128
 LAMBDA = 96
 """Weight of a bit against squared error, in 1/256 of a squared step; 70 to 125 differ by at most 1 % of BD-rate."""
@@ -51,6 +56,9 @@ _MAX_COEFFICIENT = 2**28
 _CHUNK_BLOCKS = 8192
 _RESOLVING_SAMPLES = 1 << 16
 _RESOLVING_STEP = 0.5
+_RESOLVING_PACKET = 1024
+_LEAST_GAIN = 0.01
+"""Part of the cost by which a rotation, and then its delays, must lower it: the gain at one step shrinks at others."""
 _NOISE_FILLING_UNIT = 128
 _SHAPE_UNITS_PER_OCTAVE = 16
 
@@ -71,6 +79,11 @@ def step_code(step: float) -> int:
     return min(max(64 * exponent + round(math.ldexp(unit_step, -exponent)) - 64, 0), STEP_CODES - 1)
 
 
+def step_of(code: int) -> float:
+    """Return the quantiser step of a code, in 1/256 of a sample's least significant bit."""
+    return math.ldexp(64 + code % 64, code // 64)
+
+
 def configuration(
     hop: int,
     packet_blocks: int,
@@ -78,12 +91,16 @@ def configuration(
     noise_filling_code: int = 0,
     rate_controlled: bool = False,
     shape: bytes = b"",
+    rotation: bytes = b"",
 ) -> bytes:
-    """Return the codec's bytes in the stream header. `shape`: as from `packed_shape`, empty = none."""
+    """Return the codec's bytes in the stream header.
+
+    `shape`: as from `packed_shape`, empty = none. `rotation`: the section of one, empty = none.
+    """
     head = pack_varint(packet_blocks << 2 | HOPS.index(hop))
     steps = b"".join((noise_filling_code << 11 | code).to_bytes(2, "little") for code in step_codes)
-    features = RATE_CONTROLLED[0] * rate_controlled | STEP_SHAPE * bool(shape)
-    return head + steps + bytes([features] if features else []) + shape
+    features = RATE_CONTROLLED[0] * rate_controlled | ROTATION * bool(rotation) | STEP_SHAPE * bool(shape)
+    return head + steps + bytes([features] if features else []) + rotation + shape
 
 
 def packed_shape(octaves: Sequence[float] | None) -> tuple[bytes, float]:
@@ -153,6 +170,7 @@ class MdctEncoder(PacketwiseEncoder):
         rate_control: RateControl | None = None,
         analysis: Callable[[int], Signal] = analysis_matrix,
         shape: Sequence[float] | None = None,
+        rotation: Rotation | None = None,
     ) -> None:
         """Make an encoder of len(steps) channels with quantiser steps relative to full scale.
 
@@ -160,8 +178,9 @@ class MdctEncoder(PacketwiseEncoder):
         `hop`: one of HOPS, None = the one of live streams. `noise_filling`: magnitude that replaces coefficients
         rounded to zero, in quantiser steps. `rate_control`: chooses the quantiser offset of each packet, in 1/16 octave
         of the steps; None = no offsets. `analysis`: returns the transform at a hop, (samples of a window, hop).
-        `shape`: octaves by which steps are coarser at `shaping.NODES`; their mean stays that of `steps`. Raises
-        CodecError for a channel count, step, packet length, hop, noise filling or tables that the codec cannot have.
+        `shape`: octaves by which steps are coarser at `shaping.NODES`; their mean stays that of `steps`. `rotation`:
+        mixes the channels, None = each is coded alone. Raises CodecError for a channel count, step, packet length, hop,
+        noise filling or tables that the codec cannot have.
         """
         self._hop = hop_samples(rate_hz) if hop is None else hop
         if self._hop not in HOPS:
@@ -169,7 +188,10 @@ class MdctEncoder(PacketwiseEncoder):
         if not all(math.isfinite(step) and step > 0 for step in steps):
             raise CodecError("a quantiser step is not positive; give positive numbers")
         self._analysis = analysis(self._hop)
-        self._history = self.delay_samples = len(self._analysis) - self._hop
+        self._rotation = rotation
+        self._history = self.delay_samples = (
+            len(self._analysis) - self._hop + (rotation.delay_samples if rotation else 0)
+        )
         self._chunk_samples = max(1, _CHUNK_BLOCKS * self._hop // max(1, len(steps)))
         super().__init__(len(steps), framing, self._hop, MAX_PACKET_BLOCKS)
         if not 0 <= noise_filling <= MAX_NOISE_FILLING:
@@ -183,7 +205,10 @@ class MdctEncoder(PacketwiseEncoder):
             round(noise_filling * _NOISE_FILLING_UNIT),
             rate_control is not None,
             packed,
+            rotation.pack() if rotation else b"",
         )
+        # Coded channels of a rotation all have the smallest step.
+        self._relative_steps = np.array([step_of(min(step_codes)) / step_of(code) for code in step_codes])
         self._rate_control = rate_control
         self._quantiser_offsets = range(
             -(max(step_codes) // STEP_CODES_OF_QUANTISER_OFFSET),
@@ -194,8 +219,10 @@ class MdctEncoder(PacketwiseEncoder):
         self._core = CoreEncoder(NAME, self.configuration, self._channels, *parameters)
 
     @property
-    def squared_errors(self) -> tuple[float, ...]:
+    def squared_errors(self) -> tuple[float, ...] | None:
         """The squared error of each channel so far; see codec.interface.MeasuringEncoder."""
+        if self._rotation is not None:
+            return None
         core, unit = library(), 256 * 32_768**2
         return tuple(core.vc_mdct_squared_error(self._core.pointer, each) / unit for each in range(self._channels))
 
@@ -218,7 +245,11 @@ class MdctEncoder(PacketwiseEncoder):
 
     def _code_packets(self, samples: Signal) -> list[bytes]:
         count = (len(samples) - self._history) // self.packet_samples
-        exact = spectra(samples, self._analysis) * UNIT
+        if self._rotation is None:
+            exact = spectra(samples, self._analysis) * UNIT
+        else:
+            rotated = spectra(aligned(samples, self._rotation.delays), self._analysis)
+            exact = self._rotation.coded(rotated * self._relative_steps[None, :, None]) * UNIT
         coefficients = np.clip(np.rint(exact), -_MAX_COEFFICIENT, _MAX_COEFFICIENT).astype(np.int32)
         return [
             self._packet_of(part, samples[index * self.packet_samples : (index + 1) * self.packet_samples])
@@ -261,26 +292,68 @@ def check_tables(tables: bytes) -> None:
     _tables_arguments(tables)
 
 
-def resolve(samples: Signal, signal_format: SignalFormat, model: Model | None) -> Setting:
-    """Choose the hop of a file; see codec.interface.Codec."""
-    return best_hop(samples, signal_format, analysis_matrix)
+def resolve(samples: Signal, signal_format: SignalFormat, model: Model | None, words: Setting) -> Setting:
+    """Choose the hop and the rotation of a file by the built-in tables; see codec.interface.Codec."""
+    return best_choice(samples, signal_format, words, analysis_matrix, MdctDecoder)
 
 
-def best_hop(samples: Signal, signal_format: SignalFormat, analysis: Callable[[int], Signal]) -> Setting:
-    """Choose the hop for a whole signal (n, channels) in its physical unit, by an estimate for its beginning.
+def best_choice(
+    samples: Signal,
+    signal_format: SignalFormat,
+    words: Setting,
+    analysis: Callable[[int], Signal],
+    decoder_of: Callable[[bytes, int], CoreDecoder],
+) -> Setting:
+    """Choose a hop and a rotation for a whole signal (n, channels) in its physical unit, where they are left open.
 
-    The best hop has the least squared error + lambda * bits, as in the encoder's search, at half the RMS value. On the
-    development recordings, an estimate chooses as well as coding with each hop does.
+    The hop has the least squared error + lambda * bits, as in the encoder's search, by an estimate at half the RMS
+    value. On the development recordings, an estimate chooses as well as coding with each hop does. Rotations that save
+    bits by estimate are coded, at a step of the RMS value.
     """
     normalised = samples[:_RESOLVING_SAMPLES] / np.array(signal_format.gains)
-    steps = _RESOLVING_STEP * np.array(signal_format.rms)
+    steps = np.array(signal_format.rms)
 
-    def cost(hop: int) -> float:
+    def estimated_cost(hop: int) -> float:
+        filling_steps = _RESOLVING_STEP * steps
         filling = water_filling(normalised, analysis(hop))
-        errors = filling.squared_errors(steps) / np.square(steps)
-        return float(np.sum(errors) + LAMBDA / 256 * filling.bits(steps))
+        errors = filling.squared_errors(filling_steps) / np.square(filling_steps)
+        return float(np.sum(errors) + LAMBDA / 256 * filling.bits(filling_steps))
 
-    return {"hop": str(min(HOPS, key=cost))}
+    def cost(hop: int, rotation: Rotation | None) -> float:
+        framing = Framing(_RESOLVING_PACKET, 0)
+        encoder = MdctEncoder(
+            list(steps), signal_format.rate_hz, framing, hop=hop, analysis=analysis, rotation=rotation
+        )
+        decoder = decoder_of(encoder.configuration, signal_format.channels)
+        packets = encoder.encode(normalised) + encoder.finish()
+        decoded = np.concatenate([decoder.decode(packet) for packet in packets])[decoder.delay_samples :]
+        error = np.sum(np.square((normalised - decoded[: len(normalised)] / 32768) / steps))
+        side_bytes = 1 + len(rotation.pack()) if rotation else 0
+        return float(error + LAMBDA / 256 * 8 * (sum(map(len, packets)) + side_bytes))
+
+    hop, rotation = word(words, "hop"), word(words, "rotation")
+    given = _rotation(rotation, signal_format.channels)
+    mixable = rotation == AUTO and signal_format.channels > 1
+    if hop == AUTO:
+        hop = str(min(HOPS, key=estimated_cost))
+    transform = analysis(int(hop))
+    if mixable and len(normalised) >= len(transform) + MAX_DELAY:
+        least = cost(int(hop), None)
+        for trial in candidates(normalised / steps, int(hop), lambda part: spectra(part, transform)):
+            if (reached := cost(int(hop), trial)) < (1 - _LEAST_GAIN) * least:
+                least, given = reached, trial
+    return {"hop": hop, "rotation": given.pack().hex() if given else NONE}
+
+
+def _rotation(text: str, channels: int) -> Rotation | None:
+    """Return the rotation of a setting. Raises CodecError for text that is none."""
+    if text in (AUTO, NONE):
+        return None
+    try:
+        section = bytes.fromhex(text)
+    except ValueError as error:
+        raise CodecError(f"rotation is {text!r}; give {AUTO}, {NONE}, or the section of one in hexadecimal") from error
+    return Rotation.unpack(section, channels)
 
 
 def water_filling(normalised: Signal, analysis: Signal) -> WaterFilling:
@@ -320,7 +393,8 @@ def make_encoder(
     ]
     live_hop = hop_samples(signal_format.rate_hz)
     hop = live_hop if word(setting, "hop") == AUTO else int(word(setting, "hop"))
-    delay_samples = len(analysis(hop)) - hop
+    rotation = _rotation(word(setting, "rotation"), signal_format.channels)
+    delay_samples = len(analysis(hop)) - hop + (rotation.delay_samples if rotation else 0)
     if framing.refresh_packets == 0:
         # A file's framing has room for one block of a live stream after the end; this hop needs another.
         framing = Framing(max(1, framing.packet_samples + delay_samples - live_hop), 0)
@@ -335,6 +409,7 @@ def make_encoder(
         rate_control,
         analysis,
         shaping.parsed_shape(word(setting, "shape")),
+        rotation,
     )
 
 
@@ -412,6 +487,11 @@ CODEC = Codec(
             "samples from block to block; auto = by rate for live streams, by signal for files",
             AUTO,
             choices=(AUTO, *map(str, HOPS)),
+        ),
+        "rotation": Parameter(
+            "mixes the channels: auto = by signal for files, none for live streams; or a section in hexadecimal",
+            AUTO,
+            text=True,
         ),
         "noise_filling": Parameter(
             "noise in place of zeros, in quantiser steps; 0 = none", 1 / 32, low=0, high=MAX_NOISE_FILLING

@@ -301,6 +301,8 @@ class Source:
         self.purpose = purpose
         self._shape = {} if purpose is None else shape_setting(self.codec, purpose, samples, rate_hz, unit)
         self._trials = 0
+        self._whole = self
+        self._choices: dict[tuple[tuple[str, str], ...], Setting] = {}
 
     def encode(self, setting: Setting) -> CodedSignal:
         """Code with a setting; shorten packets that grow too long. Raises CodecError as `codec.encode`."""
@@ -324,9 +326,8 @@ class Source:
         pieces = samples // _EXCERPT_PIECE
         if len(self.samples) < _EXCERPT * samples or pieces < 1:
             return None
-        self.resolved({})  # the codec's choices are those for the whole signal
         starts = np.linspace(0, len(self.samples) - _EXCERPT_PIECE, pieces).astype(int)
-        excerpt = copy.copy(self)
+        excerpt = copy.copy(self)  # its `_whole` makes the codec's choices
         excerpt.samples = np.concatenate([self.samples[start : start + _EXCERPT_PIECE] for start in starts])
         excerpt.format = replace(self.format, samples=None if self._live else len(excerpt.samples))
         excerpt._progress = lambda part: None
@@ -361,7 +362,9 @@ class Source:
         setting = self.codec.complete({**self._shape, **setting})
         if self._live or self.codec.resolve is None or AUTO not in setting.values():
             return setting
-        return {name: self._choice[name] if value == AUTO else value for name, value in setting.items()}
+        words = tuple(sorted((name, value) for name, value in setting.items() if isinstance(value, str)))
+        choice = self._whole._choice(words)
+        return {name: choice[name] if value == AUTO else value for name, value in setting.items()}
 
     def estimate(self) -> Estimate | None:
         """Return an estimate of coding with default parameters, by the step; None where the codec has none."""
@@ -369,18 +372,19 @@ class Source:
             return None
         return self.codec.estimate(self.samples, self.format, self.resolved({}), self.model)
 
-    @cached_property
-    def _choice(self) -> Setting:
-        """The codec's choices for this signal: the same at every setting, so that a search meets no jump."""
+    def _choice(self, words: tuple[tuple[str, str], ...]) -> Setting:
+        """Return the codec's choices for this signal: the same at every number, so that a search meets no jump."""
         assert self.codec.resolve is not None, f"{self.codec.name} has parameters that may be {AUTO}"
-        return self.codec.resolve(self.samples, self.format, self.model)
+        if words not in self._choices:
+            self._choices[words] = self.codec.resolve(self.samples, self.format, self.model, dict(words))
+        return self._choices[words]
 
     def _coded(self, encoder: Encoder, packets: list[bytes]) -> CodedSignal:
         errors = None
-        if isinstance(encoder, MeasuringEncoder):
+        if isinstance(encoder, MeasuringEncoder) and (measured := encoder.squared_errors) is not None:
             samples = len(self.samples)
             within = samples / (samples + encoder.delay_samples)  # the first and the last window reach beyond the ends
-            errors = tuple(within * error + samples * _ROUNDING_ERROR for error in encoder.squared_errors)
+            errors = tuple(within * error + samples * _ROUNDING_ERROR for error in measured)
         return CodedSignal(
             self.codec.name,
             self.format.rate_hz,

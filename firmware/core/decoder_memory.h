@@ -9,6 +9,7 @@
 #include "eva_latents.h"
 #include "eva_synthesis.h"
 #include "lapped.h"
+#include "mdct_rotation.h"
 #include "parametric_frame.h"
 #include "slp_frame.h"
 
@@ -30,9 +31,13 @@ struct vc_mdct_decoder {
     int in_sequence; /* packets since the last refresh all came */
     uint32_t random; /* state of the generator that gives signs to fill and concealment */
     vc_mdct_channel channels[VC_MAX_CHANNELS];
-    /* Of the packet that is being decoded: its next block and channel, and where to read it, unless it is concealed. */
+    vc_rotation rotation;       /* only where the configuration has one */
+    int32_t mixed[VC_MAX_BINS]; /* spectrum of an output channel of the rotation */
+    /* Of the packet that is being decoded: its next block and channel, whether all spectra of the block are there and
+     * the rotation's output comes next, and where to read it, unless it is concealed. */
     uint32_t block;
     unsigned channel;
+    int synthesising;
     int concealing;
     vc_range_coder coder;
 };

@@ -43,14 +43,13 @@ uint32_t vc_lapped_decoder_packet_samples(const vc_lapped_decoder *decoder)
 
 uint32_t vc_lapped_decoder_delay_samples(const vc_lapped_decoder *decoder)
 {
-    return DELAY_HOPS * decoder->spectra.configuration.hop;
+    return DELAY_HOPS * decoder->spectra.configuration.hop + decoder->spectra.configuration.longest_delay;
 }
 
-static void synthesise(vc_mdct_decoder *spectra, unsigned channel, int16_t *samples)
+static void synthesise(vc_mdct_decoder *spectra, unsigned channel, const int32_t *spectrum, int16_t *samples)
 {
     vc_lapped_decoder *decoder = (vc_lapped_decoder *)spectra;
-    vc_mdct_channel *state = &spectra->channels[channel];
-    vc_lapped_synthesise(decoder->window, state->spectrum, state->overlap, decoder->later[channel],
+    vc_lapped_synthesise(decoder->window, spectrum, spectra->channels[channel].overlap, decoder->later[channel],
                          spectra->configuration.hop, samples, spectra->configuration.channels);
 }
 
@@ -83,9 +82,9 @@ static int check(vc_coding *coding)
         status = vc_configuration_read(&read, coding->configuration, coding->configuration_length, coding->channels);
     if (status == VC_OK) {
         coding->packet_samples = read.packet_blocks * read.hop;
-        coding->delay_samples = DELAY_HOPS * read.hop;
+        coding->delay_samples = DELAY_HOPS * read.hop + read.longest_delay;
         coding->cycles_per_sample =
-            coding->channels * vc_spectra_cycles(coding->tables + WINDOWS_BYTES, coding->tables_length - WINDOWS_BYTES);
+            vc_spectra_cycles(&read, coding->tables + WINDOWS_BYTES, coding->tables_length - WINDOWS_BYTES);
     }
     return status;
 }

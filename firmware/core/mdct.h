@@ -8,9 +8,7 @@
 #define VC_MAX_PACKET_BLOCKS 4095
 #define VC_STEP_CODES (21 * 64)
 #define VC_STEP_CODE_BITS 11 /* of the 16 in the configuration; above them, the fill */
-/* Sections that may follow the steps in a configuration, by their bits in its features byte. */
-#define VC_RATE_CONTROLLED 1u
-#define VC_STEP_SHAPE 4u
+/* The section of a step shape. */
 #define VC_SHAPE_NODES 7      /* at 0, 1/32, 1/16 ... 1/2 and 1 of half the rate */
 #define VC_SHAPE_BYTES 4      /* 4 bits for the unit, and for each node */
 #define VC_SHAPE_UNIT_CODES 4 /* step codes in one unit of the unit */
@@ -29,7 +27,10 @@
 typedef struct {
     uint32_t hop, packet_blocks;
     unsigned channels;
-    int rate_controlled; /* packets carry their quantiser offset */
+    int rate_controlled;    /* packets carry their quantiser offset */
+    size_t rotation;        /* where the section of a rotation begins (mdct_rotation.h); 0 = there is none */
+    uint32_t longest_delay; /* of a channel, in samples, by the rotation */
+    unsigned finest;        /* the channel of the smallest step, which all coded channels have with a rotation */
     uint16_t step_code[VC_MAX_CHANNELS];
     uint8_t fill[VC_MAX_CHANNELS];  /* magnitude that replaces a level of 0, in 1/128 step */
     uint16_t shape[VC_SHAPE_NODES]; /* step codes by which steps are coarser at the nodes */
@@ -94,12 +95,13 @@ static inline int32_t vc_shape_at(const vc_mdct_configuration *configuration, ui
     return (int32_t)((low * ((1u << width_bits) - above) + high * above) >> width_bits);
 }
 
-/* The step of bin k of a channel, in 1/256 of a sample's least significant bit, in a packet of this quantiser offset,
- * in 1/4 octave; within the steps that there are. */
+/* The step of bin k of a coded channel, in 1/256 of a sample's least significant bit, in a packet of this quantiser
+ * offset, in 1/4 octave; within the steps that there are. */
 static inline int32_t vc_bin_step(const vc_mdct_configuration *configuration, unsigned channel,
                                   int32_t quantiser_offset, uint32_t k)
 {
-    const int32_t code = configuration->step_code[channel] + 16 * quantiser_offset + vc_shape_at(configuration, k);
+    const unsigned source = configuration->rotation ? configuration->finest : channel;
+    const int32_t code = configuration->step_code[source] + 16 * quantiser_offset + vc_shape_at(configuration, k);
     return vc_step_of(code < 0 ? 0 : code < VC_STEP_CODES ? (uint32_t)code : VC_STEP_CODES - 1);
 }
 

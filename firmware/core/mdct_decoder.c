@@ -7,6 +7,15 @@
 /* For a sample of a channel, the longest hop and a tenth more; docs/benchmarks/worst_case.md. */
 #define CYCLES 4300u
 #define NETWORK_CYCLES 15800u
+/* More with a rotation: for a sample of a channel, and for each channel that is mixed into it. */
+#define ROTATION_CYCLES 100u
+#define MIXING_CYCLES 11u
+
+/* The byte behind the steps says what else packets and configuration hold. */
+#define FEATURE_RATE_CONTROLLED 1u
+#define FEATURE_ROTATION 2u
+#define FEATURE_STEP_SHAPE 4u
+#define FEATURES (FEATURE_RATE_CONTROLLED | FEATURE_ROTATION | FEATURE_STEP_SHAPE)
 
 size_t vc_mdct_decoder_size(void)
 {
@@ -24,23 +33,30 @@ static int read_shape(vc_mdct_configuration *configuration, const uint8_t *bytes
     return unit != 0;
 }
 
-/* Reads what follows the steps, from `used` on: nothing, or a features byte and its sections. Returns 0 where it is
- * malformed. */
+/* Reads the features byte and the sections that it announces, from `used` bytes on. Returns whether they are valid. */
 static int read_features(vc_mdct_configuration *configuration, const uint8_t *bytes, size_t length, size_t used)
 {
-    uint32_t features;
-    if (length <= used)
-        return length == used;
+    unsigned features;
+    if (used == length)
+        return 1;
     features = bytes[used++];
-    if (features == 0 || (features & ~(VC_RATE_CONTROLLED | VC_STEP_SHAPE)) != 0)
+    if (features == 0 || (features & ~FEATURES))
         return 0;
-    configuration->rate_controlled = (features & VC_RATE_CONTROLLED) != 0;
-    if (features & VC_STEP_SHAPE) {
+    configuration->rate_controlled = (features & FEATURE_RATE_CONTROLLED) != 0;
+    if (features & FEATURE_ROTATION) {
+        const size_t taken =
+            vc_rotation_check(bytes + used, length - used, configuration->channels, &configuration->longest_delay);
+        if (taken == 0)
+            return 0;
+        configuration->rotation = used;
+        used += taken;
+    }
+    if (features & FEATURE_STEP_SHAPE) {
         if (length < used + VC_SHAPE_BYTES || !read_shape(configuration, bytes + used))
             return 0;
         used += VC_SHAPE_BYTES;
     }
-    return length == used;
+    return used == length;
 }
 
 int vc_configuration_read(vc_mdct_configuration *configuration, const uint8_t *bytes, size_t length, unsigned channels)
@@ -62,7 +78,7 @@ int vc_configuration_read(vc_mdct_configuration *configuration, const uint8_t *b
     if (head >> 2 < 1 || head >> 2 > VC_MAX_PACKET_BLOCKS)
         return VC_BAD_CONFIGURATION;
     memset(&read, 0, sizeof read);
-    if (!read_features(&read, bytes, length, used + 2 * channels))
+    if (length < used + 2 * channels)
         return VC_BAD_CONFIGURATION;
     read.hop = 16u << (head & 3u);
     read.packet_blocks = head >> 2;
@@ -74,7 +90,11 @@ int vc_configuration_read(vc_mdct_configuration *configuration, const uint8_t *b
         if (code >= VC_STEP_CODES)
             return VC_BAD_CONFIGURATION;
         read.step_code[channel] = (uint16_t)code;
+        if (code < read.step_code[read.finest])
+            read.finest = channel;
     }
+    if (!read_features(&read, bytes, length, used + 2 * channels))
+        return VC_BAD_CONFIGURATION;
     *configuration = read;
     return VC_OK;
 }
@@ -89,7 +109,10 @@ int vc_mdct_decoder_init(vc_mdct_decoder *decoder, const uint8_t *configuration,
     if (status != VC_OK)
         return status;
     decoder->model.network = vc_model_network(tables, tables_length);
-    return vc_configuration_read(&decoder->configuration, configuration, configuration_length, channels);
+    status = vc_configuration_read(&decoder->configuration, configuration, configuration_length, channels);
+    if (status == VC_OK && decoder->configuration.rotation)
+        vc_rotation_init(&decoder->rotation, &decoder->configuration, configuration + decoder->configuration.rotation);
+    return status;
 }
 
 uint32_t vc_mdct_decoder_packet_samples(const vc_mdct_decoder *decoder)
@@ -99,12 +122,14 @@ uint32_t vc_mdct_decoder_packet_samples(const vc_mdct_decoder *decoder)
 
 uint32_t vc_mdct_decoder_delay_samples(const vc_mdct_decoder *decoder)
 {
-    return decoder->configuration.hop;
+    return decoder->configuration.hop + decoder->configuration.longest_delay;
 }
 
-uint32_t vc_spectra_cycles(const uint8_t *tables, size_t length)
+uint32_t vc_spectra_cycles(const vc_mdct_configuration *configuration, const uint8_t *tables, size_t length)
 {
-    return vc_model_network(tables, length) == NULL ? CYCLES : NETWORK_CYCLES;
+    const uint32_t channels = configuration->channels;
+    const uint32_t rotation = configuration->rotation ? ROTATION_CYCLES + MIXING_CYCLES * channels : 0;
+    return channels * ((vc_model_network(tables, length) == NULL ? CYCLES : NETWORK_CYCLES) + rotation);
 }
 
 static void decode_block(vc_mdct_decoder *decoder, vc_range_coder *coder, unsigned number)
@@ -132,6 +157,7 @@ int vc_spectra_feed(vc_mdct_decoder *decoder, const uint8_t *packet, size_t leng
     if (packet != NULL && head == 0)
         return VC_BAD_PACKET;
     decoder->block = decoder->channel = 0;
+    decoder->synthesising = 0;
     decoder->concealing = packet == NULL || (!refresh && (!decoder->in_sequence || sequence != decoder->next_sequence));
     decoder->in_sequence = !decoder->concealing;
     if (decoder->concealing)
@@ -167,21 +193,35 @@ uint32_t vc_spectra_poll(vc_mdct_decoder *decoder, vc_synthesis synthesise, int1
 {
     const unsigned channels = decoder->configuration.channels, channel = decoder->channel;
     const uint32_t hop = decoder->configuration.hop;
-    if (decoder->concealing)
-        conceal_block(decoder, channel);
-    else
-        decode_block(decoder, &decoder->coder, channel);
-    synthesise(decoder, channel, samples + (size_t)decoder->block * hop * channels + channel);
+    const int rotated = decoder->configuration.rotation != 0;
+    int16_t *to = samples + (size_t)decoder->block * hop * channels + channel;
+    if (!decoder->synthesising) {
+        if (decoder->concealing)
+            conceal_block(decoder, channel);
+        else
+            decode_block(decoder, &decoder->coder, channel);
+    }
+    if (!rotated) {
+        synthesise(decoder, channel, decoder->channels[channel].spectrum, to);
+    } else if (decoder->synthesising) {
+        vc_rotate(&decoder->rotation, decoder->channels[0].spectrum, sizeof *decoder->channels / sizeof(int32_t),
+                  channels, hop, channel, decoder->mixed);
+        synthesise(decoder, channel, decoder->mixed, to);
+        vc_delay(&decoder->rotation, channel, to, hop, channels);
+    }
     decoder->channel = (channel + 1) % channels;
-    if (decoder->channel == 0)
-        decoder->block++;
+    if (decoder->channel == 0) {
+        /* A rotation needs the spectra of all channels first. */
+        decoder->synthesising = rotated && !decoder->synthesising;
+        if (!decoder->synthesising)
+            decoder->block++;
+    }
     return decoder->block * hop;
 }
 
-static void synthesise(vc_mdct_decoder *decoder, unsigned channel, int16_t *samples)
+static void synthesise(vc_mdct_decoder *decoder, unsigned channel, const int32_t *spectrum, int16_t *samples)
 {
-    vc_mdct_channel *state = &decoder->channels[channel];
-    vc_mdct_synthesise(state->spectrum, state->overlap, decoder->configuration.hop, samples,
+    vc_mdct_synthesise(spectrum, decoder->channels[channel].overlap, decoder->configuration.hop, samples,
                        decoder->configuration.channels);
 }
 
@@ -213,8 +253,8 @@ static int check(vc_coding *coding)
         vc_configuration_read(&read, coding->configuration, coding->configuration_length, coding->channels);
     if (status == VC_OK) {
         coding->packet_samples = read.packet_blocks * read.hop;
-        coding->delay_samples = read.hop;
-        coding->cycles_per_sample = coding->channels * vc_spectra_cycles(coding->tables, coding->tables_length);
+        coding->delay_samples = read.hop + read.longest_delay;
+        coding->cycles_per_sample = vc_spectra_cycles(&read, coding->tables, coding->tables_length);
     }
     return status;
 }

@@ -4,14 +4,14 @@
 
 #include "decoder_memory.h"
 
-/* Turns a channel's spectrum into its next hop samples, as many values apart as the stream has channels. */
-typedef void (*vc_synthesis)(vc_mdct_decoder *decoder, unsigned channel, int16_t *samples);
+/* Turns a spectrum of a channel into its next hop samples, as many values apart as the stream has channels. */
+typedef void (*vc_synthesis)(vc_mdct_decoder *decoder, unsigned channel, const int32_t *spectrum, int16_t *samples);
 
 /* As vc_mdct_feed and vc_mdct_poll. */
 int vc_spectra_feed(vc_mdct_decoder *decoder, const uint8_t *packet, size_t length);
 uint32_t vc_spectra_poll(vc_mdct_decoder *decoder, vc_synthesis synthesise, int16_t *samples);
 
-/* Cycles for a sample of a channel, as vc_coding has them, with these tables. */
-uint32_t vc_spectra_cycles(const uint8_t *tables, size_t length);
+/* Cycles for a sample of all channels, as vc_coding has them, with these tables. */
+uint32_t vc_spectra_cycles(const vc_mdct_configuration *configuration, const uint8_t *tables, size_t length);
 
 #endif

@@ -239,6 +239,56 @@ def read_varint(packet: bytes) -> int:
     return sum((byte & 0x7F) << 7 * i for i, byte in enumerate(packet[: position + 1]))
 
 
+class Rotation:
+    """Section "`mdct`: rotation", in floating point."""
+
+    def __init__(self, section: bytes, codes: list[int], hop: int) -> None:
+        channels = len(codes)
+        bits = iter("".join(f"{byte:08b}" for byte in section))
+
+        def take(count: int) -> int:
+            return int("".join(next(bits) for _ in range(count)), 2)
+
+        def matrix() -> NDArray[np.float64]:
+            product = np.eye(channels)
+            for p in range(channels):
+                for q in range(p + 1, channels):
+                    angle = math.pi * take(6) / 64
+                    c, s = math.cos(angle), math.sin(angle)
+                    product[:, p], product[:, q] = (
+                        product[:, p] * c - product[:, q] * s,
+                        product[:, p] * s + product[:, q] * c,
+                    )
+            return product
+
+        delays = [take(6) for _ in range(channels)]
+        states = [take(2) for _ in range(4)]
+        common = matrix() if 1 in states else np.eye(channels)
+        steps = np.array([(64 + code % 64) * 2.0 ** (code // 64) for code in codes])
+        self.matrices = [
+            (common if state == 1 else matrix() if state == 2 else np.eye(channels)) * (steps / steps.min())[:, None]
+            for state in states
+        ]
+        self.ends = [hop // 16, 3 * hop // 16, 7 * hop // 16, hop]
+        self.lines = [np.zeros(delay) for delay in delays]
+
+    def mixed(self, spectrum: NDArray[np.float64]) -> NDArray[np.float64]:
+        output = np.empty_like(spectrum)
+        start = 0
+        for matrix, end in zip(self.matrices, self.ends, strict=True):
+            output[:, start:end] = matrix @ spectrum[:, start:end]
+            start = end
+        return output
+
+    def delayed(self, samples: NDArray[np.float64]) -> NDArray[np.float64]:
+        output = np.empty_like(samples)
+        for channel, line in enumerate(self.lines):
+            joined = np.concatenate([line, samples[:, channel]])
+            output[:, channel] = joined[: len(samples)]
+            self.lines[channel] = joined[len(samples) :]
+        return output
+
+
 class ReferenceDecoder:
     """Decodes packets to signed levels (blocks, channels, hop) and to samples by the exact transform."""
 
@@ -250,9 +300,11 @@ class ReferenceDecoder:
         fields = np.frombuffer(configuration, "<u2", channels, position)
         self.codes = [int(code) % 2048 for code in fields]
         self.fills = [int(code) // 2048 for code in fields]
-        features = configuration[position + 2 * channels :]
-        self.rate_controlled = bool(features and features[0] & 1)
-        self.shape = self.coarser(features[1:5]) if features and features[0] & 4 else [0] * self.hop
+        features, *sections = configuration[position + 2 * channels :] or b"\0"
+        self.rate_controlled = bool(features & 1)
+        self.shape = self.coarser(bytes(sections[-4:])) if features & 4 else [0] * self.hop
+        section = bytes(sections[:-4] if features & 4 else sections)
+        self.rotation = Rotation(section, self.codes, self.hop) if features & 2 else None
         self.tables = tables
         self.channels = [Channel(self.hop) for _ in range(channels)]
         window = self.window()
@@ -298,7 +350,8 @@ class ReferenceDecoder:
 
     def steps(self) -> NDArray[np.float64]:
         """Steps of the last packet, (channels, hop)."""
-        moved = [[code + 16 * self.quantiser_offset.value + more for more in self.shape] for code in self.codes]
+        base = [min(self.codes)] * len(self.codes) if self.rotation else self.codes
+        moved = [[code + 16 * self.quantiser_offset.value + more for more in self.shape] for code in base]
         codes = np.clip(np.array(moved), 0, 1343)
         return np.array((64 + codes % 64) * 2.0 ** (codes // 64) / 256)
 
@@ -323,11 +376,12 @@ class ReferenceDecoder:
         self.fill(levels, spectra, steps, read_varint(packet) >> 1)
         signal = np.zeros((self.blocks, self.hop, len(self.channels)))
         for block, spectrum in zip(signal, spectra, strict=True):
-            added = spectrum @ self.synthesis
+            added = (self.rotation.mixed(spectrum) if self.rotation else spectrum) @ self.synthesis
             added[:, : -self.hop] += self.overlap
             block[:] = added[:, : self.hop].T
             self.overlap = added[:, self.hop :]
-        return signal.reshape(-1, len(self.channels))
+        samples = signal.reshape(-1, len(self.channels))
+        return self.rotation.delayed(samples) if self.rotation else samples
 
 
 class LappedReferenceDecoder(ReferenceDecoder):

@@ -14,6 +14,7 @@ from tests.codec.signals import RATE_HZ, texture
 from vibrocast import models
 from vibrocast.codec import Choice, Framing, Setting, dct, encode, eva, lapped, mdct, slp
 from vibrocast.codec.eva_image import PRIOR_KINDS, PriorKind
+from vibrocast.codec.rotation import COMMON, OWN, Rotation
 from vibrocast.firmware.native_core import ffi, library
 from vibrocast.output.actuator import LRA, PIEZO_STACK, VOICE_COIL
 from vibrocast.output.actuator_constants import constants
@@ -53,11 +54,15 @@ def run(program: Path, records: bytes, codec_name: str = "mdct") -> subprocess.C
 def test_streams_with_losses_damage_and_noise(program: Path) -> None:
     generator = np.random.default_rng(1)
     network = models.find("mdct-network").tables
-    for channels, tables, hop, rate_control in (
-        (1, b"", 32, None),
-        (3, network, 16, lambda trial: Choice(int(generator.choice(trial.quantiser_offsets)))),
-        (16, b"", 128, lambda trial: Choice(int(generator.integers(-30, 30)))),
-        (1, generator.bytes(len(network)), 128, None),
+    apart = Rotation((0, 63, 7), (COMMON, OWN, 0, COMMON), (5, 20, 33), ((7, 8, 9),))
+    together = Rotation(tuple(range(16)), (OWN, 0, 0, 0), (), (tuple(generator.integers(0, 64, 120).tolist()),))
+    for channels, tables, hop, rate_control, rotation in (
+        (1, b"", 32, None, None),
+        (3, network, 16, lambda trial: Choice(int(generator.choice(trial.quantiser_offsets))), None),
+        (16, b"", 128, lambda trial: Choice(int(generator.integers(-30, 30))), None),
+        (1, generator.bytes(len(network)), 128, None, None),
+        (3, b"", 64, lambda trial: Choice(int(generator.integers(-30, 30))), apart),
+        (16, b"", 16, None, together),
     ):
         encoder = mdct.MdctEncoder(
             [0.02] * channels,
@@ -67,6 +72,7 @@ def test_streams_with_losses_damage_and_noise(program: Path) -> None:
             hop=hop,
             noise_filling=0.1,
             rate_control=rate_control,
+            rotation=rotation,
         )
         packets = encoder.encode(texture(3000, channels))
         records = record(0, tables) + record(channels, encoder.configuration)
@@ -81,11 +87,13 @@ def test_streams_with_losses_damage_and_noise(program: Path) -> None:
 
 
 def test_extreme_steps_and_levels(program: Path) -> None:
-    for code, rate_controlled, shape in itertools.product((0, mdct.STEP_CODES - 1), (False, True), (b"", b"\xff" * 4)):
+    section = Rotation((0, 63), (COMMON, OWN, COMMON, COMMON), (48,), ((16,),)).pack()
+    greatest = mdct.STEP_CODES - 1
+    for codes, rate_controlled, rotation, shape in itertools.product(
+        ([0, 0], [greatest, greatest], [0, greatest]), (False, True), (b"", section), (b"", b"\xff" * 4)
+    ):
         for hop in mdct.HOPS:
-            configuration = mdct.configuration(
-                hop, 2, [code] * 2, noise_filling_code=31, rate_controlled=rate_controlled, shape=shape
-            )
+            configuration = mdct.configuration(hop, 2, codes, 31, rate_controlled, shape, rotation)
             records = record(0, b"") + record(2, configuration)
             records += b"".join(record(0, b"\x01" + bytes([byte]) * 150) for byte in range(256))
             done = run(program, records)

@@ -14,6 +14,7 @@ from tests.firmware.fuzzing import CODECS, CORPUS, TARGETS
 from vibrocast import codec, models
 from vibrocast.codec import Choice, Framing, Model, Setting, SignalFormat, eva, lapped, mdct
 from vibrocast.codec.eva_image import PRIOR_KINDS
+from vibrocast.codec.rotation import COMMON, OWN, Rotation
 from vibrocast.device_protocol import messages
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT, STREAM_UNITS, StreamHeader, unpack_file
 from vibrocast.device_protocol.encoding import pack_varint
@@ -52,6 +53,7 @@ IMAGE = ModelImage(4, "oak", "1.0", "board", random_image(1, 2, 2).pack()).pack(
 SETTINGS: tuple[tuple[str, Setting], ...] = (
     ("mdct", {"step": 0.05}),
     ("mdct", {"step": 0.05, "noise_filling": 0.1, "hop": "16"}),
+    ("mdct", {"step": 0.05, "rotation": Rotation((0, 5), (COMMON, OWN, 0, 0), (16,), ((9,),)).pack().hex()}),
     ("dct", {"levels": 14, "entropy": "huffman", "block": "64"}),
     ("dct", {"levels": 100, "entropy": "range", "quantiser": "log", "block": "64"}),
     ("slp", {"quality": 20}),
