@@ -27,6 +27,8 @@ _STEPS_PER_OCTAVE = 64
 _DB_PER_OCTAVE = 20 * math.log10(2)
 _RD_WEIGHTS = (1.0, 0.9, 0.8, 0.65, 0.5, 0.3, 0.0)
 _BALANCING_TRIALS = 20
+_COMMON_TRIALS = 3
+"""The first of them, which keep one step for channels that lie close together."""
 _STEP_BACK = 0.9
 _NEIGHBOURS = 3
 """Settings tested on each side of the place where the excess changes its sign, because quality may fall on the way up.
@@ -202,8 +204,14 @@ def _balance(
     for trial in range(_BALANCING_TRIALS if len(least) > 1 else 0):
         if _imbalance(least) <= (False, SNR_TOLERANCE_DB / 2):
             break
+        middle = (max(excesses) + min(excesses)) / 2
+        together = max(excesses) - min(excesses) <= 2 * SNR_TOLERANCE_DB and trial < _COMMON_TRIALS
+        if trial == _COMMON_TRIALS and _imbalance(least) <= (False, SNR_TOLERANCE_DB):
+            break
         for channel, excess in zip(balanced, excesses, strict=True):
-            if trial < _BALANCING_TRIALS // 2:
+            if together:  # with steps of their own, channels that are mixed would move each other away
+                channel.step *= 2 ** (middle / _DB_PER_OCTAVE)
+            elif trial < _BALANCING_TRIALS // 2:
                 channel.move(excess)
             elif excess < -SNR_TOLERANCE_DB:  # at the edge of a jump: leave it
                 channel.step *= _STEP_BACK
