@@ -28,7 +28,7 @@ _DB_PER_OCTAVE = 20 * math.log10(2)
 _RD_WEIGHTS = (1.0, 0.9, 0.8, 0.65, 0.5, 0.3, 0.0)
 _BALANCING_TRIALS = 20
 _COMMON_TRIALS = 3
-"""The first of them, which keep one step for channels that lie close together."""
+"""Trials of one step for all channels, where steps of their own fail."""
 _STEP_BACK = 0.9
 _NEIGHBOURS = 3
 """Settings tested on each side of the place where the excess changes its sign, because quality may fall on the way up.
@@ -204,18 +204,20 @@ def _balance(
     for trial in range(_BALANCING_TRIALS if len(least) > 1 else 0):
         if _imbalance(least) <= (False, SNR_TOLERANCE_DB / 2):
             break
-        middle = (max(excesses) + min(excesses)) / 2
-        together = max(excesses) - min(excesses) <= 2 * SNR_TOLERANCE_DB and trial < _COMMON_TRIALS
-        if trial == _COMMON_TRIALS and _imbalance(least) <= (False, SNR_TOLERANCE_DB):
-            break
         for channel, excess in zip(balanced, excesses, strict=True):
-            if together:  # with steps of their own, channels that are mixed would move each other away
-                channel.step *= 2 ** (middle / _DB_PER_OCTAVE)
-            elif trial < _BALANCING_TRIALS // 2:
+            if trial < _BALANCING_TRIALS // 2:
                 channel.move(excess)
             elif excess < -SNR_TOLERANCE_DB:  # at the edge of a jump: leave it
                 channel.step *= _STEP_BACK
         coded = source.encode(_setting(source, tuple(channel.step for channel in balanced), found.rd_weight))
+        excesses = excesses_db(coded)
+        if _imbalance(excesses) < _imbalance(least):
+            best, least = coded, excesses
+    # With steps of their own, channels that the codec mixes move each other away; one step may bring all near.
+    step, excesses = found.step, excesses_db(found.coded)
+    for _ in range(_COMMON_TRIALS if _imbalance(least) > (False, SNR_TOLERANCE_DB) else 0):
+        step *= 2 ** ((max(excesses) + min(excesses)) / 2 / _DB_PER_OCTAVE)
+        coded = source.encode(_setting(source, step, found.rd_weight))
         excesses = excesses_db(coded)
         if _imbalance(excesses) < _imbalance(least):
             best, least = coded, excesses
