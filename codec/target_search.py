@@ -215,7 +215,7 @@ def _balance(
             best, least = coded, excesses
     # With steps of their own, channels that the codec mixes move each other away; one step may bring all near.
     step, excesses = found.step, excesses_db(found.coded)
-    for _ in range(_COMMON_TRIALS if _imbalance(least) > (False, SNR_TOLERANCE_DB) else 0):
+    for _ in range(_COMMON_TRIALS if len(least) > 1 and _imbalance(least) > (False, SNR_TOLERANCE_DB) else 0):
         step *= 2 ** ((max(excesses) + min(excesses)) / 2 / _DB_PER_OCTAVE)
         coded = source.encode(_setting(source, step, found.rd_weight))
         excesses = excesses_db(coded)
