@@ -15,9 +15,10 @@ int vc_stream_header_read(vc_stream_header *header, const uint8_t *data, size_t 
     memset(header, 0, sizeof *header);
     magic = (unsigned)vc_take_number(&fields, 1);
     if (fields.cut || magic != VC_STREAM_MAGIC)
-        return vc_reject_numbers(rejection, VC_BAD_VALUE,
-                                 "no stream header of format #, which this controller reads: encode the recording again",
-                                 VC_STREAM_FORMAT, 0);
+        return vc_reject_numbers(
+            rejection, VC_BAD_VALUE,
+            "no stream header of format #, which this controller reads: encode the recording again", VC_STREAM_FORMAT,
+            0);
     codec_and_length = (unsigned)vc_take_number(&fields, 1);
     header->codec = codec_and_length >> 4;
     length_of_configuration = codec_and_length & 0x0Fu;
