@@ -112,9 +112,13 @@ def test_angles_come_near_any_orthogonal_matrix(channels: int, seed: int) -> Non
     assert likeness.min() > 1 - 0.01 * channels
 
 
-@given(rotations(), st.sampled_from(mdct.HOPS), st.booleans())
+@given(
+    rotations(), st.sampled_from(mdct.HOPS), st.booleans(), st.sampled_from([None, (0, 1.5, 1.2, 1.2, 2.9, 5.2, 5.2)])
+)
 @settings(max_examples=25, deadline=None)
-def test_core_agrees_with_the_documented_decoder(rotation: Rotation, hop: int, rate_controlled: bool) -> None:
+def test_core_agrees_with_the_documented_decoder(
+    rotation: Rotation, hop: int, rate_controlled: bool, shape: tuple[float, ...] | None
+) -> None:
     channels = rotation.channels
     offsets = itertools.cycle([0, -8, 20, 4])
     encoder = mdct.MdctEncoder(
@@ -123,6 +127,7 @@ def test_core_agrees_with_the_documented_decoder(rotation: Rotation, hop: int, r
         Framing(2 * hop, 3),
         hop=hop,
         rotation=rotation,
+        shape=shape,
         noise_filling=1 / 8,
         rate_control=(lambda trial: Choice(next(offsets))) if rate_controlled else None,
     )
