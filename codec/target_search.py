@@ -27,8 +27,6 @@ _STEPS_PER_OCTAVE = 64
 _DB_PER_OCTAVE = 20 * math.log10(2)
 _RD_WEIGHTS = (1.0, 0.9, 0.8, 0.65, 0.5, 0.3, 0.0)
 _BALANCING_TRIALS = 20
-_COMMON_TRIALS = 3
-"""Trials of one step for all channels, where steps of their own fail."""
 _STEP_BACK = 0.9
 _NEIGHBOURS = 3
 """Settings tested on each side of the place where the excess changes its sign, because quality may fall on the way up.
@@ -197,7 +195,7 @@ def _mean(ratios_db: Sequence[float | None]) -> float:
 def _balance(
     source: Source, found: "_Found", excesses_db: Callable[[CodedSignal], list[float]]
 ) -> tuple[CodedSignal, list[float]]:
-    """Bring every channel to the target by its own step; return the coded signal and the remaining excesses."""
+    """Bring every channel to the target, by its own step or by one; return the coded signal and remaining excesses."""
     best, least = found.coded, excesses_db(found.coded)
     balanced = [_ChannelStep(found.step) for _ in least]
     excesses = least
@@ -209,18 +207,25 @@ def _balance(
                 channel.move(excess)
             elif excess < -SNR_TOLERANCE_DB:  # at the edge of a jump: leave it
                 channel.step *= _STEP_BACK
+            elif excess > SNR_TOLERANCE_DB:
+                channel.step *= 2 ** (1 / _STEPS_PER_OCTAVE)
         coded = source.encode(_setting(source, tuple(channel.step for channel in balanced), found.rd_weight))
         excesses = excesses_db(coded)
         if _imbalance(excesses) < _imbalance(least):
             best, least = coded, excesses
-    # With steps of their own, channels that the codec mixes move each other away; one step may bring all near.
-    step, excesses = found.step, excesses_db(found.coded)
-    for _ in range(_COMMON_TRIALS if len(least) > 1 and _imbalance(least) > (False, SNR_TOLERANCE_DB) else 0):
-        step *= 2 ** ((max(excesses) + min(excesses)) / 2 / _DB_PER_OCTAVE)
-        coded = source.encode(_setting(source, step, found.rd_weight))
-        excesses = excesses_db(coded)
-        if _imbalance(excesses) < _imbalance(least):
-            best, least = coded, excesses
+    if len(least) > 1 and _imbalance(least) > (False, SNR_TOLERANCE_DB):
+        # With steps of their own, channels that the codec mixes move each other away; one step may bring all near.
+        excesses = excesses_db(found.coded)
+        middle = found.exponent + round((max(excesses) + min(excesses)) / 2 / _DB_PER_OCTAVE * _STEPS_PER_OCTAVE)
+        near = sorted(range(middle - _NEIGHBOURS, middle + _NEIGHBOURS + 1), key=lambda code: abs(code - middle))
+        rd_weights = _RD_WEIGHTS[:3] if "rd_weight" in source.codec.parameters else _RD_WEIGHTS[:1]
+        for rd_weight, exponent in itertools.product(rd_weights, near):
+            coded = source.encode(_setting(source, _step_of(exponent), rd_weight))
+            excesses = excesses_db(coded)
+            if _imbalance(excesses) < _imbalance(least):
+                best, least = coded, excesses
+            if _imbalance(least) <= (False, SNR_TOLERANCE_DB):
+                break
     return best, least
 
 
