@@ -19,9 +19,10 @@ from vibrocast.host.cli.option_types import Whole
 PAGE, TABLE, CLEAN_TABLE = "injected_faults.md", "injected_faults.csv", "clean_runs.csv"
 DEVICES = {
     **dict.fromkeys(("sim", "sim-usb", "host"), "latency,throughput,fidelity,response"),
-    **dict.fromkeys(("cortex-m4", "stm32f405"), "throughput,fidelity,response"),
+    **dict.fromkeys(("cortex-m4", "stm32f405"), "fidelity,response"),
 }
-"""Each controller with the measurements of its clean runs. An emulated processor is too slow for live packets."""
+"""Each controller with the measurements of its clean runs. An emulated processor is too slow for live packets, and its
+throughput is that of this computer: it changes by half from run to run."""
 ALARMS = {
     0: "none",
     exit_codes.FAILED: "measurement failed",
@@ -78,10 +79,15 @@ def names(place: str) -> str:
 
 
 def reason(said: str) -> str:
-    """Return why a command failed, from its last error."""
+    """Return why a command failed, from its first error: all that it names, without what to do."""
     errors = [line.partition(": ")[2] for line in said.splitlines() if line.startswith(("error: ", "not measured: "))]
     text = next((each for each in errors if not each.startswith("not all could be measured")), "")
-    return re.sub(r"(?<!\w)/\S*/", "", text.rpartition("measured.json: ")[2].partition("; ")[0])
+    return re.sub(r"(?<!\w)/\S*/", "", _without_advice(text.rpartition("measured.json: ")[2]))
+
+
+def _without_advice(error: str) -> str:
+    """Return an error without its last part, which says what to do."""
+    return error.rpartition("; ")[0] or error
 
 
 def on_bench(injected: Injected, folder: Path, earlier: Path | None) -> tuple[int, str]:
