@@ -114,9 +114,12 @@ def test_tasks_are_taken_as_they_are_needed() -> None:
 
 
 def cluster(workers: int) -> Any:
-    import distributed  # loaded here only: the processes of `on_cores` load this module too
+    import dask  # loaded here only: the processes of `on_cores` load this module too
+    import distributed
 
-    return distributed.LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=":0")  # type: ignore[no-untyped-call]
+    # Dask does not restart a worker that a task kills while it starts. One death a task keeps that from all workers.
+    with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
+        return distributed.LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=":0")  # type: ignore[no-untyped-call]
 
 
 @pytest.fixture(scope="module")
