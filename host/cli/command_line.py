@@ -144,6 +144,8 @@ class VibrocastCommand(click.Group):
             keep_trace(ctx)
             if ctx.params["debug"]:
                 raise
+            if isinstance(error, ImportError) and exit_codes.signalled is not None:
+                raise click.Abort from error  # a library that was being loaded has caught the interruption
             if isinstance(error, ModuleNotFoundError):
                 error = extras.explained(error) or error
             command = self.get_command(ctx, ctx.invoked_subcommand or "")

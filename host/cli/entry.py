@@ -30,6 +30,7 @@ def main() -> None:
 
     for number in heeded:
         signal.signal(number, _interrupt)
+    sys.unraisablehook = _interrupt_again
     read_end, write_end = os.pipe()
     os.set_blocking(write_end, False)
     signal.set_wakeup_fd(write_end, warn_on_full_buffer=False)
@@ -53,6 +54,16 @@ def _interrupt(number: int, _frame: FrameType | None) -> NoReturn:
         signal.signal(other, signal.SIG_IGN)
     exit_codes.signalled = number
     raise KeyboardInterrupt
+
+
+def _interrupt_again(unraisable: "sys.UnraisableHookArgs") -> None:
+    """Send a signal once more that came while an object was finalised: Python drops exceptions there."""
+    number = exit_codes.signalled
+    if not issubclass(unraisable.exc_type, KeyboardInterrupt) or number is None:
+        sys.__unraisablehook__(unraisable)
+        return
+    signal.signal(number, _interrupt)
+    threading.Timer(HEED_S, os.kill, (os.getpid(), number)).start()
 
 
 def _end_where_unheeded(read_end: int) -> None:

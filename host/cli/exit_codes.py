@@ -14,10 +14,13 @@ REGRESSION = 5
 HOST_BUSY = 6
 """This machine was too busy to decide."""
 
-signalled: int = signal.SIGINT
-"""The signal that has interrupted the command. At a prompt, the end of the input counts as Ctrl-C."""
+signalled: int | None = None
+"""The signal that has interrupted the command."""
 
 
-def interrupted_by(number: int) -> int:
-    """Return the exit code that a shell gives for a signal: 130 for Ctrl-C, 143 for SIGTERM, 129 for SIGHUP."""
-    return 128 + number
+def interrupted_by(number: int | None) -> int:
+    """Return the exit code that a shell gives for a signal: 130 for Ctrl-C, 143 for SIGTERM, 129 for SIGHUP.
+
+    None: at a prompt, the end of the input counts as Ctrl-C.
+    """
+    return 128 + (signal.SIGINT if number is None else number)

@@ -105,6 +105,39 @@ entry.main()
     assert run(code).stdout == "at rest\n"
 
 
+# Where the interruption of a command comes while a library is being loaded, or while an object is finalised.
+LOADING = """
+    try:
+        os.kill(os.getpid(), signal.SIGTERM)
+    except KeyboardInterrupt:
+        raise ImportError("cannot be initialised")
+"""
+FINALISING = """
+    class Finalised:
+        def __del__(self):
+            os.kill(os.getpid(), signal.SIGTERM)
+    Finalised()
+    time.sleep(60)
+"""
+
+
+@pytest.mark.parametrize("work", [LOADING, FINALISING])
+def test_an_interruption_that_is_swallowed_ends_the_command(work: str) -> None:
+    code = f"""
+import os, signal, time
+import click
+from vibrocast.host.cli import command_line, entry
+
+@click.command()
+def work():
+{work}
+command_line.VibrocastCommand.get_command = lambda *_: work
+entry.main()
+"""
+    result = run(code, "devices")
+    assert (result.returncode, result.stderr.strip()) == (128 + signal.SIGTERM, "error: interrupted")
+
+
 def test_a_hangup_that_is_to_be_ignored_is() -> None:
     code = "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
     result = run(code + INTERRUPTED_IMPORT.format(number=int(signal.SIGHUP)), "--version")
