@@ -145,7 +145,10 @@ class VibrocastCommand(click.Group):
             if ctx.params["debug"]:
                 raise
             if isinstance(error, ImportError) and exit_codes.signalled is not None:
-                raise click.Abort from error  # a library that was being loaded has caught the interruption
+                # A library that was being loaded has caught the interruption.
+                interruption = click.Abort()
+                print_answer(ctx, interruption)
+                raise interruption from error
             if isinstance(error, ModuleNotFoundError):
                 error = extras.explained(error) or error
             command = self.get_command(ctx, ctx.invoked_subcommand or "")

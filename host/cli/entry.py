@@ -63,7 +63,9 @@ def _interrupt_again(unraisable: "sys.UnraisableHookArgs") -> None:
         sys.__unraisablehook__(unraisable)
         return
     signal.signal(number, _interrupt)
-    threading.Timer(HEED_S, os.kill, (os.getpid(), number)).start()
+    again = threading.Timer(HEED_S, os.kill, (os.getpid(), number))
+    again.daemon = True  # a command that ends before does not wait for it
+    again.start()
 
 
 def _end_where_unheeded(read_end: int) -> None:
