@@ -49,7 +49,7 @@ ROTATION = 2
 NONE = "none"
 """The value of the parameter `rotation` for none."""
 MAX_NOISE_FILLING = 31 / 128
-LAMBDA = 96
+LAMBDA = 108
 """Weight of a bit against squared error, in 1/256 of a squared step; 70 to 125 differ by at most 1 % of BD-rate."""
 
 _MAX_COEFFICIENT = 2**28
@@ -60,6 +60,16 @@ _RESOLVING_PACKET = 1024
 _LEAST_GAIN = 0.01
 """Part of the cost by which a rotation, and then its delays, must lower it: the gain at one step shrinks at others."""
 _NOISE_FILLING_UNIT = 128
+UNTRAINED = -128
+TABLES = np.dtype(
+    [
+        ("cells", "i1", (4, 2, 2, 256)),
+        ("weights", "<i2", (4, 2, 48, 2)),
+        ("silence", "u1", 16),
+        ("centroids", "i1", (2, 3, 16)),
+    ]
+)
+"""Initial tables; docs/reference/bitstream.md describes them. A cell that nothing was coded with is UNTRAINED."""
 _SHAPE_UNITS_PER_OCTAVE = 16
 
 
@@ -123,11 +133,10 @@ def built_in_tables() -> bytes:
 
 
 def untrained_tables() -> bytes:
-    """Return initial tables without training: even odds, a weight of 0.3 for each input, silence at one in ten."""
-    weights = np.tile(np.array([0.3, 0.3, 0.3, 0.3, 0.0]), 48) * 4096
-    silence = bytes([26] * 16)
-    cells = bytes(int(library().vc_mdct_tables_size()) - 2 * len(weights) - len(silence))
-    return cells + weights.astype("<i2").tobytes() + silence
+    """Return initial tables without training: even odds, a weight of 0.6 for each context, silence at one in ten."""
+    tables = np.zeros((), TABLES)
+    tables["cells"], tables["weights"], tables["silence"] = UNTRAINED, 0.6 * 2**14, 26
+    return tables.tobytes()
 
 
 @cache
@@ -233,15 +242,14 @@ class MdctEncoder(PacketwiseEncoder):
         core.vc_mdct_encoder_tables(self._core.pointer, tables)
         return bytes(ffi.buffer(tables))
 
-    def record(self, capacity: int) -> None:
-        """Record examples for training a network, from the next coefficients coded, at most `capacity`."""
-        self._examples = np.empty((capacity, library().vc_mdct_example_values()), np.int16)
-        rows = ffi.cast("int16_t *", self._examples.ctypes.data)
-        library().vc_mdct_encoder_record(self._core.pointer, rows, capacity)
+    def follow(self, before: "MdctEncoder | None") -> None:
+        """Begin with the adapted state of another encoder, for training; None = with the tables.
 
-    def examples(self) -> NDArray[np.int16]:
-        """Return the recorded examples (n, inputs + 2): the network's inputs in 1/16, the quantiser and the index."""
-        return self._examples[: library().vc_mdct_encoder_recorded(self._core.pointer)]
+        The encoder then counts what the levels stand for, and its adapted tables say so.
+        """
+        self._before = before
+        pointer = ffi.NULL if before is None else before._core.pointer
+        library().vc_mdct_encoder_follow(self._core.pointer, pointer)
 
     def _code_packets(self, samples: Signal) -> list[bytes]:
         count = (len(samples) - self._history) // self.packet_samples
@@ -276,13 +284,9 @@ def _tables_arguments(tables: bytes | None) -> tuple[Any, tuple[Any, int]]:
     """Return the memory that must stay alive, and the core's two arguments. Raises CodecError on a wrong size."""
     if tables is None:
         return None, (ffi.NULL, 0)
-    core = library()
-    alone = core.vc_mdct_tables_size()
-    with_network = alone + core.vc_mdct_network_size()
-    if len(tables) not in (alone, with_network):
-        raise CodecError(
-            f"the tables have {len(tables)} bytes, not {alone}, or {with_network} with a network; train them again"
-        )
+    size = library().vc_mdct_tables_size()
+    if len(tables) != size:
+        raise CodecError(f"the tables have {len(tables)} bytes, not {size}; train them again")
     memory = ffi.new("uint8_t[]", tables)
     return memory, (memory, len(tables))
 

@@ -1,13 +1,13 @@
-"""The model image of a trained `lapped`: its windows, and tables and a network trained on their coefficients."""
+"""The model image of a trained `lapped`: its windows, and tables trained on their coefficients."""
 
 from collections.abc import Sequence
 from functools import partial
 
-from vibrocast.codec import lapped, mdct
+from vibrocast.codec import lapped
 from vibrocast.codec.interface import Signal
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.export.lapped import Lapped
-from vibrocast.export.mdct_network import trained
+from vibrocast.export.mdct_training import trained
 
 
 def image(model: Lapped, name: str, version: str, signals: Sequence[Signal], seed: int) -> bytes:
@@ -17,5 +17,5 @@ def image(model: Lapped, name: str, version: str, signals: Sequence[Signal], see
     """
     windows = lapped.pack_windows(model.halves())
     textures = [signal[:, None] for signal in signals]
-    tables = trained(textures, seed, mdct.built_in_tables(), partial(lapped.analysis_matrix, windows))
+    tables = trained(textures, seed, partial(lapped.analysis_matrix, windows))
     return ModelImage(lapped.IDENTIFIER, name, version, "", windows + tables).pack()

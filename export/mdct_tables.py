@@ -1,19 +1,16 @@
 """Trains the initial tables of `mdct` on recordings: a refresh then starts from the statistics of textures.
 
-python -m vibrocast.export.mdct_tables RECORDINGS.npz ... --image mine.vcmi                for a controller
-python -m vibrocast.export.mdct_tables RECORDINGS.npz ... --network --image mine.vcmi      with a network, in fewer bits
-python -m vibrocast.export.mdct_tables RECORDINGS.npz ... --built-in                       for firmware/core itself
+python -m vibrocast.export.mdct_tables RECORDINGS.npz ... --image mine.vcmi      for a controller
+python -m vibrocast.export.mdct_tables RECORDINGS.npz ... --built-in             for firmware/core itself
 """
 
 from pathlib import Path
 
 import click
 
-from vibrocast import extras
-from vibrocast.codec import Signal
-from vibrocast.codec.mdct import IDENTIFIER, untrained_tables
+from vibrocast.codec.mdct import IDENTIFIER
 from vibrocast.device_protocol.model_image import ModelImage
-from vibrocast.export.mdct_training import PASSES, RATE_HZ, train
+from vibrocast.export.mdct_training import RATE_HZ, trained
 from vibrocast.export.training_data import archive_recordings
 from vibrocast.textures import TextureError
 
@@ -32,7 +29,6 @@ def c_source(tables: bytes) -> str:
 @click.command()
 @click.argument("archives", nargs=-1, required=True, type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.option("--image", type=click.Path(dir_okay=False, path_type=Path), help="Write a model image.")
-@click.option("--network", is_flag=True, help="Train a network for the image; takes minutes, needs PyTorch.")
 @click.option("--built-in", is_flag=True, help="Replace the tables built into firmware/core; reinstall afterwards.")
 @click.option("--name", default="mdct", show_default=True, help="Name the image.")
 @click.option("--version", default="1", show_default=True, help="State the version of the image.")
@@ -42,7 +38,6 @@ def c_source(tables: bytes) -> str:
 def main(
     archives: tuple[Path, ...],
     image: Path | None,
-    network: bool,
     built_in: bool,
     name: str,
     version: str,
@@ -63,23 +58,12 @@ def main(
         raise click.ClickException(
             "the archives hold no recording that is long enough; add longer ones, or lower --drop-s"
         )
-    tables = untrained_tables()
-    for training_pass in range(PASSES):
-        tables = train(textures, seed + training_pass, tables)
+    tables = trained(textures, seed)
     if built_in:
         _BUILT_IN_SOURCE.write_text(c_source(tables))
-    payload = _with_network(textures, seed + PASSES, tables) if network else tables
     if image is not None:
-        image.write_bytes(ModelImage(IDENTIFIER, name, version, "", payload).pack())
-    click.echo(f"{len(payload)} bytes of tables from {len(textures)} recordings")
-
-
-def _with_network(textures: list[Signal], seed: int, tables: bytes) -> bytes:
-    try:
-        from vibrocast.export.mdct_network import trained
-    except ModuleNotFoundError as error:
-        raise click.ClickException(str(extras.explained(error) or error)) from error
-    return trained(textures, seed, tables)
+        image.write_bytes(ModelImage(IDENTIFIER, name, version, "", tables).pack())
+    click.echo(f"{len(tables)} bytes of tables from {len(textures)} recordings")
 
 
 if __name__ == "__main__":

@@ -1,12 +1,12 @@
 """Trains the initial tables of `mdct`: codes excerpts of textures at random steps, one after another."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from rich.progress import track
 
 from vibrocast.codec import Framing, Signal
-from vibrocast.codec.mdct import MdctEncoder
+from vibrocast.codec.mdct import HOPS, TABLES, UNTRAINED, MdctEncoder, analysis_matrix, untrained_tables
 
 RATE_HZ = 2800
 STEPS_PER_RECORDING = 3
@@ -18,14 +18,14 @@ STEP = 2.0**-9
 """Step of every encoder that learns; an excerpt is scaled so that this is its step."""
 
 
-def excerpts(textures: list[Signal], seed: int, excerpt_s: float = EXCERPT_S) -> Iterator[Signal]:
+def excerpts(textures: list[Signal], seed: int) -> Iterator[Signal]:
     """Yield excerpts of the textures, (n, 1) each, in random order, scaled so that STEP is a random step."""
     generator = np.random.default_rng(seed)
     log_steps = generator.uniform(FINEST_STEP, COARSEST_STEP, (len(textures), STEPS_PER_RECORDING))
     jobs = [(texture, log_step) for texture, row in zip(textures, log_steps, strict=True) for log_step in row]
     for index in track(generator.permutation(len(jobs)), description="training"):
         texture, log_step = jobs[index]
-        length = min(len(texture), int(excerpt_s * RATE_HZ))
+        length = min(len(texture), int(EXCERPT_S * RATE_HZ))
         start = int(generator.integers(0, len(texture) - length + 1))
         excerpt = texture[start : start + length]
         rms = float(np.sqrt(np.mean(np.square(excerpt))))
@@ -33,9 +33,43 @@ def excerpts(textures: list[Signal], seed: int, excerpt_s: float = EXCERPT_S) ->
             yield excerpt * (STEP / (rms * 2**log_step))
 
 
-def train(textures: list[Signal], seed: int, tables: bytes) -> bytes:
-    """Return `tables` adapted to excerpts of the textures, (n, 1) each, coded in random order at random steps."""
-    encoder = MdctEncoder((STEP,), RATE_HZ, Framing(RATE_HZ, 0), tables)
+def trained(
+    textures: list[Signal], seed: int, analysis: Callable[[int], Signal] = analysis_matrix, tables: bytes | None = None
+) -> bytes:
+    """Return initial tables that are adapted to textures, (n, 1) each.
+
+    `analysis`: returns the transform at a hop, (samples of a window, hop). `tables`: to begin with; None = untrained.
+    """
+    tables = untrained_tables() if tables is None else tables
+    for number in range(PASSES):
+        tables = _adapted(textures, seed + number, analysis, tables)
+    return tables
+
+
+def _adapted(textures: list[Signal], seed: int, analysis: Callable[[int], Signal], tables: bytes) -> bytes:
+    """Return the tables after excerpts of the textures are coded, one after another, each at a random hop.
+
+    They are the mean of the states after each excerpt but the first third: a single state would be a noisy beginning.
+    """
+    generator = np.random.default_rng(seed)
+    last: MdctEncoder | None = None
+    states = []
     for excerpt in excerpts(textures, seed):
-        encoder.encode(excerpt)
-    return encoder.adapted_tables()
+        hop = int(generator.choice(HOPS))
+        encoder = MdctEncoder((STEP,), RATE_HZ, Framing(hop, 0), tables, hop=hop, analysis=analysis)
+        encoder.follow(last)
+        if encoder.encode(excerpt):
+            last = encoder
+            states.append(encoder.adapted_tables())
+    return _mean(states[len(states) // 3 :]) if states else tables
+
+
+def _mean(states: list[bytes]) -> bytes:
+    each = np.frombuffer(b"".join(states), TABLES)
+    trained = each["cells"] != UNTRAINED
+    sums = np.sum(each["cells"], axis=0, where=trained, dtype=np.float64)
+    mean = each[-1].copy()
+    mean["cells"] = np.where(trained[-1], np.rint(sums / np.maximum(trained.sum(axis=0), 1)), UNTRAINED)
+    for name in ("weights", "silence"):
+        mean[name] = np.rint(np.mean(each[name], axis=0))
+    return bytes(mean.tobytes())

@@ -12,20 +12,23 @@ typedef struct {
     unsigned state; /* of dependent quantisation */
 } vc_block_state;
 
-/* The best way into each state of dependent quantisation, for each bin; and where examples go. */
+/* The best way into each state of dependent quantisation, for each bin. */
 typedef struct {
     uint32_t chosen[VC_MAX_BINS][4]; /* index that leads into a state */
     uint8_t origin[VC_MAX_BINS][4];  /* and the state that it leads from */
     uint32_t indices[VC_MAX_BINS];
-    int16_t *examples; /* rows for the training of a network; NULL = none wanted */
-    size_t example_count, example_capacity;
+    int8_t offsets[VC_MAX_BINS]; /* of their levels, in 1/256 step */
+    vc_bin bin[VC_MAX_BINS];
+    vc_centroid_sums *sums; /* for the training of centroids; NULL = none wanted */
 } vc_block_search;
 
 /* At a refresh. */
 void vc_block_reset(vc_block_state *state);
 
-/* Decodes the next block of a channel: levels[0..bins), in quantiser steps, within +-2^26. */
-void vc_block_decode(vc_range_coder *coder, vc_model *model, vc_block_state *state, uint32_t bins, int32_t *levels);
+/* Decodes the next block of a channel: levels[0..bins), in quantiser steps, within +-2^26, and what to add to their
+ * magnitudes, in 1/256 step. */
+void vc_block_decode(vc_range_coder *coder, vc_model *model, vc_block_state *state, uint32_t bins, int32_t *levels,
+                     int8_t *offsets);
 
 /* Chooses the levels of a block for the least squared error + lambda * bits, and encodes them. `magnitudes`: in 1/256
  * step, at most 2^30. `values`: their signs are those of the levels. `lambda`: in 1/256 of a squared step. */

@@ -2,7 +2,6 @@
  * see block_coder.h. */
 #include "block_coder.h"
 #include "mdct_mixing.h"
-#include "mdct_network.h"
 
 #define STATES 4
 #define UNREACHED INT64_MAX
@@ -22,23 +21,14 @@ typedef struct {
     uint32_t bins, lambda;
 } task;
 
-/* Estimates probabilities, in 1/65536, of the decisions up to `last`. With a network: the exact ones of the coder.
- * Without: only the first context's adaptive probabilities, not mixed, in a third of the time. */
-static void estimate(const task *task, uint32_t k, const vc_below *below, unsigned quantiser, uint32_t last,
+/* Probabilities, in 1/65536, of the decisions up to `last`, before the model learns from this block. */
+static void estimate(const task *task, const vc_contexts *contexts, unsigned quantiser, uint32_t last,
                      uint32_t *probabilities)
 {
+    vc_prediction prediction;
     unsigned decision;
-    if (task->model->network != NULL) {
-        vc_contexts contexts;
-        vc_prediction prediction;
-        vc_contexts_find(&contexts, task->model, task->history, task->bins, k, below, quantiser);
-        for (decision = 0; decision < VC_DECISIONS && decision <= last; decision++)
-            probabilities[decision] = vc_predict(task->model, &contexts, decision, quantiser, &prediction);
-    } else {
-        const unsigned context = vc_first_context(task->history, task->bins, k, below);
-        for (decision = 0; decision < VC_DECISIONS && decision <= last; decision++)
-            probabilities[decision] = task->model->probability[decision][quantiser][0][context];
-    }
+    for (decision = 0; decision < VC_KINDS && decision <= last; decision++)
+        probabilities[decision] = vc_predict(task->model, contexts, decision, quantiser, &prediction);
 }
 
 /* Estimated rate of an index in 1/256 bit. */
@@ -47,7 +37,7 @@ static int64_t estimated_cost(const uint32_t *probabilities, uint32_t index)
     int64_t cost = index > 0 ? 256 : 0;
     uint32_t decision;
     for (decision = 0; decision <= index && decision < VC_UNARY_LIMIT; decision++) {
-        uint32_t probability = probabilities[decision < VC_DECISIONS ? decision : VC_DECISIONS - 1] >> 5;
+        uint32_t probability = probabilities[decision < VC_KINDS ? decision : VC_KINDS - 1] >> 5;
         cost += vc_cost[index > decision ? probability : 2047 - probability];
     }
     if (index >= VC_UNARY_LIMIT)
@@ -55,10 +45,10 @@ static int64_t estimated_cost(const uint32_t *probabilities, uint32_t index)
     return cost;
 }
 
-/* Squared difference of a magnitude (in 1/256 step) and its reconstructed level, in 1/65536 of a squared step. */
-static int64_t distortion(uint32_t magnitude, uint32_t level)
+/* Squared difference of a magnitude and its reconstruction (in 1/256 step), in 1/65536 of a squared step. */
+static int64_t distortion(uint32_t magnitude, int64_t reconstruction)
 {
-    int64_t difference = (int64_t)magnitude - (int64_t)level * 256;
+    int64_t difference = (int64_t)magnitude - reconstruction;
     if (difference > MAX_DIFFERENCE) /* so that the sum over a block stays below 2^62 */
         difference = MAX_DIFFERENCE;
     return difference * difference;
@@ -69,9 +59,11 @@ static void extend(const task *task, uint32_t k, uint32_t magnitude, unsigned st
 {
     const unsigned quantiser = vc_quantiser_of(state);
     const uint32_t nearest = (magnitude / 256 + quantiser) / 2;
-    uint32_t candidates[4], probabilities[VC_DECISIONS];
+    uint32_t candidates[4], probabilities[VC_KINDS];
     unsigned count = 0, i;
-    estimate(task, k, &from->below, quantiser, nearest + 1, probabilities);
+    vc_contexts contexts;
+    vc_contexts_find(&contexts, &task->search->bin[k], k, &from->below);
+    estimate(task, &contexts, quantiser, nearest + 1, probabilities);
     candidates[count++] = nearest;
     candidates[count++] = nearest + 1;
     if (nearest > 0)
@@ -81,7 +73,10 @@ static void extend(const task *task, uint32_t k, uint32_t magnitude, unsigned st
     for (i = 0; i < count; i++) {
         uint32_t index = candidates[i], level = vc_level_of(index, quantiser);
         unsigned next = vc_next_state(state, index);
-        int64_t cost = from->cost + distortion(magnitude, level) + task->lambda * estimated_cost(probabilities, index);
+        const int64_t reconstruction =
+            (int64_t)level * 256 + vc_level_offset(task->model, quantiser, contexts.centroid_class, level);
+        int64_t cost =
+            from->cost + distortion(magnitude, reconstruction) + task->lambda * estimated_cost(probabilities, index);
         if (cost < paths[next].cost) {
             paths[next].cost = cost;
             paths[next].below = from->below;
@@ -107,6 +102,8 @@ static int search_block(const task *task, unsigned first_state, const uint32_t *
             largest = magnitudes[k];
     if (largest < 128)
         return 1;
+    for (k = 0; k < task->bins; k++)
+        vc_bin_find(&task->search->bin[k], task->history, task->bins, k);
     for (state = 0; state < STATES; state++)
         now[state].cost = UNREACHED;
     now[first_state].cost = (int64_t)task->lambda * vc_cost[2047 - silence];
@@ -154,33 +151,34 @@ static void encode_index(vc_range_coder *coder, vc_model *model, const vc_contex
 
 /* Writes the block of search->indices, with the signs of `values`. */
 static void write_block(vc_range_coder *coder, vc_model *model, vc_block_state *state, vc_block_search *search,
-                        uint32_t bins, const int32_t *values, int silent)
+                        uint32_t bins, const uint32_t *magnitudes, const int32_t *values, int silent)
 {
     vc_history *history = &state->history;
     vc_below below = {{0, 0, 0}, 0, 0};
     vc_contexts contexts;
+    vc_bin bin;
     uint32_t k;
     vc_range_encode(coder, silent, vc_silence_predict(model, history));
     vc_silence_update(model, history, silent);
     history->silent_history = (uint8_t)((history->silent_history << 1 | silent) & 3);
     if (silent)
         state->state = 0;
-    memset(&contexts, 0, sizeof contexts);
     for (k = 0; k < bins && !silent; k++) {
         unsigned quantiser = vc_quantiser_of(state->state);
-        uint32_t index = search->indices[k];
-        vc_contexts_find(&contexts, model, history, bins, k, &below, quantiser);
-        if (search->example_count < search->example_capacity) {
-            int16_t *row = search->examples + search->example_count++ * VC_NETWORK_EXAMPLE;
-            vc_network_inputs(row, model, &contexts, history, &below, bins, k, quantiser);
-            row[VC_NETWORK_INPUTS] = (int16_t)quantiser;
-            row[VC_NETWORK_INPUTS + 1] = (int16_t)(index < VC_UNARY_LIMIT ? index : VC_UNARY_LIMIT);
+        uint32_t index = search->indices[k], level = vc_level_of(index, quantiser);
+        vc_bin_find(&bin, history, bins, k);
+        vc_contexts_find(&contexts, &bin, k, &below);
+        search->offsets[k] = vc_level_offset(model, quantiser, contexts.centroid_class, level);
+        if (search->sums != NULL && level > 0) {
+            const unsigned row = (level < VC_CENTROID_LEVELS ? level : VC_CENTROID_LEVELS) - 1;
+            search->sums->sum[quantiser][row][contexts.centroid_class] += (int64_t)magnitudes[k] - (int64_t)level * 256;
+            search->sums->count[quantiser][row][contexts.centroid_class]++;
         }
         encode_index(coder, model, &contexts, quantiser, index);
         if (index != 0)
             vc_range_encode(coder, values[k] < 0, VC_EVEN_ODDS);
         state->state = vc_next_state(state->state, index);
-        vc_below_add(&below, history, k, vc_history_set(history, k, vc_level_of(index, quantiser)));
+        vc_below_add(&below, history, k, vc_history_set(history, k, level));
     }
     vc_history_next_block(history, bins);
 }
@@ -189,7 +187,7 @@ void vc_block_encode(vc_range_coder *coder, vc_model *model, vc_block_state *sta
                      uint32_t bins, const uint32_t *magnitudes, const int32_t *values, uint32_t lambda)
 {
     const task task = {model, &state->history, search, bins, lambda};
-    write_block(coder, model, state, search, bins, values, search_block(&task, state->state, magnitudes));
+    write_block(coder, model, state, search, bins, magnitudes, values, search_block(&task, state->state, magnitudes));
 }
 
 void vc_block_write(vc_range_coder *coder, vc_model *model, vc_block_state *state, vc_block_search *search,
@@ -202,5 +200,5 @@ void vc_block_write(vc_range_coder *coder, vc_model *model, vc_block_state *stat
         search->indices[k] = level == 0 ? 0 : (level + vc_quantiser_of(now)) / 2;
         now = vc_next_state(now, search->indices[k]);
     }
-    write_block(coder, model, state, search, bins, levels, silent);
+    write_block(coder, model, state, search, bins, NULL, levels, silent);
 }

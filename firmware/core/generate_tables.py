@@ -47,6 +47,7 @@ TABLES: dict[str, tuple[str, Sequence[float]]] = {
     "vc_stretch": ("int16_t", [256 * math.log((i + 0.5) / (2047.5 - i)) for i in range(2048)]),
     "vc_squash": ("uint16_t", [65536 / (1 + math.exp(-(4 * i - 2046) / 256)) for i in range(1024)]),
     "vc_cost": ("uint16_t", [-256 * math.log2((i + 0.5) / 2048) for i in range(2048)]),
+    "vc_learning": ("uint16_t", [65536 / (i + 1.6) for i in range(256)]),
     # In 1/256 octave of amplitude, at eighths of an octave from 16 Hz to 2048 Hz.
     "vc_slp_threshold": (
         "uint16_t",

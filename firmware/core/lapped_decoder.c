@@ -83,8 +83,7 @@ static int check(vc_coding *coding)
     if (status == VC_OK) {
         coding->packet_samples = read.packet_blocks * read.hop;
         coding->delay_samples = DELAY_HOPS * read.hop + read.longest_delay;
-        coding->cycles_per_sample =
-            vc_spectra_cycles(&read, coding->tables + WINDOWS_BYTES, coding->tables_length - WINDOWS_BYTES);
+        coding->cycles_per_sample = vc_spectra_cycles(&read);
     }
     return status;
 }

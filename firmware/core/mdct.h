@@ -4,7 +4,7 @@
 
 #include "quantiser_offset.h"
 
-#define VC_MAX_BINS 128 /* of a block that is coded by this model: a spectrum, or a column of EVA's latents */
+#define VC_MAX_BINS 128 /* of a block that is coded by this model: a spectrum */
 #define VC_MAX_PACKET_BLOCKS 4095
 #define VC_STEP_CODES (21 * 64)
 #define VC_STEP_CODE_BITS 11 /* of the 16 in the configuration; above them, the fill */
@@ -16,11 +16,10 @@
  * 4 / pi * sqrt(2 * 128). */
 #define VC_MAX_COEFFICIENT (1 << 28)
 
-#define VC_INPUTS 4
+#define VC_INPUTS 2 /* contexts that predict each decision */
 #define VC_CONTEXTS 256
-#define VC_DECISIONS 6
+#define VC_KINDS 4 /* of decisions: "not zero", "more than 1", "more than 2", and all further ones */
 #define VC_UNARY_LIMIT 15
-#define VC_SCALES 4
 #define VC_SILENCE_CONTEXTS 16
 #define VC_MAX_STRETCHED 2047
 
@@ -36,17 +35,29 @@ typedef struct {
     uint16_t shape[VC_SHAPE_NODES]; /* step codes by which steps are coarser at the nodes */
 } vc_mdct_configuration;
 
-/* Inputs of the mixer: the contexts' probabilities, the network's, and a constant. */
-#define VC_MIXED (VC_INPUTS + 2)
+/* Sets of weights: blocks before this one, at most 11, by the quarter of the spectrum. */
+#define VC_MAX_AGE 11
+#define VC_WEIGHT_SETS ((VC_MAX_AGE + 1) * 4)
+
+/* Magnitudes of which the reconstruction differs from the level, and classes of the expected magnitude for it. */
+#define VC_CENTROID_LEVELS 3
+#define VC_CENTROID_CLASSES 16
 
 /* Adaptive state that is shared by all channels of a stream and restarts at a refresh. A quantiser is one of the two
  * that dependent quantisation alternates between. */
 typedef struct {
-    uint16_t probability[VC_DECISIONS][2][VC_INPUTS][VC_CONTEXTS];
-    int32_t weight[VC_DECISIONS][2][VC_SCALES][VC_MIXED]; /* in 1/65536 */
+    uint16_t probability[VC_KINDS][2][VC_INPUTS][VC_CONTEXTS];
+    uint8_t count[VC_KINDS][2][VC_INPUTS][VC_CONTEXTS]; /* of decisions that a probability has learned from, at most 255 */
+    int16_t weight[VC_KINDS][2][VC_WEIGHT_SETS][VC_INPUTS]; /* in 1/16384 */
     uint16_t silence[VC_SILENCE_CONTEXTS];
-    const uint8_t *network; /* of mdct_network.h; NULL = none. A reset leaves it. */
+    const int8_t *centroids; /* [2][VC_CENTROID_LEVELS][VC_CENTROID_CLASSES] */
 } vc_model;
+
+/* For each centroid: the sum of differences from the level, in 1/256 step, and their number. */
+typedef struct {
+    int64_t sum[2][VC_CENTROID_LEVELS][VC_CENTROID_CLASSES];
+    uint32_t count[2][VC_CENTROID_LEVELS][VC_CENTROID_CLASSES];
+} vc_centroid_sums;
 
 /* Greatest magnitude that a history keeps. */
 #define VC_MAX_KEPT_MAGNITUDE 126u
@@ -71,11 +82,20 @@ typedef struct {
     uint32_t mean_sum;   /* of the history's means of them */
 } vc_below;
 
+/* The part of a coefficient's contexts that does not depend on the bins below it. */
+typedef struct {
+    uint32_t magnitude; /* expected, in 1/1024 step, without the bins below */
+    uint32_t loudness;  /* what the block's loudness adds to it, in 1/1024 step, where it is the mean one */
+    uint8_t mean_class;
+    uint8_t quarter; /* of the spectrum */
+    uint8_t set;
+} vc_bin;
+
 /* Contexts of one coefficient, shared by all its decisions. */
 typedef struct {
     unsigned index[VC_INPUTS];
-    unsigned scale;
-    int32_t network[VC_DECISIONS]; /* ln(p / (1 - p)) of each decision, in 1/256; 0 without a network */
+    unsigned set; /* of weights */
+    unsigned centroid_class;
 } vc_contexts;
 
 /* The step of a step code below VC_STEP_CODES: 64 codes an octave, from 64 on. */
@@ -107,11 +127,12 @@ static inline int32_t vc_bin_step(const vc_mdct_configuration *configuration, un
 
 int vc_configuration_read(vc_mdct_configuration *configuration, const uint8_t *bytes, size_t length, unsigned channels);
 
-/* The payload of a model image: tables, perhaps a network. For the first two functions NULL = the built-in tables. */
+/* The payload of a model image is tables. */
 int vc_model_check_tables(const uint8_t *tables, size_t length);
-const uint8_t *vc_model_network(const uint8_t *tables, size_t length);
 void vc_model_reset(vc_model *model, const uint8_t *tables);
 void vc_model_export(const vc_model *model, uint8_t *tables);
+/* Puts the means of these sums into tables, as the centroids. */
+void vc_centroids_export(const vc_centroid_sums *sums, uint8_t *tables);
 
 void vc_history_reset(vc_history *history);
 void vc_history_next_block(vc_history *history, uint32_t hop);
@@ -140,11 +161,10 @@ static inline void vc_below_add(vc_below *below, const vc_history *history, uint
     below->mean_sum += history->mean[k + VC_PADDING];
 }
 
-/* Context of input 0; without a network, the encoder's search estimates rates with it. */
-unsigned vc_first_context(const vc_history *history, uint32_t hop, uint32_t k, const vc_below *below);
-/* Contexts of bin k; without a network, those for it stay as they are: 0 from the start. */
-void vc_contexts_find(vc_contexts *contexts, const vc_model *model, const vc_history *history, uint32_t hop, uint32_t k,
-                      const vc_below *below, unsigned quantiser);
+/* The contexts of bin k: first the part that all ways through the block share. */
+void vc_bin_find(vc_bin *bin, const vc_history *history, uint32_t hop, uint32_t k);
+void vc_contexts_find(vc_contexts *contexts, const vc_bin *bin, uint32_t k, const vc_below *below);
+
 /* Number of steps, four an octave from 4 up and one a unit below: a logarithm of x with two bits of mantissa. */
 static inline unsigned vc_fine_class(uint32_t x)
 {
@@ -181,10 +201,17 @@ static inline uint32_t vc_level_of(uint32_t index, unsigned quantiser)
     return index == 0 ? 0 : 2 * index - quantiser;
 }
 
-/* The coefficient of a level with its sign, in 1/256 of a least significant bit. */
-static inline int32_t vc_reconstruct(int32_t level, int32_t step)
+/* What to add to the magnitude of a level, in 1/256 step: it then is the mean of those that are coded by the level. */
+static inline int8_t vc_level_offset(const vc_model *model, unsigned quantiser, unsigned class, uint32_t level)
 {
-    int64_t value = (int64_t)level * step;
+    const unsigned row = quantiser * VC_CENTROID_LEVELS + (level < VC_CENTROID_LEVELS ? level : VC_CENTROID_LEVELS) - 1;
+    return level == 0 ? 0 : model->centroids[row * VC_CENTROID_CLASSES + class];
+}
+
+/* The coefficient of a level with its sign and its offset, in 1/256 of a least significant bit. */
+static inline int32_t vc_reconstruct(int32_t level, int32_t offset, int32_t step)
+{
+    const int64_t value = ((int64_t)level * 256 + (level < 0 ? -offset : offset)) * step / 256;
     return (int32_t)(value > VC_MAX_COEFFICIENT    ? VC_MAX_COEFFICIENT
                      : value < -VC_MAX_COEFFICIENT ? -VC_MAX_COEFFICIENT
                                                    : value);
@@ -193,6 +220,7 @@ static inline int32_t vc_reconstruct(int32_t level, int32_t step)
 extern const int16_t vc_stretch[2048]; /* ln(p / (1 - p)) at p = (i + 1/2) / 2048, in 1/256 */
 extern const uint16_t vc_squash[1024]; /* 65536 / (1 + exp(-d / 256)) at d = 4 i - 2046 */
 extern const uint16_t vc_initial[256]; /* vc_squash at 16 times an int8_t: the value of a byte of the tables */
+extern const uint16_t vc_learning[256];  /* 65536 / (i + 1.6): how far a probability moves after i decisions */
 extern const uint16_t vc_cost[2048];   /* -log2((i + 1/2) / 2048) in 1/256 bit */
 extern const uint8_t vc_builtin_tables[];
 

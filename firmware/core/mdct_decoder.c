@@ -6,7 +6,6 @@
 #define FADE_BLOCKS 8u /* longest time that concealment sounds */
 /* For a sample of a channel, the longest hop and a tenth more; docs/benchmarks/worst_case.md. */
 #define CYCLES 4300u
-#define NETWORK_CYCLES 15800u
 /* More with a rotation: for a sample of a channel, and for each channel that is mixed into it. */
 #define ROTATION_CYCLES 100u
 #define MIXING_CYCLES 11u
@@ -108,7 +107,6 @@ int vc_mdct_decoder_init(vc_mdct_decoder *decoder, const uint8_t *configuration,
     status = vc_model_check_tables(tables, tables_length);
     if (status != VC_OK)
         return status;
-    decoder->model.network = vc_model_network(tables, tables_length);
     status = vc_configuration_read(&decoder->configuration, configuration, configuration_length, channels);
     if (status == VC_OK && decoder->configuration.rotation)
         vc_rotation_init(&decoder->rotation, &decoder->configuration, configuration + decoder->configuration.rotation);
@@ -125,25 +123,26 @@ uint32_t vc_mdct_decoder_delay_samples(const vc_mdct_decoder *decoder)
     return decoder->configuration.hop + decoder->configuration.longest_delay;
 }
 
-uint32_t vc_spectra_cycles(const vc_mdct_configuration *configuration, const uint8_t *tables, size_t length)
+uint32_t vc_spectra_cycles(const vc_mdct_configuration *configuration)
 {
     const uint32_t channels = configuration->channels;
     const uint32_t rotation = configuration->rotation ? ROTATION_CYCLES + MIXING_CYCLES * channels : 0;
-    return channels * ((vc_model_network(tables, length) == NULL ? CYCLES : NETWORK_CYCLES) + rotation);
+    return channels * (CYCLES + rotation);
 }
 
 static void decode_block(vc_mdct_decoder *decoder, vc_range_coder *coder, unsigned number)
 {
     const vc_mdct_configuration *configuration = &decoder->configuration;
     vc_mdct_channel *channel = &decoder->channels[number];
+    int8_t offsets[VC_MAX_BINS];
     uint32_t k, fill;
-    vc_block_decode(coder, &decoder->model, &channel->block, configuration->hop, channel->spectrum);
+    vc_block_decode(coder, &decoder->model, &channel->block, configuration->hop, channel->spectrum, offsets);
     fill = channel->block.history.silent_history & 1 ? 0 : configuration->fill[number];
     for (k = 0; k < configuration->hop; k++) {
         const int32_t step = vc_bin_step(configuration, number, decoder->quantiser_offset.value, k);
         channel->spectrum[k] = channel->spectrum[k] == 0
                                    ? (int32_t)((int64_t)step * fill / 128) * vc_random_sign(&decoder->random)
-                                   : vc_reconstruct(channel->spectrum[k], step);
+                                   : vc_reconstruct(channel->spectrum[k], offsets[k], step);
     }
 }
 
@@ -254,7 +253,7 @@ static int check(vc_coding *coding)
     if (status == VC_OK) {
         coding->packet_samples = read.packet_blocks * read.hop;
         coding->delay_samples = read.hop + read.longest_delay;
-        coding->cycles_per_sample = vc_spectra_cycles(&read, coding->tables, coding->tables_length);
+        coding->cycles_per_sample = vc_spectra_cycles(&read);
     }
     return status;
 }

@@ -11,7 +11,7 @@ typedef void (*vc_synthesis)(vc_mdct_decoder *decoder, unsigned channel, const i
 int vc_spectra_feed(vc_mdct_decoder *decoder, const uint8_t *packet, size_t length);
 uint32_t vc_spectra_poll(vc_mdct_decoder *decoder, vc_synthesis synthesise, int16_t *samples);
 
-/* Cycles for a sample of all channels, as vc_coding has them, with these tables. */
-uint32_t vc_spectra_cycles(const vc_mdct_configuration *configuration, const uint8_t *tables, size_t length);
+/* Cycles for a sample of all channels, as vc_coding has them. */
+uint32_t vc_spectra_cycles(const vc_mdct_configuration *configuration);
 
 #endif

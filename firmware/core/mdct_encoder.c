@@ -1,6 +1,5 @@
 /* Encoder of `mdct`: coefficients in quantiser steps, for the block coder. */
 #include "block_coder.h"
-#include "mdct_network.h"
 
 struct vc_mdct_encoder {
     vc_mdct_configuration configuration;
@@ -12,6 +11,8 @@ struct vc_mdct_encoder {
     vc_block_search search;
     uint32_t random; /* the decoder's generator of signs of noise filling */
     uint64_t squared_errors[VC_MAX_CHANNELS];
+    const vc_mdct_encoder *before; /* its model is that of the first refresh; NULL = the tables */
+    vc_centroid_sums sums;         /* while training */
 };
 
 size_t vc_mdct_encoder_size(void)
@@ -31,30 +32,22 @@ int vc_mdct_encoder_init(vc_mdct_encoder *encoder, const uint8_t *configuration,
     status = vc_model_check_tables(tables, tables_length);
     if (status != VC_OK)
         return status;
-    encoder->model.network = vc_model_network(tables, tables_length);
     return vc_configuration_read(&encoder->configuration, configuration, configuration_length, channels);
 }
 
 void vc_mdct_encoder_tables(const vc_mdct_encoder *encoder, uint8_t *tables)
 {
     vc_model_export(&encoder->model, tables);
+    if (encoder->search.sums != NULL)
+        vc_centroids_export(&encoder->sums, tables);
 }
 
-size_t vc_mdct_example_values(void)
+void vc_mdct_encoder_follow(vc_mdct_encoder *encoder, const vc_mdct_encoder *before)
 {
-    return VC_NETWORK_EXAMPLE;
-}
-
-void vc_mdct_encoder_record(vc_mdct_encoder *encoder, int16_t *rows, size_t capacity)
-{
-    encoder->search.examples = rows;
-    encoder->search.example_capacity = capacity;
-    encoder->search.example_count = 0;
-}
-
-size_t vc_mdct_encoder_recorded(const vc_mdct_encoder *encoder)
-{
-    return encoder->search.example_count;
+    encoder->search.sums = &encoder->sums;
+    encoder->before = before;
+    if (before != NULL)
+        encoder->sums = before->sums;
 }
 
 /* At a refresh. */
@@ -62,6 +55,12 @@ static void restart(vc_mdct_encoder *encoder)
 {
     unsigned channel;
     vc_model_reset(&encoder->model, encoder->tables);
+    if (encoder->before != NULL) {
+        const int8_t *centroids = encoder->model.centroids;
+        encoder->model = encoder->before->model;
+        encoder->model.centroids = centroids;
+        encoder->before = NULL;
+    }
     vc_quantiser_offset_reset(&encoder->quantiser_offset);
     for (channel = 0; channel < encoder->configuration.channels; channel++)
         vc_block_reset(&encoder->channels[channel]);
@@ -86,7 +85,8 @@ static void add_error(vc_mdct_encoder *encoder, unsigned channel, const int32_t 
         const uint32_t index = silent ? 0 : encoder->search.indices[k];
         const int32_t level = (int32_t)vc_level_of(index, vc_quantiser_of(state));
         const int32_t value = level == 0 ? fill * vc_random_sign(&encoder->random)
-                                         : vc_reconstruct(coefficients[k] < 0 ? -level : level, step);
+                                         : vc_reconstruct(coefficients[k] < 0 ? -level : level,
+                                                          encoder->search.offsets[k], step);
         const int64_t error = vc_clamped(coefficients[k] - value, VC_MAX_COEFFICIENT);
         state = vc_next_state(state, index);
         sum += (uint64_t)(error * error) >> 4; /* so that the sum of a block fits */
@@ -159,6 +159,7 @@ int vc_mdct_read_levels(vc_mdct_encoder *reader, const uint8_t *packet, size_t l
     const vc_mdct_configuration *configuration = &reader->configuration;
     vc_range_coder coder;
     uint32_t sequence, block;
+    int8_t offsets[VC_MAX_BINS];
     int refresh;
     unsigned channel;
     const size_t head = vc_packet_head_read(packet, length, &sequence, &refresh);
@@ -174,7 +175,7 @@ int vc_mdct_read_levels(vc_mdct_encoder *reader, const uint8_t *packet, size_t l
     for (block = 0; block < configuration->packet_blocks; block++)
         for (channel = 0; channel < configuration->channels; channel++, levels += configuration->hop) {
             vc_block_state *state = &reader->channels[channel];
-            vc_block_decode(&coder, &reader->model, state, configuration->hop, levels);
+            vc_block_decode(&coder, &reader->model, state, configuration->hop, levels, offsets);
             *silent++ = state->history.silent_history & 1u;
         }
     return VC_OK;

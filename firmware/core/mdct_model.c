@@ -1,23 +1,25 @@
 /* Context model of `mdct`: its tables, the magnitudes coded so far, and the contexts that they make. */
 #include "mdct_mixing.h"
-#include "mdct_network.h"
 
-#define CELLS (VC_DECISIONS * 2 * VC_INPUTS * VC_CONTEXTS)
-#define WEIGHT_SETS (VC_DECISIONS * 2 * VC_SCALES)
-#define WEIGHTS (WEIGHT_SETS * VC_MIXED)
-#define TABLES_BYTES (CELLS + 2 * WEIGHT_SETS * (VC_INPUTS + 1) + VC_SILENCE_CONTEXTS)
+#define CELLS (VC_KINDS * 2 * VC_INPUTS * VC_CONTEXTS)
+#define WEIGHTS (VC_KINDS * 2 * VC_WEIGHT_SETS * VC_INPUTS)
+#define CENTROIDS (2 * VC_CENTROID_LEVELS * VC_CENTROID_CLASSES)
+#define TABLES_BYTES (CELLS + 2 * WEIGHTS + VC_SILENCE_CONTEXTS + CENTROIDS)
 
-#define NETWORK_WEIGHT (1 << 16)
+/* A cell of the tables that nothing was coded with, and the count of all others: few, so that a model adapts to each
+ * recording. */
+#define UNTRAINED 0x80u
+#define LEAST_DECISIONS 4
+#define TRAINED_COUNT 30
+/* Levels of which fewer were coded in training have no offset. */
+#define LEAST_LEVELS 30
 #define MEAN_BLOCKS 24u
+#define YOUNG_BLOCKS 6u /* until the means are trustworthy */
+#define LEAST_CLASS 28u /* vc_fine_class of the least expected magnitude, 263 */
 
 size_t vc_mdct_tables_size(void)
 {
     return TABLES_BYTES;
-}
-
-size_t vc_mdct_network_size(void)
-{
-    return VC_NETWORK_BYTES;
 }
 
 const uint8_t *vc_mdct_builtin_tables(void)
@@ -27,56 +29,63 @@ const uint8_t *vc_mdct_builtin_tables(void)
 
 int vc_model_check_tables(const uint8_t *tables, size_t length)
 {
-    return tables == NULL || length == TABLES_BYTES || length == TABLES_BYTES + VC_NETWORK_BYTES ? VC_OK
-                                                                                                 : VC_BAD_TABLES;
+    return tables == NULL || length == TABLES_BYTES ? VC_OK : VC_BAD_TABLES;
 }
 
-const uint8_t *vc_model_network(const uint8_t *tables, size_t length)
+static const uint8_t *read_numbers(int16_t *numbers, unsigned count, const uint8_t *bytes)
 {
-    return tables != NULL && length > TABLES_BYTES ? tables + TABLES_BYTES : NULL;
+    for (; count > 0; count--, bytes += 2)
+        *numbers++ = (int16_t)(bytes[0] | bytes[1] << 8);
+    return bytes;
 }
 
-/* Tables: for each cell the stretched probability / 16 (int8), the weights in 1/4096 (int16, little endian), then the
- * probabilities of silence / 256 (uint8). The weight of the network is not among them. */
+static uint8_t *write_numbers(const int16_t *numbers, unsigned count, uint8_t *bytes)
+{
+    for (; count > 0; count--, numbers++) {
+        *bytes++ = (uint8_t)*numbers;
+        *bytes++ = (uint8_t)((uint16_t)*numbers >> 8);
+    }
+    return bytes;
+}
+
+/* Tables: for each cell the stretched probability / 16 (int8), or UNTRAINED; the weights (int16, little endian); the
+ * probabilities of silence / 256 (uint8); then the centroids (int8). */
 void vc_model_reset(vc_model *model, const uint8_t *tables)
 {
     uint16_t *cells = &model->probability[0][0][0][0];
-    int32_t *weights = &model->weight[0][0][0][0];
+    uint8_t *counts = &model->count[0][0][0][0];
     unsigned i;
-    for (i = 0; i < CELLS; i += 4, cells += 4, tables += 4) { /* reads first: the compiler may not move them */
-        const uint16_t first = vc_initial[tables[0]], second = vc_initial[tables[1]];
-        const uint16_t third = vc_initial[tables[2]], fourth = vc_initial[tables[3]];
-        cells[0] = first;
-        cells[1] = second;
-        cells[2] = third;
-        cells[3] = fourth;
+    for (i = 0; i < CELLS; i++, tables++) {
+        cells[i] = *tables == UNTRAINED ? 32768 : vc_initial[*tables];
+        counts[i] = *tables == UNTRAINED ? 0 : TRAINED_COUNT;
     }
-    for (i = 0; i < WEIGHTS; i++)
-        if (i % VC_MIXED == VC_INPUTS) {
-            weights[i] = NETWORK_WEIGHT;
-        } else {
-            weights[i] = vc_clamped(16 * (int16_t)(tables[0] | tables[1] << 8), VC_MAX_WEIGHT);
-            tables += 2;
-        }
+    tables = read_numbers(&model->weight[0][0][0][0], WEIGHTS, tables);
     for (i = 0; i < VC_SILENCE_CONTEXTS; i++)
         model->silence[i] = (uint16_t)(*tables++ * 256 + 128);
+    model->centroids = (const int8_t *)tables;
 }
 
 void vc_model_export(const vc_model *model, uint8_t *tables)
 {
     const uint16_t *cells = &model->probability[0][0][0][0];
-    const int32_t *weights = &model->weight[0][0][0][0];
+    const uint8_t *counts = &model->count[0][0][0][0];
     unsigned i;
     for (i = 0; i < CELLS; i++)
-        *tables++ = (uint8_t)(int8_t)vc_clamped(vc_stretched(cells[i]) / 16, 127);
-    for (i = 0; i < WEIGHTS; i++)
-        if (i % VC_MIXED != VC_INPUTS) {
-            uint16_t weight = (uint16_t)(int16_t)vc_clamped(weights[i] / 16, 32767);
-            *tables++ = (uint8_t)weight;
-            *tables++ = (uint8_t)(weight >> 8);
-        }
+        *tables++ = counts[i] < LEAST_DECISIONS ? UNTRAINED : (uint8_t)(int8_t)vc_clamped(vc_stretched(cells[i]) / 16, 127);
+    tables = write_numbers(&model->weight[0][0][0][0], WEIGHTS, tables);
     for (i = 0; i < VC_SILENCE_CONTEXTS; i++)
         *tables++ = (uint8_t)(model->silence[i] >> 8);
+    memcpy(tables, model->centroids, CENTROIDS);
+}
+
+void vc_centroids_export(const vc_centroid_sums *sums, uint8_t *tables)
+{
+    const int64_t *sum = &sums->sum[0][0][0];
+    const uint32_t *count = &sums->count[0][0][0];
+    unsigned i;
+    tables += TABLES_BYTES - CENTROIDS;
+    for (i = 0; i < CENTROIDS; i++)
+        tables[i] = (uint8_t)(count[i] < LEAST_LEVELS ? 0 : vc_clamped((int32_t)(sum[i] / (int64_t)count[i]), 127));
 }
 
 void vc_history_reset(vc_history *history)
@@ -105,55 +114,45 @@ void vc_history_next_block(vc_history *history, uint32_t hop)
     }
 }
 
-/* The same with two steps an octave, of small numbers in quarters, at most 15. */
-static unsigned coarse_class(uint32_t quarters)
+static unsigned at_most(unsigned value, unsigned limit)
 {
-    unsigned steps = vc_fine_class(quarters) / 2;
-    return steps < 15 ? steps : 15;
+    return value < limit ? value : limit;
 }
 
-/* Expected magnitude of bin k, in 1/64 step: a weighted sum of its neighbours in this block, the last three and the
- * running average. Weights: maximum likelihood under a Laplace density on the training recordings. */
-static uint32_t expected_magnitude(const vc_history *history, uint32_t k, const vc_below *below)
+/* The weights of `magnitude` and `loudness` are the most likely ones of the training recordings, where magnitudes have
+ * an exponential density of this mean. */
+void vc_bin_find(vc_bin *bin, const vc_history *history, uint32_t hop, uint32_t k)
 {
     const uint8_t *last = history->rows[1] + k + VC_PADDING;
     const uint8_t *second = history->rows[2] + k + VC_PADDING;
     const uint8_t *third = history->rows[3] + k + VC_PADDING;
-    return (28 * below->nearest[0] + 8 * below->nearest[1] + 21u * last[0] + 18u * last[1] + 6u * last[-1] +
-            2u * last[2] + 12u * second[0] + 3u * second[1] + 3u * third[0] +
-            ((26u * history->average[k + VC_PADDING]) >> 8) + 20) >>
-           1;
+    const uint16_t *average = history->average + k + VC_PADDING, *mean = history->mean + k + VC_PADDING;
+    const uint32_t averages = (uint32_t)average[-1] + average[1], means = (uint32_t)mean[-1] + mean[1];
+    const uint32_t young = history->blocks < YOUNG_BLOCKS ? 16 : 0;
+    bin->magnitude = 263 + 89u * last[0] + 94u * last[1] + 15u * ((uint32_t)last[-1] + last[2] + last[-2]) +
+                     22u * second[0] + 7u * ((uint32_t)second[1] + second[-1]) + 9u * third[0] +
+                     ((56u * average[0] + 8 * averages) >> 9) + (((37 + young) * mean[0] + 6 * means) >> 9);
+    bin->loudness = (195u * mean[0] + 30 * means) >> 9;
+    bin->mean_class = (uint8_t)at_most(vc_fine_class((mean[0] * 2u + means) >> 7) / 2, 15);
+    bin->quarter = (uint8_t)(k * 4 / hop);
+    bin->set = (uint8_t)(at_most(history->blocks, VC_MAX_AGE) * 4 + bin->quarter);
 }
 
-static unsigned first_context(unsigned expected_class, uint32_t hop, uint32_t k)
+void vc_contexts_find(vc_contexts *contexts, const vc_bin *bin, uint32_t k, const vc_below *below)
 {
-    return (expected_class < 63 ? expected_class : 63) * 4 + k * 4 / hop;
-}
-
-unsigned vc_first_context(const vc_history *history, uint32_t hop, uint32_t k, const vc_below *below)
-{
-    return first_context(vc_fine_class(expected_magnitude(history, k, below)), hop, k);
-}
-
-void vc_contexts_find(vc_contexts *contexts, const vc_model *model, const vc_history *history, uint32_t hop, uint32_t k,
-                      const vc_below *below, unsigned quantiser)
-{
-    const uint8_t *last = history->rows[1] + k + VC_PADDING;
-    const uint16_t *average = history->average + k + VC_PADDING;
-    unsigned expected_class = vc_fine_class(expected_magnitude(history, k, below));
-    unsigned band = k * 16 / hop;
-    unsigned around = 2u * below->nearest[0] + below->nearest[1] + 2u * last[0] + last[1] + last[-1];
-    contexts->index[0] = first_context(expected_class, hop, k);
-    contexts->index[1] = (expected_class / 2 < 15 ? expected_class / 2 : 15) * 16 + band;
-    contexts->index[2] =
-        coarse_class(below->sum * 16 / (k + 1)) * 16 + coarse_class((uint32_t)(average[0] + average[1]) >> 3);
-    contexts->index[3] = coarse_class((average[-1] + 2u * average[0] + average[1]) >> 4) * 16 + band;
-    contexts->scale = coarse_class(4 * around) / 4;
-    if (model->network != NULL) {
-        int16_t inputs[VC_NETWORK_INPUTS];
-        vc_network_inputs(inputs, model, contexts, history, below, hop, k, quantiser);
-        vc_network_run(model->network, inputs, quantiser, contexts->network);
-    }
+    const uint32_t *now = below->nearest;
+    /* Of the loudness of this block's bins below to their means, in 1/64. */
+    const uint32_t any_ratio = ((below->sum + 1) << 15) / (below->mean_sum + 512);
+    const uint32_t ratio = any_ratio < 16 ? 16 : any_ratio > 256 ? 256 : any_ratio;
+    const uint32_t ratio_class = (ratio >= 32) + (ratio >= 40) + (ratio >= 51) + (ratio >= 64) + (ratio >= 81) +
+                                 (ratio >= 102) + (ratio >= 128);
+    const uint32_t magnitude = bin->magnitude + 183 * now[0] + 65 * now[1] + 28 * now[2] + 79 * below->sum / (k + 1) +
+                               (bin->loudness * ratio >> 6);
+    const unsigned class = at_most(vc_fine_class(magnitude) - LEAST_CLASS, 63);
+    contexts->index[0] = class * 4 + bin->quarter;
+    contexts->index[1] = bin->mean_class * 16u + ratio_class * 2 + (now[0] > 0);
+    contexts->set = bin->set;
+    contexts->centroid_class = at_most(class / 2, VC_CENTROID_CLASSES - 1);
 }
 
 static unsigned silence_context(const vc_history *history)
@@ -170,5 +169,6 @@ uint32_t vc_silence_predict(const vc_model *model, const vc_history *history)
 void vc_silence_update(vc_model *model, const vc_history *history, int silent)
 {
     uint16_t *probability = &model->silence[silence_context(history)];
-    *probability = vc_adapted(*probability, silent);
+    *probability = (uint16_t)(silent ? *probability + ((65535 - *probability) >> VC_SILENCE_SHIFT)
+                                     : *probability - (*probability >> VC_SILENCE_SHIFT));
 }

@@ -27,13 +27,11 @@ typedef struct vc_mdct_encoder vc_mdct_encoder;
 size_t vc_mdct_decoder_size(void);
 size_t vc_mdct_encoder_size(void);
 
-/* Return the bytes of a set of initial tables (adaptive probabilities and mixer weights at a refresh), and of the
- * network that may follow it. */
+/* Returns the bytes of a set of initial tables: adaptive probabilities, mixer weights and centroids at a refresh. */
 size_t vc_mdct_tables_size(void);
-size_t vc_mdct_network_size(void);
 
 /* Prepares a decoder. `configuration`: the codec's bytes from the stream header. `tables`: NULL for the built-in set,
- * else tables, perhaps with a network, that must stay valid while the decoder is used. The first packet must be a
+ * else tables that must stay valid while the decoder is used. The first packet must be a
  * refresh. Returns VC_OK, VC_BAD_CONFIGURATION or VC_BAD_TABLES. */
 int vc_mdct_decoder_init(vc_mdct_decoder *decoder, const uint8_t *configuration, size_t configuration_length,
                          unsigned channels, const uint8_t *tables, size_t tables_length);
@@ -98,12 +96,10 @@ const uint8_t *vc_mdct_builtin_tables(void);
 /* Writes the encoder's adapted state as initial tables (vc_mdct_tables_size() bytes), for the training of tables. */
 void vc_mdct_encoder_tables(const vc_mdct_encoder *encoder, uint8_t *tables);
 
-/* Record examples for the training of a network. Each coefficient coded from now on gives a row, unless its block is
- * silent, as long as `capacity` rows have room. A row has vc_mdct_example_values() numbers: the network's inputs in
- * 1/16, the quantiser (0 or 1) and the index, at most 15. The last function returns the rows written. */
-size_t vc_mdct_example_values(void);
-void vc_mdct_encoder_record(vc_mdct_encoder *encoder, int16_t *rows, size_t capacity);
-size_t vc_mdct_encoder_recorded(const vc_mdct_encoder *encoder);
+/* Training: lets the encoder's first packet begin with the adapted state of another encoder, which must stay valid until
+ * then; NULL = with the tables. Tables that it writes have the means of the magnitudes that it and those before coded
+ * by each level. */
+void vc_mdct_encoder_follow(vc_mdct_encoder *encoder, const vc_mdct_encoder *before);
 /* cffi: end */
 
 #endif
