@@ -46,7 +46,6 @@ SECONDS = 0.5
 TARGET_DB = 10.0
 DECODERS = (
     "mdct",
-    "mdct-network",
     "dct",
     "slp",
     "eva-16",

@@ -42,7 +42,6 @@ except ModuleNotFoundError as error:
 
 DECODERS = (
     "mdct",
-    "mdct-network",
     "lapped-textures",
     "dct",
     "slp",

@@ -169,7 +169,7 @@ static void write_block(vc_range_coder *coder, vc_model *model, vc_block_state *
         vc_bin_find(&bin, history, bins, k);
         vc_contexts_find(&contexts, &bin, k, &below);
         search->offsets[k] = vc_level_offset(model, quantiser, contexts.centroid_class, level);
-        if (search->sums != NULL && level > 0) {
+        if (search->sums != NULL && magnitudes != NULL && level > 0) {
             const unsigned row = (level < VC_CENTROID_LEVELS ? level : VC_CENTROID_LEVELS) - 1;
             search->sums->sum[quantiser][row][contexts.centroid_class] += (int64_t)magnitudes[k] - (int64_t)level * 256;
             search->sums->count[quantiser][row][contexts.centroid_class]++;

@@ -4,7 +4,7 @@
 
 #include "quantiser_offset.h"
 
-#define VC_MAX_BINS 128 /* of a block that is coded by this model: a spectrum */
+#define VC_MAX_BINS 128 /* of a spectrum */
 #define VC_MAX_PACKET_BLOCKS 4095
 #define VC_STEP_CODES (21 * 64)
 #define VC_STEP_CODE_BITS 11 /* of the 16 in the configuration; above them, the fill */
@@ -21,7 +21,6 @@
 #define VC_KINDS 4 /* of decisions: "not zero", "more than 1", "more than 2", and all further ones */
 #define VC_UNARY_LIMIT 15
 #define VC_SILENCE_CONTEXTS 16
-#define VC_MAX_STRETCHED 2047
 
 typedef struct {
     uint32_t hop, packet_blocks;
@@ -47,7 +46,7 @@ typedef struct {
  * that dependent quantisation alternates between. */
 typedef struct {
     uint16_t probability[VC_KINDS][2][VC_INPUTS][VC_CONTEXTS];
-    uint8_t count[VC_KINDS][2][VC_INPUTS][VC_CONTEXTS]; /* of decisions that a probability has learned from, at most 255 */
+    uint8_t count[VC_KINDS][2][VC_INPUTS][VC_CONTEXTS];     /* of the decisions a probability has learned from */
     int16_t weight[VC_KINDS][2][VC_WEIGHT_SETS][VC_INPUTS]; /* in 1/16384 */
     uint16_t silence[VC_SILENCE_CONTEXTS];
     const int8_t *centroids; /* [2][VC_CENTROID_LEVELS][VC_CENTROID_CLASSES] */
@@ -69,9 +68,8 @@ typedef struct {
     uint8_t rows[4][VC_MAX_BINS + 2 * VC_PADDING];  /* this block, the last one, and the two before */
     uint16_t average[VC_MAX_BINS + 2 * VC_PADDING]; /* running average of each bin, in 1/256 */
     uint16_t mean[VC_MAX_BINS + 2 * VC_PADDING];    /* slower, from the first block on a true mean, in 1/512 */
-    uint32_t mean_sum;                              /* of all bins */
     uint32_t block_sum;                             /* of the last block */
-    uint32_t blocks;                                /* so far, at most VC_MEAN_BLOCKS */
+    uint32_t blocks;                                /* so far, at most MEAN_BLOCKS of mdct_model.c */
     uint8_t silent_history;                         /* of the last two blocks, one bit each */
 } vc_history;
 
@@ -85,7 +83,7 @@ typedef struct {
 /* The part of a coefficient's contexts that does not depend on the bins below it. */
 typedef struct {
     uint32_t magnitude; /* expected, in 1/1024 step, without the bins below */
-    uint32_t loudness;  /* what the block's loudness adds to it, in 1/1024 step, where it is the mean one */
+    uint32_t loudness;  /* the part that grows with the loudness of the block, in 1/1024 step; here at the mean one */
     uint8_t mean_class;
     uint8_t quarter; /* of the spectrum */
     uint8_t set;
@@ -217,11 +215,11 @@ static inline int32_t vc_reconstruct(int32_t level, int32_t offset, int32_t step
                                                    : value);
 }
 
-extern const int16_t vc_stretch[2048]; /* ln(p / (1 - p)) at p = (i + 1/2) / 2048, in 1/256 */
-extern const uint16_t vc_squash[1024]; /* 65536 / (1 + exp(-d / 256)) at d = 4 i - 2046 */
-extern const uint16_t vc_initial[256]; /* vc_squash at 16 times an int8_t: the value of a byte of the tables */
-extern const uint16_t vc_learning[256];  /* 65536 / (i + 1.6): how far a probability moves after i decisions */
-extern const uint16_t vc_cost[2048];   /* -log2((i + 1/2) / 2048) in 1/256 bit */
+extern const int16_t vc_stretch[2048];  /* ln(p / (1 - p)) at p = (i + 1/2) / 2048, in 1/256 */
+extern const uint16_t vc_squash[1024];  /* 65536 / (1 + exp(-d / 256)) at d = 4 i - 2046 */
+extern const uint16_t vc_initial[256];  /* vc_squash at 16 times an int8_t: the value of a byte of the tables */
+extern const uint16_t vc_learning[256]; /* 65536 / (i + 1.6): how far a probability moves after i decisions */
+extern const uint16_t vc_cost[2048];    /* -log2((i + 1/2) / 2048) in 1/256 bit */
 extern const uint8_t vc_builtin_tables[];
 
 #endif

@@ -32,6 +32,7 @@ int vc_mdct_encoder_init(vc_mdct_encoder *encoder, const uint8_t *configuration,
     status = vc_model_check_tables(tables, tables_length);
     if (status != VC_OK)
         return status;
+    vc_model_reset(&encoder->model, encoder->tables);
     return vc_configuration_read(&encoder->configuration, configuration, configuration_length, channels);
 }
 
@@ -84,9 +85,9 @@ static void add_error(vc_mdct_encoder *encoder, unsigned channel, const int32_t 
         const int32_t fill = silent ? 0 : (int32_t)((int64_t)step * configuration->fill[channel] / 128);
         const uint32_t index = silent ? 0 : encoder->search.indices[k];
         const int32_t level = (int32_t)vc_level_of(index, vc_quantiser_of(state));
-        const int32_t value = level == 0 ? fill * vc_random_sign(&encoder->random)
-                                         : vc_reconstruct(coefficients[k] < 0 ? -level : level,
-                                                          encoder->search.offsets[k], step);
+        const int32_t value =
+            level == 0 ? fill * vc_random_sign(&encoder->random)
+                       : vc_reconstruct(coefficients[k] < 0 ? -level : level, encoder->search.offsets[k], step);
         const int64_t error = vc_clamped(coefficients[k] - value, VC_MAX_COEFFICIENT);
         state = vc_next_state(state, index);
         sum += (uint64_t)(error * error) >> 4; /* so that the sum of a block fits */

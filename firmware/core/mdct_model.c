@@ -71,7 +71,8 @@ void vc_model_export(const vc_model *model, uint8_t *tables)
     const uint8_t *counts = &model->count[0][0][0][0];
     unsigned i;
     for (i = 0; i < CELLS; i++)
-        *tables++ = counts[i] < LEAST_DECISIONS ? UNTRAINED : (uint8_t)(int8_t)vc_clamped(vc_stretched(cells[i]) / 16, 127);
+        *tables++ =
+            counts[i] < LEAST_DECISIONS ? UNTRAINED : (uint8_t)(int8_t)vc_clamped(vc_stretched(cells[i]) / 16, 127);
     tables = write_numbers(&model->weight[0][0][0][0], WEIGHTS, tables);
     for (i = 0; i < VC_SILENCE_CONTEXTS; i++)
         *tables++ = (uint8_t)(model->silence[i] >> 8);
@@ -98,7 +99,7 @@ void vc_history_next_block(vc_history *history, uint32_t hop)
 {
     uint8_t (*const rows)[sizeof history->rows[0]] = history->rows;
     uint32_t k;
-    history->block_sum = history->mean_sum = 0;
+    history->block_sum = 0;
     history->blocks += history->blocks < MEAN_BLOCKS;
     for (k = 0; k < hop; k++) {
         const uint32_t bin = k + VC_PADDING, magnitude = rows[0][bin];
@@ -110,7 +111,6 @@ void vc_history_next_block(vc_history *history, uint32_t hop)
         history->block_sum += magnitude;
         *average = (uint16_t)(*average - (*average >> 3) + magnitude * 32);
         *mean = (uint16_t)((*mean * (history->blocks - 1) + 512 * magnitude + history->blocks / 2) / history->blocks);
-        history->mean_sum += *mean;
     }
 }
 
@@ -144,8 +144,8 @@ void vc_contexts_find(vc_contexts *contexts, const vc_bin *bin, uint32_t k, cons
     /* Of the loudness of this block's bins below to their means, in 1/64. */
     const uint32_t any_ratio = ((below->sum + 1) << 15) / (below->mean_sum + 512);
     const uint32_t ratio = any_ratio < 16 ? 16 : any_ratio > 256 ? 256 : any_ratio;
-    const uint32_t ratio_class = (ratio >= 32) + (ratio >= 40) + (ratio >= 51) + (ratio >= 64) + (ratio >= 81) +
-                                 (ratio >= 102) + (ratio >= 128);
+    const uint32_t ratio_class =
+        (ratio >= 32) + (ratio >= 40) + (ratio >= 51) + (ratio >= 64) + (ratio >= 81) + (ratio >= 102) + (ratio >= 128);
     const uint32_t magnitude = bin->magnitude + 183 * now[0] + 65 * now[1] + 28 * now[2] + 79 * below->sum / (k + 1) +
                                (bin->loudness * ratio >> 6);
     const unsigned class = at_most(vc_fine_class(magnitude) - LEAST_CLASS, 63);

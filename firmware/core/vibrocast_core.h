@@ -96,9 +96,9 @@ const uint8_t *vc_mdct_builtin_tables(void);
 /* Writes the encoder's adapted state as initial tables (vc_mdct_tables_size() bytes), for the training of tables. */
 void vc_mdct_encoder_tables(const vc_mdct_encoder *encoder, uint8_t *tables);
 
-/* Training: lets the encoder's first packet begin with the adapted state of another encoder, which must stay valid until
- * then; NULL = with the tables. Tables that it writes have the means of the magnitudes that it and those before coded
- * by each level. */
+/* Training: lets the encoder's first packet begin with the adapted state of another encoder, which must stay valid
+ * until then; NULL = with the tables. Tables that it writes have the means of the magnitudes that it and those before
+ * coded by each level. */
 void vc_mdct_encoder_follow(vc_mdct_encoder *encoder, const vc_mdct_encoder *before);
 /* cffi: end */
 

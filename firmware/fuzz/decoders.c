@@ -107,25 +107,24 @@ static uint8_t *take_model(const vc_codec *codec, const uint8_t **data, size_t *
 {
     const size_t windows_size = codec == &vc_lapped_codec ? vc_lapped_windows_size() : 0;
     const size_t tables_size = vc_mdct_tables_size();
-    uint8_t *records[3] = {NULL, NULL, NULL}, *model = NULL;
-    size_t lengths[3] = {0, 0, 0};
+    uint8_t *records[2] = {NULL, NULL}, *model = NULL;
+    size_t lengths[2] = {0, 0};
     unsigned i;
     *model_length = 0;
     if (codec == &vc_eva_codec && vc_fuzz_record(data, length, &model, model_length))
         return model;
     if (codec != &vc_mdct_codec && codec != &vc_lapped_codec)
         return NULL;
-    for (i = 0; i < 3; i++)
+    for (i = 0; i < 2; i++)
         (void)vc_fuzz_record(data, length, &records[i], &lengths[i]);
-    if (windows_size + lengths[0] + lengths[1] > 0) {
-        *model_length = windows_size + tables_size + (lengths[1] > 0 ? vc_mdct_network_size() : 0);
+    if (windows_size + lengths[0] > 0) {
+        *model_length = windows_size + tables_size;
         model = calloc(1, *model_length);
         memcpy(model + windows_size, vc_mdct_builtin_tables(), tables_size);
         overlay(model + windows_size, tables_size, records[0], lengths[0]);
-        overlay(model + windows_size + tables_size, *model_length - windows_size - tables_size, records[1], lengths[1]);
-        overlay(model, windows_size, records[2], lengths[2]);
+        overlay(model, windows_size, records[1], lengths[1]);
     }
-    for (i = 0; i < 3; i++)
+    for (i = 0; i < 2; i++)
         free(records[i]);
     return model;
 }

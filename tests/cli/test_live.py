@@ -97,7 +97,7 @@ def test_samples_that_are_no_numbers_are_rejected() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("arguments", [["--model", "eva-16-4"], ["--codec", "eva"], ["--model", "mdct-network"]])
+@pytest.mark.parametrize("arguments", [["--model", "eva-16-4"], ["--codec", "eva"], ["--model", "mdct-textures"]])
 def test_a_model_is_flashed_and_streamed_with(arguments: list[str]) -> None:
     result = run("rough", "--seconds", "0.3", "--playout-delay-ms", "300", *arguments)
     assert result.exit_code == 0, result.output

@@ -8,6 +8,10 @@ from numpy.typing import NDArray
 
 STRETCH = [round(256 * math.log((i + 0.5) / (2047.5 - i))) for i in range(2048)]
 SQUASH = [round(65536 / (1 + math.exp(-(4 * i - 2046) / 256))) for i in range(1024)]
+LEARNING = [round(65536 / (i + 1.6)) for i in range(256)]
+RATIOS = (32, 40, 51, 64, 81, 102, 128)
+MARGIN = 3
+"""Zeros before and behind the bins of a row."""
 NEXT_STATE = ((0, 2), (2, 0), (1, 3), (3, 1))
 
 
@@ -21,19 +25,11 @@ def clamp(value: int, limit: int) -> int:
     return max(-limit, min(limit, value))
 
 
-def squash(stretched: int) -> int:
-    return SQUASH[(clamp(stretched, 2047) + 2048) >> 2]
-
-
 def fine_class(x: int) -> int:
     if x < 4:
         return x
     exponent = x.bit_length() - 1
     return 4 * (exponent - 1) + ((x >> (exponent - 2)) & 3)
-
-
-def coarse_class(x: int) -> int:
-    return min(15, fine_class(x) // 2)
 
 
 def adapted(probability: int, bit: int) -> int:
@@ -67,62 +63,45 @@ class RangeDecoder:
         return bit
 
 
-class Network:
-    """Section "`mdct`: network"."""
+@dataclass
+class Contexts:
+    """Section "`mdct`: contexts": what the decisions of a coefficient depend on."""
 
-    def __init__(self, payload: bytes) -> None:
-        self.layers, position = [], 0
-        for outputs, inputs in ((32, 29), (24, 32), (6, 24), (6, 24)):
-            weights = np.frombuffer(payload, np.int8, outputs * inputs, position).reshape(outputs, inputs)
-            biases = np.frombuffer(payload, "<i2", outputs, position + outputs * inputs)
-            self.layers.append((weights.astype(np.int64), biases.astype(np.int64)))
-            position += outputs * (inputs + 2)
-        assert position == len(payload)
+    quantiser: int
+    weights: int
+    cells: list[int]
 
-    def logits(self, inputs: list[int], quantiser: int) -> list[int]:
-        values = np.array(inputs)
-        for layer, (divisor, least) in ((0, (4, 0)), (1, (64, 0)), (2 + quantiser, (64, -32767))):
-            weights, biases = self.layers[layer]
-            values = np.clip(np.trunc(weights @ values / divisor).astype(np.int64) + biases, least, 32767)
-        return [clamp(int(value), 2047) for value in values]
+    def centroid(self, level: int) -> tuple[int, int, int]:
+        return self.quantiser, min(level, 3) - 1, min(self.cells[0] // 8, 15)
 
 
 class Model:
-    """Section "`mdct`: adaptive model"."""
+    """Sections "`mdct`: adaptive model" and "`mdct`: tables"."""
 
-    def __init__(self, payload: bytes) -> None:
-        tables, network = payload[:12784], payload[12784:]
-        self.network = Network(network) if network else None
-        signed = np.frombuffer(tables, dtype=np.int8)
-        cells = 6 * 2 * 4 * 256
-        self.cell = np.array([squash(16 * int(value)) for value in signed[:cells]]).reshape(6, 2, 4, 256)
-        weights = np.frombuffer(tables[cells : cells + 480], dtype="<i2")
-        in_tables = np.array([clamp(16 * int(value), 8 << 16) for value in weights]).reshape(6, 2, 4, 5)
-        self.weight = np.insert(in_tables, 4, 65536, axis=-1)
-        self.silence = [256 * value + 128 for value in tables[cells + 480 :]]
+    def __init__(self, tables: bytes) -> None:
+        assert len(tables) == 5744
+        cells = np.frombuffer(tables, np.int8, 4096).astype(np.int64).reshape(4, 2, 2, 256)
+        self.cell = np.where(cells == -128, 32768, np.array(SQUASH)[512 + 4 * cells])
+        self.count = np.where(cells == -128, 0, 30)
+        self.weight = np.frombuffer(tables, "<i2", 768, 4096).astype(np.int64).reshape(4, 2, 48, 2)
+        self.silence = [256 * value + 128 for value in tables[5632:5648]]
+        self.centroid = np.frombuffer(tables, np.int8, 96, 5648).reshape(2, 3, 16)
 
-    def logits(self, contexts: list[int], magnitudes: list[int], others: list[int], quantiser: int) -> list[int]:
-        if self.network is None:
-            return [0] * 6
-        cells = self.cell[:2, quantiser]
-        stretched = [STRETCH[cells[kind, i, contexts[i]] >> 5] for kind in range(2) for i in range(4)]
-        inputs = [fine_class(x) for x in magnitudes] + others + [divide(x, 16) for x in stretched]
-        return self.network.logits(inputs, quantiser)
-
-    def decide(
-        self, coder: RangeDecoder, contexts: list[int], logits: list[int], scale: int, decision: int, quantiser: int
-    ) -> int:
-        kind = min(decision, 5)
-        weight = self.weight[kind, quantiser, scale]
-        cells = self.cell[kind, quantiser]
-        inputs = [STRETCH[cells[i, contexts[i]] >> 5] for i in range(4)] + [logits[kind], 256]
-        mixed = squash(divide(sum(int(w) * x for w, x in zip(weight, inputs, strict=True)), 65536))
+    def decide(self, coder: RangeDecoder, contexts: Contexts, decision: int) -> int:
+        kind, quantiser = min(decision, 3), contexts.quantiser
+        weight = self.weight[kind, quantiser, contexts.weights]
+        cells = [(kind, quantiser, i, context) for i, context in enumerate(contexts.cells)]
+        inputs = [STRETCH[self.cell[cell] >> 5] for cell in cells]
+        total = sum(int(w) * x for w, x in zip(weight, inputs, strict=True))
+        mixed = SQUASH[max(0, min(1023, divide(total, 65536) + 512))]
         bit = coder.decode(bounded(mixed))
-        error = 6 * (65536 * bit - mixed)
-        for i, x in enumerate(inputs):
-            weight[i] = clamp(int(weight[i]) + divide(error * x, 1 << 18), 8 << 16)
-        for i in range(4):
-            cells[i, contexts[i]] = adapted(int(cells[i, contexts[i]]), bit)
+        error = divide(6 * (65536 * bit - mixed), 64)
+        for i, (cell, x) in enumerate(zip(cells, inputs, strict=True)):
+            weight[i] = clamp(int(weight[i]) + ((error * x + 8192) >> 14), 32767)
+            probability, rate = int(self.cell[cell]), LEARNING[self.count[cell]]
+            change = (65535 - probability) * rate >> 16 if bit else -(probability * rate >> 16)
+            self.cell[cell] = probability + change
+            self.count[cell] = min(255, self.count[cell] + 1)
         return bit
 
 
@@ -156,49 +135,44 @@ class Channel:
     mean: list[int] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.rows = [[0] * (self.hop + 4) for _ in range(4)]
-        self.average = [0] * (self.hop + 4)
-        self.mean = [0] * (self.hop + 4)
+        self.rows = [[0] * (self.hop + 2 * MARGIN) for _ in range(4)]
+        self.average = [0] * (self.hop + 2 * MARGIN)
+        self.mean = [0] * (self.hop + 2 * MARGIN)
 
     def next_block(self) -> None:
         self.block_sum = sum(self.rows[0])
         self.blocks = min(24, self.blocks + 1)
-        for k in range(2, self.hop + 2):
+        for k in range(MARGIN, self.hop + MARGIN):
             self.average[k] += 32 * self.rows[0][k] - (self.average[k] >> 3)
             weighted = self.mean[k] * (self.blocks - 1) + 512 * self.rows[0][k]
             self.mean[k] = (weighted + self.blocks // 2) // self.blocks
-        self.rows = [[0] * (self.hop + 4), *self.rows[:3]]
+        self.rows = [[0] * (self.hop + 2 * MARGIN), *self.rows[:3]]
 
-    def contexts(self, k: int, block_sum: int) -> tuple[list[int], int]:
+    def contexts(self, k: int) -> Contexts:
         now, last, second, third = self.rows
-        j, average = k + 2, self.average
+        j, average, mean = k + MARGIN, self.average, self.mean
+        averages, means = average[j - 1] + average[j + 1], mean[j - 1] + mean[j + 1]
+        below, below_mean = sum(now[:j]), sum(mean[:j])
+        ratio = max(16, min(256, 32768 * (below + 1) // (below_mean + 512)))
+        loudness = (195 * mean[j] + 30 * means) >> 9
         expected = (
-            28 * now[j - 1] + 8 * now[j - 2] + 21 * last[j] + 18 * last[j + 1] + 6 * last[j - 1] + 2 * last[j + 2]
-            + 12 * second[j] + 3 * second[j + 1] + 3 * third[j] + (26 * average[j] >> 8) + 20
-        ) >> 1  # fmt: skip
-        fine, band = fine_class(expected), k * 16 // self.hop
-        around = 2 * now[j - 1] + now[j - 2] + 2 * last[j] + last[j + 1] + last[j - 1]
-        indices = [
-            min(63, fine) * 4 + k * 4 // self.hop,
-            min(15, fine // 2) * 16 + band,
-            coarse_class(16 * block_sum // (k + 1)) * 16 + coarse_class((average[j] + average[j + 1]) >> 3),
-            coarse_class((average[j - 1] + 2 * average[j] + average[j + 1]) >> 4) * 16 + band,
-        ]
-        return indices, coarse_class(4 * around) // 4
-
-    def network_inputs(self, k: int, block_sum: int) -> tuple[list[int], list[int]]:
-        """The magnitudes whose logarithm is an input, and the other inputs but for the cells."""
-        now, last, second, third = self.rows
-        j, mean = k + 2, self.mean
-        below = [now[j - 1], now[j - 2], now[j - 3] if k > 2 else 0]
-        eighths = [8 * x for x in [*below, *last[j - 2 : j + 3], *second[j - 1 : j + 2], third[j]]]
-        eighths += [x // 64 for x in mean[j - 1 : j + 2]]
-        eighths += [8 * block_sum // (k + 1), sum(mean[2:j]) // (64 * (k + 1)), sum(mean) // (64 * self.hop)]
-        return eighths, [64 * k // self.hop, self.blocks, self.hop // 4]
+            263 + 89 * last[j] + 94 * last[j + 1] + 15 * (last[j - 1] + last[j + 2] + last[j - 2])
+            + 22 * second[j] + 7 * (second[j + 1] + second[j - 1]) + 9 * third[j]
+            + ((56 * average[j] + 8 * averages) >> 9)
+            + (((53 if self.blocks < 6 else 37) * mean[j] + 6 * means) >> 9)
+            + 183 * now[j - 1] + 65 * now[j - 2] + 28 * now[j - 3]
+            + 79 * below // (k + 1) + (loudness * ratio >> 6)
+        )  # fmt: skip
+        magnitude_class = min(63, fine_class(expected) - 28)
+        mean_class = min(15, fine_class((2 * mean[j] + means) >> 7) // 2)
+        ratio_class = sum(ratio >= limit for limit in RATIOS)
+        quarter = 4 * k // self.hop
+        cells = [4 * magnitude_class + quarter, 16 * mean_class + 2 * ratio_class + (now[j - 1] > 0)]
+        return Contexts(self.state >> 1, 4 * min(11, self.blocks) + quarter, cells)
 
 
 def decode_block(coder: RangeDecoder, model: Model, channel: Channel, row: NDArray[np.int64]) -> None:
-    """Section "`mdct`: payload": one block of a channel."""
+    """Section "`mdct`: payload": one block of a channel, reconstructed in 1/256 step."""
     loudness = sum(channel.block_sum > limit for limit in (0, 8, 32))
     context = channel.silent_history * 4 + loudness
     silent = coder.decode(bounded(model.silence[context]))
@@ -206,21 +180,19 @@ def decode_block(coder: RangeDecoder, model: Model, channel: Channel, row: NDArr
     channel.silent_history = (channel.silent_history * 2 + silent) & 3
     if silent:
         channel.state = 0
-    block_sum = 0
     for k in range(0 if silent else len(row)):
-        quantiser = channel.state >> 1
-        contexts, scale = channel.contexts(k, block_sum)
-        logits = model.logits(contexts, *channel.network_inputs(k, block_sum), quantiser)
+        contexts = channel.contexts(k)
         index = 0
-        while index < 15 and model.decide(coder, contexts, logits, scale, index, quantiser):
+        while index < 15 and model.decide(coder, contexts, index):
             index += 1
         if index == 15:
             index += suffix(coder)
-        level = 2 * index - quantiser if index else 0
-        row[k] = -level if index and coder.decode() else level
+        if index:
+            level = 2 * index - contexts.quantiser
+            magnitude = 256 * level + int(model.centroid[contexts.centroid(level)])
+            row[k] = -magnitude if coder.decode() else magnitude
+            channel.rows[0][k + MARGIN] = min(126, level)
         channel.state = NEXT_STATE[channel.state][index & 1]
-        channel.rows[0][k + 2] = min(126, level)
-        block_sum += min(126, level)
     channel.next_block()
 
 
@@ -290,7 +262,7 @@ class Rotation:
 
 
 class ReferenceDecoder:
-    """Decodes packets to signed levels (blocks, channels, hop) and to samples by the exact transform."""
+    """Decodes packets to values in 1/256 step (blocks, channels, hop) and to samples by the exact transform."""
 
     def __init__(self, configuration: bytes, channels: int, tables: bytes) -> None:
         head, position = configuration[0], 1
@@ -331,7 +303,7 @@ class ReferenceDecoder:
     def window(self) -> NDArray[np.float64]:
         return np.sin(np.pi * (np.arange(2 * self.hop) + 0.5) / (2 * self.hop))
 
-    def levels(self, packet: bytes) -> NDArray[np.int64]:
+    def values(self, packet: bytes) -> NDArray[np.int64]:
         position = next(i for i, byte in enumerate(packet) if byte < 0x80) + 1
         if packet[0] & 1:
             self.model = Model(self.tables)
@@ -340,40 +312,39 @@ class ReferenceDecoder:
         coder = RangeDecoder(packet[position:])
         if self.rate_controlled:
             self.quantiser_offset.decode(coder)
-        levels = np.zeros((self.blocks, len(self.channels), self.hop), dtype=np.int64)
-        self.silent = np.zeros(levels.shape[:2], dtype=bool)
-        for block, silent in zip(levels, self.silent, strict=True):
+        values = np.zeros((self.blocks, len(self.channels), self.hop), dtype=np.int64)
+        self.silent = np.zeros(values.shape[:2], dtype=bool)
+        for block, silent in zip(values, self.silent, strict=True):
             for number, channel in enumerate(self.channels):
                 decode_block(coder, self.model, channel, block[number])
                 silent[number] = channel.silent_history & 1
-        return levels
+        return values
 
-    def steps(self) -> NDArray[np.float64]:
-        """Steps of the last packet, (channels, hop)."""
+    def steps(self) -> NDArray[np.int64]:
+        """Steps of the last packet in 1/256 LSB, (channels, hop)."""
         base = [min(self.codes)] * len(self.codes) if self.rotation else self.codes
         moved = [[code + 16 * self.quantiser_offset.value + more for more in self.shape] for code in base]
-        codes = np.clip(np.array(moved), 0, 1343)
-        return np.array((64 + codes % 64) * 2.0 ** (codes // 64) / 256)
+        codes = np.clip(np.array(moved, dtype=np.int64), 0, 1343)
+        return 64 + codes % 64 << codes // 64
 
-    def fill(
-        self, levels: NDArray[np.int64], spectra: NDArray[np.float64], steps: NDArray[np.float64], random: int
-    ) -> None:
+    def fill(self, spectra: NDArray[np.int64], steps: NDArray[np.int64], random: int) -> None:
         """Section "`mdct`: noise filling": puts a magnitude of random sign in place of zeros."""
-        fills = [
-            [int(256 * step * fill / 128) / 256 for step in row] for row, fill in zip(steps, self.fills, strict=True)
-        ]
-        for block, channel in np.ndindex(levels.shape[:2]):
-            for k in np.flatnonzero(levels[block, channel] == 0):
-                magnitude = 0.0 if self.silent[block, channel] else fills[channel][k]
+        for block, channel in np.ndindex(spectra.shape[:2]):
+            for k in np.flatnonzero(spectra[block, channel] == 0):
+                magnitude = 0 if self.silent[block, channel] else int(steps[channel, k]) * self.fills[channel] // 128
                 random = (random * 1664525 + 1013904223) % 2**32
                 spectra[block, channel, k] = -magnitude if random >> 31 else magnitude
 
+    def coefficients(self, packet: bytes) -> NDArray[np.int64]:
+        """Spectra in 1/256 LSB, (blocks, channels, hop)."""
+        values, steps = self.values(packet), self.steps()
+        spectra = np.clip(np.sign(values) * (np.abs(values) * steps // 256), -(2**28), 2**28)
+        self.fill(spectra, steps, read_varint(packet) >> 1)
+        return spectra
+
     def samples(self, packet: bytes) -> NDArray[np.float64]:
         """Exact samples (packet_samples, channels), not rounded, 32768 = full scale."""
-        levels = self.levels(packet)
-        steps = self.steps()
-        spectra = levels * steps
-        self.fill(levels, spectra, steps, read_varint(packet) >> 1)
+        spectra = self.coefficients(packet) / 256
         signal = np.zeros((self.blocks, self.hop, len(self.channels)))
         for block, spectrum in zip(signal, spectra, strict=True):
             added = (self.rotation.mixed(spectrum) if self.rotation else spectrum) @ self.synthesis

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 from tests.codec.reference_decoder import ReferenceDecoder
 from tests.codec.signals import RATE_HZ, edge_signals, texture
-from vibrocast import codec, models
+from vibrocast import codec
 from vibrocast.codec import Choice, CodecError, Framing, RateControl, mdct
 from vibrocast.device_protocol.coded_stream import unpack_file
 
-TABLES = {"built in": mdct.built_in_tables(), "with a network": models.find("mdct-network").tables}
+TABLES = {"built in": mdct.built_in_tables(), "untrained": mdct.untrained_tables()}
 
 
 def coded(
@@ -146,7 +146,7 @@ def test_a_constant_quantiser_offset_is_that_of_the_step_and_costs_at_most_a_bit
     np.testing.assert_array_equal(decoded(*plain, 1), decoded(*rate_controlled, 1))
     added_bits = 8 * (sum(map(len, rate_controlled[1])) - sum(map(len, plain[1])))
     at_refreshes = 0 if quantiser_offset == 0 else 10 * len(plain[1]) / 5
-    assert 0 < added_bits <= len(plain[1]) + at_refreshes
+    assert 0 <= added_bits <= len(plain[1]) + at_refreshes
 
 
 def test_steps_per_packet_save_the_bits_of_a_click_above_a_texture() -> None:
@@ -260,8 +260,8 @@ def test_tables_of_another_size_are_rejected(tables: bytes) -> None:
 
 @given(st.binary(min_size=1, max_size=40), st.sampled_from(mdct.HOPS))
 @settings(max_examples=30)
-def test_any_tables_and_network_decode_what_they_coded(pattern: bytes, hop: int) -> None:
-    size = len(TABLES["with a network"])
+def test_any_tables_decode_what_they_coded(pattern: bytes, hop: int) -> None:
+    size = len(TABLES["built in"])
     tables = (pattern * size)[:size]
     signal = texture(600)
     configuration, packets = coded(signal, 0.05, Framing(2 * hop, 3), hop, tables)
@@ -390,21 +390,9 @@ def test_golden_stream() -> None:
     header, packets = unpack_file(Path(__file__).with_name("golden_mdct.vct").read_bytes())
     assert (header.samples, header.channels, len(packets)) == (400, 2, 3)
     samples = decoded(header.configuration, packets, header.channels)
-    assert hashlib.sha256(samples.astype("<i2").tobytes()).hexdigest()[:32] == "e70232474de8c5fc7b7c18bd083c6401"
+    assert hashlib.sha256(samples.astype("<i2").tobytes()).hexdigest()[:32] == "21ac05911c4238873173fda2bcea394a"
     ratio = codec.snr_db(golden_signal(), samples[32:432] * (np.array(header.gains) / 32768))
     assert ratio == pytest.approx(32.23, abs=0.01)
-
-
-def test_golden_stream_with_a_network() -> None:
-    """Network, noise filling and longest hop: a stream coded with a model that ships stays playable likewise."""
-    header, packets = unpack_file(Path(__file__).with_name("golden_mdct_network.vct").read_bytes())
-    assert (header.samples, header.channels, len(packets)) == (400, 2, 2)
-    model = models.by_hash(header.image_hash)
-    assert model is not None
-    samples = decoded(header.configuration, packets, header.channels, model.tables)
-    assert hashlib.sha256(samples.astype("<i2").tobytes()).hexdigest()[:32] == "a9d7630edeff2d58beab1260ff91005d"
-    ratio = codec.snr_db(golden_signal(), samples[128:528] * (np.array(header.gains) / 32768))
-    assert ratio == pytest.approx(30.22, abs=0.01)
 
 
 def test_golden_rate_controlled_stream() -> None:
@@ -412,9 +400,9 @@ def test_golden_rate_controlled_stream() -> None:
     header, packets = unpack_file(Path(__file__).with_name("golden_mdct_steered.vct").read_bytes())
     assert (header.samples, header.channels, len(packets)) == (400, 2, 7)
     samples = decoded(header.configuration, packets, header.channels)
-    assert hashlib.sha256(samples.astype("<i2").tobytes()).hexdigest()[:32] == "8dbc68071a1f5f355dc255ffff626084"
+    assert hashlib.sha256(samples.astype("<i2").tobytes()).hexdigest()[:32] == "94737526819f30c2bb5f84bca8919297"
     ratio = codec.snr_db(golden_signal(), samples[16:416] * (np.array(header.gains) / 32768))
-    assert ratio == pytest.approx(25.40, abs=0.01)
+    assert ratio == pytest.approx(25.37, abs=0.01)
 
 
 def test_golden_shaped_stream() -> None:
@@ -422,6 +410,6 @@ def test_golden_shaped_stream() -> None:
     header, packets = unpack_file(Path(__file__).with_name("golden_mdct_shaped.vct").read_bytes())
     assert (header.samples, header.channels, len(packets)) == (400, 2, 5)
     samples = decoded(header.configuration, packets, header.channels)
-    assert hashlib.sha256(samples.astype("<i2").tobytes()).hexdigest()[:32] == "165ceb16e459b31da894da73c0b59742"
+    assert hashlib.sha256(samples.astype("<i2").tobytes()).hexdigest()[:32] == "425a701e39613a57c6fd8453fdad1cec"
     ratio = codec.snr_db(golden_signal(), samples[32:432] * (np.array(header.gains) / 32768))
-    assert ratio == pytest.approx(26.46, abs=0.01)
+    assert ratio == pytest.approx(26.45, abs=0.01)

@@ -53,14 +53,14 @@ def run(program: Path, records: bytes, codec_name: str = "mdct") -> subprocess.C
 
 def test_streams_with_losses_damage_and_noise(program: Path) -> None:
     generator = np.random.default_rng(1)
-    network = models.find("mdct-network").tables
+    untrained = mdct.untrained_tables()
     apart = Rotation((0, 63, 7), (COMMON, OWN, 0, COMMON), (5, 20, 33), ((7, 8, 9),))
     together = Rotation(tuple(range(16)), (OWN, 0, 0, 0), (), (tuple(generator.integers(0, 64, 120).tolist()),))
     for channels, tables, hop, rate_control, rotation in (
         (1, b"", 32, None, None),
-        (3, network, 16, lambda trial: Choice(int(generator.choice(trial.quantiser_offsets))), None),
+        (3, untrained, 16, lambda trial: Choice(int(generator.choice(trial.quantiser_offsets))), None),
         (16, b"", 128, lambda trial: Choice(int(generator.integers(-30, 30))), None),
-        (1, generator.bytes(len(network)), 128, None, None),
+        (1, generator.bytes(len(untrained)), 128, None, None),
         (3, b"", 64, lambda trial: Choice(int(generator.integers(-30, 30))), apart),
         (16, b"", 16, None, together),
     ):

@@ -37,7 +37,7 @@ def test_a_curve_belongs_to_a_group(codec: str, group: str) -> None:
 
 
 def test_a_group_is_drawn_by_its_own_name_or_else_by_its_best_curve() -> None:
-    table = curves("slp", "mdct", "mdct-network", "eva-16", "eva-32", "haar")
+    table = curves("slp", "mdct", "mdct-live", "eva-16", "eva-32", "haar")
     groups = charts.mean_curves_by_group(table)
     assert [codec for group in groups.values() for codec in group] == ["mdct", "eva-32", "haar", "slp"]
 

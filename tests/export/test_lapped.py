@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from vibrocast import codec
 from vibrocast.codec import lapped, mdct
 from vibrocast.device_protocol.model_image import ModelImage
-from vibrocast.export import checkpoint, configuration, lapped_image, mdct_network, training
+from vibrocast.export import checkpoint, configuration, lapped_image, training
 from vibrocast.export.configuration import ConfigurationError
 from vibrocast.export.lapped import TERMS, Lapped, Window, analysed, synthesised
 from vibrocast.textures.generate import rough
@@ -125,8 +125,7 @@ def test_what_a_lapped_model_does_not_have_is_rejected(changes: dict[str, Any], 
 
 
 @pytest.mark.slow
-def test_an_image_codes_its_textures_in_fewer_bits(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mdct_network, "STEPS", 300)
+def test_an_image_codes_its_textures_in_fewer_bits() -> None:
     textures = [rough(seed, 3.0).samples[:, 0] / np.max(np.abs(rough(seed, 3.0).samples)) for seed in range(6)]
     packed = ModelImage.unpack(lapped_image.image(Lapped(), "rough", "1", textures, 1))
     assert (packed.codec_identifier, packed.name) == (lapped.IDENTIFIER, "rough")

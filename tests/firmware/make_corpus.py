@@ -1,6 +1,7 @@
 """Writes the inputs that fuzzing of the firmware starts from: python -m tests.firmware.make_corpus"""
 
 import itertools
+import operator
 import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
@@ -121,20 +122,20 @@ def built_in_streams() -> Iterator[tuple[str, bytes]]:
     """Yield the target and a stream of each of SETTINGS."""
     for name, setting, offsets in differing((0, 0, 16, -3, 50)):
         configuration, *packets = coded(name, setting, offsets=offsets)
-        yield name, stream(configuration, packets, [b""] * 3 if name == "mdct" else [])
+        yield name, stream(configuration, packets, [b""] * 2 if name == "mdct" else [])
 
 
 def learned_streams() -> Iterator[tuple[str, bytes]]:
-    """Yield the target and a stream of codecs with a network, windows, or a whole model."""
-    tables, image = mdct.built_in_tables(), models.find("lapped-textures").tables
-    windows, network = image[: lapped.WINDOWS_BYTES], image[lapped.WINDOWS_BYTES + len(tables) :]
+    """Yield the target and a stream of codecs with tables, windows, or a whole model."""
+    tables, windows = mdct.built_in_tables(), models.find("lapped-textures").tables[: lapped.WINDOWS_BYTES]
+    changes = bytes(map(operator.xor, tables, mdct.untrained_tables()))
     for hop in ("16", "64"):
-        configuration, *packets = coded("mdct", {"step": 0.05, "hop": hop}, Model(tables + network))
-        yield "mdct", stream(configuration, packets, [b"", network, b""])
-        configuration, *packets = coded("lapped", {"step": 0.05, "hop": hop}, Model(windows + tables + network))
-        yield "lapped", stream(configuration, packets, [b"", network, windows])
+        configuration, *packets = coded("mdct", {"step": 0.05, "hop": hop}, Model(mdct.untrained_tables()))
+        yield "mdct", stream(configuration, packets, [changes, b""])
+        configuration, *packets = coded("lapped", {"step": 0.05, "hop": hop}, Model(windows + tables))
+        yield "lapped", stream(configuration, packets, [b"", windows])
         configuration, *packets = coded("lapped", {"step": 0.05, "hop": hop}, Model(windows + tables), (0, 20, -9))
-        yield "lapped", stream(configuration, packets, [b"\0\1\xff", b"", windows])
+        yield "lapped", stream(configuration, packets, [b"\0\1\xff", windows])
     generator = np.random.default_rng(1)
     for prior, steered in itertools.product(PRIOR_KINDS, ("", "_steered")):
         model = ModelImage.unpack((GOLDEN / f"golden_eva_{prior}.vcmi").read_bytes()).payload

@@ -64,7 +64,7 @@ def test_a_texture_of_a_plan_is_played_and_coded_as_planned(plan: Path, tmp_path
         (("play", "--snr-db", "5"), "--snr-db contradicts the plan; drop it, or change"),
         (("play", "--device", "nowhere"), "'nowhere' is no address; give sim"),
         (("encode", "wood", "out.vct", "--rate-bps", "500"), "--rate-bps contradicts the plan; drop it"),
-        (("flash", "mdct-network"), "MODEL contradicts the plan; drop it"),
+        (("flash", "mdct-textures"), "MODEL contradicts the plan; drop it"),
         (("measure", "--bench", "bench.toml"), "--plan and --bench both name controllers and actuators"),
     ],
 )

@@ -42,8 +42,8 @@ def test_a_board_stops_at_once_whatever_it_decodes(processor: EmulatedCore) -> N
 
 
 def test_a_board_rejects_a_stream_that_it_cannot_decode_in_time(processor: EmulatedCore) -> None:
-    _, hostile = worst_case.measure(processor, "mdct-network", "16", 2, tries=0)
-    assert worst_case.on_board(hostile, "mdct-network", 12_000, stops=1) == Turn("mdct-network", 2, 12_000)
+    _, hostile = worst_case.measure(processor, "slp", "128", 2, tries=0)
+    assert worst_case.on_board(hostile, "slp", 12_000, stops=1) == Turn("slp", 2, 12_000)
 
 
 def test_the_tables_hold_what_the_page_says() -> None:
