@@ -109,7 +109,7 @@ def repack(
 CODEC = Codec(
     name=NAME,
     identifier=IDENTIFIER,
-    summary="learned lapped transform over four hops, quantised and coded as in mdct with a network",
+    summary="learned lapped transform over four hops, quantised and coded as in mdct",
     parameters=mdct.CODEC.parameters,
     rate_point_sets={NAME: mdct.CODEC.rate_point_sets[mdct.NAME]},
     make_encoder=make_encoder,

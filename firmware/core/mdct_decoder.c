@@ -5,7 +5,7 @@
 
 #define FADE_BLOCKS 8u /* longest time that concealment sounds */
 /* For a sample of a channel, the longest hop and a tenth more; docs/benchmarks/worst_case.md. */
-#define CYCLES 4300u
+#define CYCLES 3700u
 /* More with a rotation: for a sample of a channel, and for each channel that is mixed into it. */
 #define ROTATION_CYCLES 100u
 #define MIXING_CYCLES 11u
