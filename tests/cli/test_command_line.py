@@ -738,7 +738,7 @@ def test_play_tells_both_qualities_and_why_they_differ(tmp_path: Path) -> None:
     report_path, oak = tmp_path / "out.json", ROOT / "examples" / "oak.wav"
     printed = succeeds("play", oak, "--report", report_path)
     weighted = r"\([\d.]+ dB weighted by the threshold of touch\)"
-    pattern = rf"^at the skin +SNR [\d.]+ dB {weighted}, without the codec [\d.]+ dB, gain 0.81; the decoded"
+    pattern = rf"^at the skin +SNR [\d.]+ dB {weighted}, without the codec [\d.]+ dB, gain 0.82; the decoded"
     assert re.search(pattern, printed, re.M)
     report = json.loads(report_path.read_text())
     assert report["skin"]["snr_db"] <= report["skin"]["decoded_snr_db"] < report["snr_db"] - 10

@@ -98,7 +98,7 @@ def test_a_controller_with_a_key_from_end_to_end(folder: Path, address: str) -> 
     assert "not by the key" in fails(2, "flash", sign(folder, 9, "other"), "--device", address)
     assert "confirmed; number 3, signature checked" in succeeds("flash", sign(folder, 3), "--device", address)
     assert "number 2, and 3 was confirmed" in fails(1, "flash", sign(folder, 2), "--device", address)
-    assert "confirmed, b46553f482465db9, number 3" in succeeds("status", "--device", address)
+    assert "confirmed, 71407e2734ca090c, number 3" in succeeds("status", "--device", address)
 
 
 def test_a_controller_without_a_key_says_so() -> None:

@@ -15,7 +15,7 @@ from vibrocast.codec import CodecError, CodedSignal
 # Signals of few coefficients: their quality jumps from step to step, and the next above the asked one is taken.
 JUMPING = {
     *("dc", "negative full-scale dc", "square of one sample", "impulses"),
-    *("1 samples", "2 samples", "10 samples", "31 samples"),
+    *("1 samples", "2 samples", "10 samples", "31 samples", "32 samples"),
 }
 
 
