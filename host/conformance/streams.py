@@ -107,7 +107,7 @@ def coded(
             highpass_hz=None,
         )
         if max(map(len, encoding.stream.packets)) <= packet_bytes:
-            return encoding.stream
+            return encoding.stream if np.any(encoding.stream.decode_integers()) else None  # packets of silence are short
     return None
 
 
