@@ -1,6 +1,7 @@
 """The page of rate control: measured on a folder of recordings, with its charts and tables."""
 
 import csv
+import math
 import shutil
 from pathlib import Path
 
@@ -13,7 +14,7 @@ OAK = Path(__file__).parents[2] / "examples" / "oak.wav"
 
 @pytest.mark.slow
 def test_a_folder_is_measured_into_a_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, values in {"RATES_BPS": (1000, 8000), "MAIN_RATES_BPS": (8000,), "REFRESHES_S": (0.25, 2.0)}.items():
+    for name, values in {"RATES_BPS": (1000, 8000), "MAIN_RATES_BPS": (8000,), "REFRESHES_S": (0.25, math.inf)}.items():
         monkeypatch.setattr(rate_control, name, values)
     recordings, out = tmp_path / "recordings", tmp_path / "docs"
     recordings.mkdir()
@@ -34,5 +35,5 @@ def test_a_folder_is_measured_into_a_page(tmp_path: Path, monkeypatch: pytest.Mo
     even = [row for row in rows if row["rate_buffer_s"] == "1.0"]
     assert float(even[0]["snr_deviation_db"]) < float(held[1]["snr_deviation_db"])
     with (out / "results" / "rate_control_refreshes.csv").open(newline="") as file:
-        often, seldom = (float(row["snr_db"]) for row in csv.DictReader(file) if row["bits_per_second"] == "8000")
-    assert often < seldom
+        often, once = (float(row["snr_db"]) for row in csv.DictReader(file) if row["bits_per_second"] == "8000")
+    assert often < once
