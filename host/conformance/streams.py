@@ -107,7 +107,8 @@ def coded(
             highpass_hz=None,
         )
         if max(map(len, encoding.stream.packets)) <= packet_bytes:
-            return encoding.stream if np.any(encoding.stream.decode_integers()) else None  # packets of silence are short
+            silent = not np.any(encoding.stream.decode_integers())  # packets of silence are short, too
+            return None if silent else encoding.stream
     return None
 
 
