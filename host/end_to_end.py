@@ -76,6 +76,16 @@ def member(controller: Controller, address: str, actuator: Actuator | None) -> M
     return Member(controller, address, model if devices.takes_actuator(address) else None, model)
 
 
+def known_actuator(member: Member) -> Actuator | None:
+    """Return the actuator that a controller works with; None where no model fits what it says of it."""
+    if member.actuator is not None:
+        return member.actuator
+    try:
+        return actuator_model(member.controller.description.actuator)
+    except ControllerError:
+        return None
+
+
 def play(
     controller: Controller,
     address: str,
@@ -120,7 +130,7 @@ def play_together(
     underruns_before = {}
     for key, member in members.items():
         try:
-            _drive_s(stream.header, member.actuator or actuator_model(member.controller.description.actuator))
+            output_delay_s(stream.header, member.actuator or actuator_model(member.controller.description.actuator))
             fitting = fitted(member.controller, stream)
             if stream.image is not None:
                 uploader.provide(member.controller, member.address, stream.image)
@@ -181,7 +191,7 @@ def _compared(
     header, decoder, hello = stream.header, stream.decoder(), member.controller.description
     actuator = member.actuator or actuator_model(hello.actuator)
     skin_model = member.skin_model or actuator
-    drive_s = _drive_s(header, actuator)
+    drive_s = output_delay_s(header, actuator)
     codes, _ = render(header, offline, decoder.delay_samples, actuator, loops=1 if result.dac_codes is None else loops)
     # After a lost connection the controller begins in the middle; what it plays then has no simple counterpart here.
     comparable = result.captured_from == 0
@@ -318,13 +328,13 @@ def at_the_skin(stream: Stream, actuator: Actuator) -> Recording:
     if stream.header.spatial:
         raise StreamError("a height profile moves the skin only under a hand; play it with --positions or --stroke-mm")
     decoder = stream.decoder()
-    late_s = decoder.delay_samples / stream.header.rate_hz + _drive_s(stream.header, actuator)
+    late_s = decoder.delay_samples / stream.header.rate_hz + output_delay_s(stream.header, actuator)
     codes, _ = render(stream.header, stream.decode_integers(), decoder.delay_samples, actuator)
     skin = _skin_um(actuator, codes, late_s, 0.0, stream.seconds)
     return Recording(skin, SKIN_OVERSAMPLING * actuator.dac_rate_hz, "um", "skin")
 
 
-def _drive_s(header: StreamHeader, actuator: Actuator) -> float:
+def output_delay_s(header: StreamHeader, actuator: Actuator) -> float:
     """Return the delay of the output stage and the DAC. Raises ControllerError where they cannot play the stream."""
     try:
         return float(Drive(header, actuator, compensation=True).delay_seconds) + 1 / actuator.dac_rate_hz

@@ -190,6 +190,16 @@ class LiveStream:
         return self._session.status
 
     @property
+    def link_bytes_per_second(self) -> float:
+        """The bytes a second that the link carries, as far as it is known."""
+        return self._link.bytes_per_second
+
+    @property
+    def delay_samples(self) -> int:
+        """Samples per channel by which the decoded signal lags the source."""
+        return self._encoder.delay_samples
+
+    @property
     def underruns(self) -> int:
         """Underruns of all streams so far."""
         return sum(status.underruns for status in (*self.earlier, self.status))
@@ -498,6 +508,12 @@ def _go_on(stream: LiveStream, within_s: float) -> None:
         except (TransportError, ConnectionLost) as error:
             if isinstance(error, DeviceGone) or clock() >= deadline_s:
                 raise
+
+
+def block_samples(stream: LiveStream) -> int:
+    """Return the samples of the blocks that a source hands over: parts of a packet, of at most MAX_BLOCK_S."""
+    parts = math.ceil(stream.packet_samples / (MAX_BLOCK_S * stream.format.rate_hz))
+    return math.ceil(stream.packet_samples / parts)
 
 
 def paced(

@@ -1,20 +1,25 @@
-"""The quality of a live stream: of its coding, and at the skin by the models of output stage and actuator."""
+"""The quality of a live stream: of its coding, at the skin, and whether the controller played what was sent."""
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vibrocast import codec, models
 from vibrocast.codec import Signal
 from vibrocast.codec.stream import Stream
-from vibrocast.host.controller import ControllerError
-from vibrocast.host.end_to_end import Member, actuator_model, at_the_skin, displacement_um
-from vibrocast.host.live import LiveStream
+from vibrocast.device_protocol.messages import Tap
+from vibrocast.host.end_to_end import Member, at_the_skin, displacement_um, known_actuator
+from vibrocast.host.live import LiveResult, LiveStream
 from vibrocast.host.skin_quality import COMPARED_S, SkinQuality, compare_channels, note
+from vibrocast.host.stream_session import read_capture
+from vibrocast.output.rendering import render
 
 _MIN_S = 0.5
+_READ_BACK_S = 5.0
+"""How long reading the captures back may take."""
 _MAX_VALUES = 1 << 23
 """Of all channels together: 64 MB of the source."""
 
@@ -23,17 +28,29 @@ _MAX_VALUES = 1 << 23
 class LiveQuality:
     """The quality of a live stream.
 
-    `snr_db`: of the decoded signal; None for silence and an exact copy. `skin`, `skin_note`: as in
-    `host.report.Report`.
+    `snr_db`: of the decoded signal; None for silence, an exact copy, and where it was too short. `skin`, `skin_note`:
+    as in `host.report.Report`, by the models of output stage and actuator. `decoded_equals_offline`,
+    `dac_equals_offline`: whether the end of the stream, as read back from the controller, is bit for bit what this
+    computer decodes and computes; None where packets were lost, or the controller keeps no captures.
     """
 
-    snr_db: float | None
-    skin: SkinQuality | None
-    skin_note: str | None
+    snr_db: float | None = None
+    skin: SkinQuality | None = None
+    skin_note: str | None = None
+    decoded_equals_offline: bool | None = None
+    dac_equals_offline: bool | None = None
+
+    @property
+    def differs(self) -> bool:
+        """Whether the controller has played something else than was sent."""
+        return False in (self.decoded_equals_offline, self.dac_equals_offline)
 
 
-class CodedBeginning:
-    """Keeps the beginning of a live stream: up to COMPARED_S, or to where it left out packets or began again."""
+class CodedSignal:
+    """Keeps the packets of a live stream, and COMPARED_S of its source, up to where it left out packets or began again.
+
+    Of a stream of more than _MAX_VALUES, the packets up to there are kept.
+    """
 
     def __init__(self, stream: LiveStream) -> None:
         self._stream = stream
@@ -44,43 +61,53 @@ class CodedBeginning:
 
     def blocks(self, blocks: Iterable[Signal]) -> Iterator[Signal]:
         """Yield blocks on their way to the stream."""
+        seconds = 0.0
         for block in blocks:
-            if self._keeps:
+            if self._keeps and seconds < COMPARED_S:
                 self._blocks.append(block)
+                seconds += len(block) / self._stream.format.rate_hz
             yield block
 
     def _keep(self, packets: Sequence[bytes]) -> None:
         stream = self._stream
         values = len(self._packets) * stream.packet_samples * stream.format.channels
-        too_many = values > _MAX_VALUES or len(self._packets) * stream.packet_s > COMPARED_S
-        self._keeps = self._keeps and not (stream.dropped_packets or stream.earlier or too_many)
+        self._keeps = self._keeps and not (stream.dropped_packets or stream.earlier or values > _MAX_VALUES)
         if self._keeps:
             self._packets += packets
 
-    def quality(self, member: Member, model: models.Model | None) -> LiveQuality | None:
-        """Compare what was coded with its source; None where too little was. Raises CodecError."""
-        header = self._stream.header
-        image = None if model is None else model.image
+    def quality(self, member: Member, model: models.Model | None, result: LiveResult) -> LiveQuality:
+        """Compare what was coded with its source, and what the controller played with what was coded.
+
+        Reads the controller's captures: call it when the stream has ended. Raises CodecError, ControllerError,
+        TransportError.
+        """
+        header = replace(self._stream.header, samples=None)
+        stream = Stream(header, tuple(self._packets), None if model is None else model.image)
+        quality = self._of_coding(member, stream)
+        if not (self._keeps and self._packets) or result.lost_packets or result.underruns or result.streams > 1:
+            return quality
+        decoded, computed = self._as_sent(member, stream)
+        return replace(quality, decoded_equals_offline=decoded, dac_equals_offline=computed)
+
+    def _of_coding(self, member: Member, whole: Stream) -> LiveQuality:
+        """Return the quality without what the controller captured; empty where the stream was too short."""
+        header, empty = whole.header, whole.decoder()
         signal = np.concatenate([np.zeros((0, header.channels)), *self._blocks])
-        empty = codec.decoder(
-            header.codec_identifier, header.configuration, header.channels, None if model is None else model.tables
-        )
         samples = min(len(signal), len(self._packets) * empty.packet_samples - empty.delay_samples)
         if samples < _MIN_S * header.rate_hz:
-            return None
+            return LiveQuality()
         needed = -(-(samples + empty.delay_samples) // empty.packet_samples)
-        stream = Stream(replace(header, samples=samples), tuple(self._packets[:needed]), image)
+        stream = replace(whole, header=replace(header, samples=samples), packets=whole.packets[:needed])
         decoded, sent = stream.decode(), signal[:samples]
         snr_db = codec.snr_db(sent, decoded)
         if snr_db is not None and not math.isfinite(snr_db):
             snr_db = None
         if header.unit == "full scale":
-            return LiveQuality(snr_db, None, None)
-        try:
-            actuator = member.skin_model or actuator_model(member.controller.description.actuator)
-            moved = at_the_skin(stream, actuator)
-        except ControllerError:  # no model fits what the controller says of its actuator
-            return LiveQuality(snr_db, None, None)
+            return LiveQuality(snr_db)
+        actuator = member.skin_model or known_actuator(member)
+        if actuator is None:
+            return LiveQuality(snr_db)
+        moved = at_the_skin(stream, actuator)
         asked_um = [displacement_um(each, header.unit, header.rate_hz, actuator) for each in (sent, decoded)]
         skin = compare_channels(asked_um, header.rate_hz, moved.samples, moved.rate_hz)
         limited = (
@@ -88,3 +115,24 @@ class CodedBeginning:
             + self._stream.status.compensation_clipped
         )
         return LiveQuality(snr_db, skin, None if skin is None else note(snr_db, skin, header.unit, limited))
+
+    def _as_sent(self, member: Member, stream: Stream) -> tuple[bool | None, bool | None]:
+        """Return whether the controller decoded the end of the stream and computed its DAC codes as this computer."""
+        controller, header = member.controller, stream.header
+        if not controller.description.limits.capture_samples:
+            return None, None
+        offline = stream.decode_integers()
+        values = _READ_BACK_S * self._stream.link_bytes_per_second / len(Tap) / offline.itemsize
+        newest = int(min(values / header.channels, controller.description.limits.capture_samples))
+        as_decoded = _ends_as(member, Tap.DECODED, offline, newest)
+        actuator = known_actuator(member)
+        if actuator is None:
+            return as_decoded, None
+        codes, _ = render(header, offline, stream.decoder().delay_samples, actuator)
+        return as_decoded, _ends_as(member, Tap.DAC, codes, newest)
+
+
+def _ends_as(member: Member, tap: Tap, computed: NDArray[np.int16], newest: int) -> bool:
+    """Return whether a capture ends as it was computed. `newest`: samples per channel to compare, if it has so many."""
+    first, kept = read_capture(member.controller, tap, computed.shape[1], newest)
+    return first + len(kept) == len(computed) and np.array_equal(kept, computed[first:])

@@ -1,4 +1,4 @@
-"""Watches a long live stream minute by minute: losses and their cause, lateness of the host, the margin left."""
+"""Watches a live stream: its delay, and minute by minute losses and their cause, lateness of the host, margin left."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -8,10 +8,15 @@ import numpy as np
 from vibrocast.codec import Signal
 from vibrocast.device_protocol.messages import State, Status
 from vibrocast.host.bench_limits import Judged, lost_percent
-from vibrocast.host.live import LiveResult, LiveStream
+from vibrocast.host.device_clock import DeviceClock
+from vibrocast.host.end_to_end import Member, known_actuator, output_delay_s
+from vibrocast.host.live import LiveResult, LiveStream, block_samples, paced
 from vibrocast.host.live_quality import LiveQuality
 
 MINUTE_S = 60.0
+_ASK_S = 0.25
+"""How often the controller is asked where it is."""
+_MIN_TRIPS = 4
 
 
 @dataclass
@@ -38,6 +43,20 @@ class Minute:
     cause: str | None = None
 
 
+@dataclass(frozen=True)
+class Timing:
+    """The times of a live stream whose samples have a time of their own; None: not known.
+
+    `latency_ms`: from when a sample was taken to the DAC, the median. `jitter_ms`: between the 5 % and the 95 % of the
+    times at which packets arrive, relative to when their last samples were taken. `drift_ppm`: of the controller's
+    clock.
+    """
+
+    latency_ms: float | None = None
+    jitter_ms: float | None = None
+    drift_ppm: float | None = None
+
+
 def _counts(stream: LiveStream) -> dict[str, int]:
     """Return the counts of a stream so far, by the fields of Minute."""
     result = stream.result()
@@ -61,13 +80,47 @@ class Watch:
         self._before = _counts(stream)
         self.minutes = [Minute(0.0)]
         self._late_ms: list[float] = []
+        self._clock = DeviceClock(stream.controller)
+        self._asked: list[tuple[float, int, int]] = []  # due time and position of the last sample sent, stream
+        self._ask_s = 0.0
 
-    def blocks(self, paced: Iterator[tuple[float, Signal]]) -> Iterator[Signal]:
-        """Yield paced blocks, and note how late the host is with each."""
-        for due_s, block in paced:
-            late_ms = 1e3 * (self._stream.controller.clock() - due_s)
-            self._late_ms.append(late_ms)
+    def blocks(self, samples: Signal) -> Iterator[Signal]:
+        """Yield blocks of samples (n, channels) when each is due; note how late the host is, and where the device."""
+        stream = self._stream
+        for due_s, block in paced(stream, samples, block_samples(stream), self._clock.sleep):
+            now_s, sent = stream.controller.clock(), stream.packets_sent
+            self._late_ms.append(1e3 * (now_s - due_s))
             yield block
+            if stream.packets_sent > sent and now_s >= self._ask_s:
+                last_s = due_s - (stream.packet_samples - stream.left_samples) / stream.format.rate_hz
+                self._asked.append((last_s, stream.packets_sent * stream.packet_samples, stream.stream))
+                self._clock.ask(len(self._asked) - 1)
+                self._ask_s = now_s + _ASK_S
+
+    def timing(self, member: Member) -> Timing:
+        """Return the times of the stream so far; `member`: who plays it. Raises ControllerError."""
+        stream, rate_hz = self._stream, self._stream.format.rate_hz
+        trips = [(*self._asked[number], trip[2]) for number, trip in self._clock.trips.items()]
+        if len(trips) < _MIN_TRIPS:
+            return Timing()
+        fit = self._clock.fit()
+        arrived = [(fit.host_time_s(status.device_time_us / 1e6), *trip) for *trip, status in trips]
+        played = [
+            at_s - last_s + (sent - trip[3].position) / rate_hz
+            for (at_s, last_s, sent, number), trip in zip(arrived, trips, strict=True)
+            if trip[3].state == State.PLAYING and trip[3].position and trip[3].stream == number
+        ]
+        early_s, late_s = np.quantile([at_s - last_s for at_s, last_s, *_ in arrived], (0.05, 0.95))
+        actuator = known_actuator(member)
+        latency_s = None
+        if played and actuator is not None:
+            chain_s = stream.delay_samples / rate_hz + output_delay_s(stream.header, actuator)
+            latency_s = float(np.median(played)) + chain_s
+        return Timing(
+            latency_ms=None if latency_s is None else 1e3 * latency_s,
+            jitter_ms=1e3 * float(late_s - early_s),
+            drift_ppm=fit.drift_ppm,
+        )
 
     def note(self, status: Status) -> None:
         """Take in a status; begin another minute when one has ended."""
@@ -104,11 +157,17 @@ def cause(minute: Minute, playout_delay_ms: float) -> str | None:
     return "host" if minute.host_late_ms is not None and minute.host_late_ms > playout_delay_ms / 2 else "wire"
 
 
-def judged(result: LiveResult, quality: LiveQuality | None = None) -> Iterator[Judged]:
-    """Yield the figures of a live stream that limits judge; those at the skin where its quality is known."""
-    if quality is not None and quality.skin is not None:
-        yield Judged("snr_db", "live", quality.skin.snr_db)
-        yield Judged("gain", "live", quality.skin.gain)
+def judged(result: LiveResult, quality: LiveQuality, timing: Timing) -> Iterator[Judged]:
+    """Yield the figures of a live stream that limits judge.
+
+    Those at the skin are computed, so they are known only where the controller has played what was computed.
+    """
+    skin = quality.skin if quality.dac_equals_offline else None
+    yield Judged("snr_db", "live", None if skin is None else skin.snr_db)
+    yield Judged("gain", "live", None if skin is None else skin.gain)
+    yield Judged("latency_ms", "live", timing.latency_ms)
+    yield Judged("jitter_ms", "live", timing.jitter_ms)
+    yield Judged("drift_ppm", "live", timing.drift_ppm)
     yield Judged("underruns", "live", result.underruns)
     yield Judged("lost_percent", "live", lost_percent(result.lost_packets, result.packets))
     yield Judged("bad_frames", "live", result.bad_frames + result.bad_frames_back)

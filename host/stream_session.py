@@ -223,12 +223,15 @@ def oldest_captured(controller: Controller, tap: Tap) -> int:
     return controller.request(CaptureRead(tap, 0, 1), CaptureData).offset
 
 
-def read_capture(controller: Controller, tap: Tap, channels: int) -> tuple[int, NDArray[np.int16]]:
+def read_capture(
+    controller: Controller, tap: Tap, channels: int, newest: int | None = None
+) -> tuple[int, NDArray[np.int16]]:
     """Return the number of the first sample that a tap still has, and all from there on: int16 (n, channels).
 
-    Raises as `Capture.read_steps`.
+    `newest`: read the last samples only, at most this many per channel. Raises as `Capture.read_steps`.
     """
-    first = oldest_captured(controller, tap)
+    kept = controller.request(CaptureRead(tap, 0, 1), CaptureData)
+    first = kept.offset if newest is None else max(kept.offset, kept.end - newest)
     capture = Capture(controller, tap, channels, first)
     until_s = controller.clock() + READ_BACK_S
     while controller.run(capture.read_steps(until_s)):

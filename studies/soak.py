@@ -9,7 +9,7 @@ import click
 
 from studies.page import OUT, errors_in_one_line, render, results_folder, write, write_rows
 from vibrocast import progress, textures
-from vibrocast.host import devices, live
+from vibrocast.host import devices, end_to_end, live
 from vibrocast.host.cli.option_types import Whole, positive
 from vibrocast.host.harness import machine, run_live
 from vibrocast.host.live_watch import Minute
@@ -58,7 +58,7 @@ def main(minutes: float, busy: int, playout_delay_ms: float, out: Path) -> None:
             loop.start()
         try:
             run = run_live(
-                controller,
+                end_to_end.member(controller, "sim", None),
                 textures.GENERATORS["rough"](seconds=TEXTURE_S),
                 60 * minutes,
                 playout_delay_s=playout_delay_ms / 1e3,

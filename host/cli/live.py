@@ -1,7 +1,6 @@
 """The subcommand `live`: streams raw samples from standard input, or a generated texture, with the least delay."""
 
 import json
-import math
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
@@ -44,9 +43,10 @@ from vibrocast.host.cli.options import (
 )
 from vibrocast.host.cli.rate_options import RateOptions, rate_controlled_options
 from vibrocast.host.cli.sections import CODING, CONTROLLER, INPUT, OUTPUT, SectionedCommand, section
-from vibrocast.host.cli.steps import describe_card, describe_skin, warn_of_underruns
-from vibrocast.host.live_quality import CodedBeginning, LiveQuality
-from vibrocast.host.live_watch import Watch, judged
+from vibrocast.host.cli.steps import ANSWERS, describe_card, describe_skin, warn_of_underruns
+from vibrocast.host.controller import ControllerError
+from vibrocast.host.live_quality import CodedSignal, LiveQuality
+from vibrocast.host.live_watch import Timing, Watch, judged
 from vibrocast.host.provenance import Provenance
 from vibrocast.host.report import SCHEMA
 from vibrocast.textures.recording import MAX_CHANNELS
@@ -247,19 +247,18 @@ def live(
         stream = streaming.LiveStream(
             controller, signal_format, coding=live_coding, playout_delay_s=delay.playout_delay_s
         )
-        watch, beginning = Watch(stream), CodedBeginning(stream)
-        block_samples = min(stream.packet_samples, math.ceil(streaming.MAX_BLOCK_S * rate_hz))
+        watch, coded = Watch(stream), CodedSignal(stream)
         blocks: Iterator[NDArray[np.float64]]
         total_s = None
         if source != STANDARD_INPUT:
-            blocks = watch.blocks(streaming.paced(stream, texture.samples, block_samples))
+            blocks = watch.blocks(texture.samples)
             total_s = texture.seconds
         else:
-            blocks = raw_blocks(samples.sample_format, samples.channels, full_scale, block_samples)
+            blocks = raw_blocks(samples.sample_format, samples.channels, full_scale, streaming.block_samples(stream))
         if highpass_hz is not None and textures.is_vibration(signal_format.unit):
             blocks = map(textures.LiveHighPass(rate_hz, highpass_hz), blocks)
 
-        blocks = beginning.blocks(blocks)
+        blocks = coded.blocks(blocks)
 
         def show(now: Status) -> None:
             watch.note(now)
@@ -268,17 +267,21 @@ def live(
             rate_bps = 8 * stream.payload_bytes / stream.seconds if stream.seconds else 0.0
             update(part, f"{stream.seconds:.1f}{length} s  {rate_bps / 1000:.2f} kbit/s  underruns {stream.underruns}")
 
-        quality = None
+        quality, timing = LiveQuality(), Timing()
         try:
             result = streaming.play(stream, blocks, progress=show)
+            if not result.packets:
+                raise BadInput("standard input ended before its first sample; check the program that writes to it")
             moved = bench_actuator(bench, address) if bench is not None and actuator is None else actuator
-            quality = beginning.quality(end_to_end.member(controller, address, moved), model)
+            member = end_to_end.member(controller, address, moved)
+            quality = coded.quality(member, model, result)
+            timing = watch.timing(member)
         except streaming.LiveError as error:
             raise BadInput(str(error)) from error
         finally:
             # Of a stream that was cut, too, but then at once.
             watch.close()
-            document = figures(stream.result(), stream, watch, bench, quality)
+            document = figures(stream.result(), stream, watch, bench, quality, timing)
             if report_path:
                 write_report(report_path, document)
     delay_ms = 1000 * stream.playout_delay_s
@@ -294,9 +297,14 @@ def live(
         f"underruns {result.underruns}, lost packets {result.lost_packets} of {result.packets}{restarts}, "
         f"damaged frames {result.bad_frames} there, {result.bad_frames_back} back"
     )
-    if quality is not None:
-        skin = f"; at the skin {describe_skin(quality.skin, quality.skin_note)}" if quality.skin else ""
-        tell(f"SNR {'unknown' if quality.snr_db is None else f'{quality.snr_db:.2f} dB'}{skin}")
+    skin = f"; at the skin, by models, {describe_skin(quality.skin, quality.skin_note)}" if quality.skin else ""
+    tell(f"SNR {'unknown' if quality.snr_db is None else f'{quality.snr_db:.2f} dB'}{skin}")
+    tell(
+        f"decoded as sent {ANSWERS[quality.decoded_equals_offline]}, DAC as computed "
+        f"{ANSWERS[quality.dac_equals_offline]}"
+    )
+    if timing.latency_ms is not None:
+        tell(f"latency to the DAC {timing.latency_ms:.1f} ms, jitter of arrivals {timing.jitter_ms:.1f} ms")
     if card := stream.controller.sound_card:
         tell(f"sound card {describe_card(card)}")
         warn_of_underruns(card)
@@ -313,7 +321,12 @@ def live(
             f"above {delay_ms:.0f}",
             err=True,
         )
-    fail_where_missed(missed(BenchLimits() if bench is None else bench.limits, judged(result, quality)))
+    if quality.differs:
+        raise ControllerError(
+            "the controller played something else than was sent, though no packet was lost: its memory, its firmware "
+            "or its actuator differs; flash the firmware again, and check --bench and --actuator"
+        )
+    fail_where_missed(missed(BenchLimits() if bench is None else bench.limits, judged(result, quality, timing)))
 
 
 def figures(
@@ -321,7 +334,8 @@ def figures(
     stream: streaming.LiveStream,
     watch: Watch,
     bench: "Bench | None",
-    quality: LiveQuality | None,
+    quality: LiveQuality,
+    timing: Timing,
 ) -> dict[str, Any]:
     """Return the report of a live stream, ready for JSON; docs/reference/report.md explains each figure."""
     card, hello = stream.controller.sound_card, stream.controller.description
@@ -338,9 +352,8 @@ def figures(
         "payload_bits_per_second": result.payload_bps,
         "wire_bits_per_second": result.wire_bps,
         "wire_adds": result.wire_adds,
-        "snr_db": None if quality is None else quality.snr_db,
-        "skin": None if quality is None or quality.skin is None else asdict(quality.skin),
-        "skin_note": None if quality is None else quality.skin_note,
+        **asdict(quality),
+        **asdict(timing),
         "underruns": result.underruns,
         "packets": result.packets,
         "lost_packets": result.lost_packets,

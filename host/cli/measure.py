@@ -137,12 +137,12 @@ def measure(
     With --plan, the command measures the plan's actuators and textures. If you interrupt it, it writes the results so
     far.
 
-    The exit code is 1 if a measurement failed, and 4 if a limit of the bench file was missed. It is 5 if the run is
-    worse than the earlier one, or cannot be compared with it.
+    The exit code is 5 if the run is worse than the earlier one, or cannot be compared with it. It is 1 if a measurement
+    failed, or the controller played something else than was sent, and 4 if a limit of the bench file was missed.
     """
     extras.require("bench")
     from vibrocast.host.bench_file import choose_controller, read_bench
-    from vibrocast.host.harness import compare, described, figures, measure_bench, read_results, warnings
+    from vibrocast.host.harness import compare, described, deviations, figures, measure_bench, read_results, warnings
     from vibrocast.host.planner import read_plan
 
     if plan_path is not None and bench_path is not None:
@@ -172,5 +172,10 @@ def measure(
         more = f"; and {len(worse) - MAX_SHOWN} more" if len(worse) > MAX_SHOWN else ""
         raise Regression(
             f"not as in {earlier}: {'; '.join(worse[:MAX_SHOWN])}{more}; compare both reports, then measure again"
+        )
+    if wrong := list(deviations(results.document())):
+        raise click.ClickException(
+            f"the controller played something else than was sent, though it lost nothing: not {', '.join(wrong)}; "
+            "flash the firmware again, and check the bench's actuators"
         )
     fail_where_missed(results.missed)

@@ -38,6 +38,7 @@ from vibrocast.host.cli.options import (
 )
 from vibrocast.host.cli.sections import CONTROLLER, OUTPUT, PLAYBACK, SectionedCommand, section
 from vibrocast.host.cli.steps import (
+    ANSWERS,
     describe_card,
     describe_quality,
     describe_skin,
@@ -61,7 +62,6 @@ if TYPE_CHECKING:
 
 SILENT_DB = -200.0
 """Re detection threshold: below it the output is at rest."""
-ANSWERS = {True: "yes", False: "NO", None: "not compared"}
 
 
 @dataclass(frozen=True)

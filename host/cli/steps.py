@@ -98,6 +98,9 @@ def _weighted(weighted_db: float | None) -> str:
     return "" if weighted_db is None else f" ({weighted_db:.2f} dB weighted by the threshold of touch)"
 
 
+ANSWERS = {True: "yes", False: "NO", None: "not compared"}
+
+
 def describe_skin(skin: SkinQuality | None, note: str | None) -> str:
     """Return the SNR and the gain at the skin, and why the SNR differs from that of the codec, in words."""
     if skin is None:

@@ -27,6 +27,7 @@ __all__ = [
     "Results",
     "compare",
     "described",
+    "deviations",
     "figures",
     "find_min_latency",
     "machine",

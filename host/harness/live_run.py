@@ -1,6 +1,5 @@
 """Streams a texture live, for as long as a test needs, and watches each minute."""
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -9,9 +8,10 @@ import numpy as np
 from vibrocast.codec.live_format import live_format
 from vibrocast.device_protocol.messages import Status
 from vibrocast.host import live
-from vibrocast.host.controller import Controller
+from vibrocast.host.end_to_end import Member
 from vibrocast.host.harness.latency import looped
-from vibrocast.host.live_watch import Minute, Watch
+from vibrocast.host.live_quality import CodedSignal, LiveQuality
+from vibrocast.host.live_watch import Minute, Timing, Watch
 from vibrocast.textures import Recording
 
 
@@ -22,10 +22,12 @@ class LiveRun:
     result: live.LiveResult
     playout_delay_ms: float
     minutes: tuple[Minute, ...]
+    quality: LiveQuality
+    timing: Timing
 
 
 def run_live(
-    controller: Controller,
+    member: Member,
     texture: Recording,
     seconds: float = 10.0,
     *,
@@ -36,20 +38,21 @@ def run_live(
     """Stream the first channel of a texture in real time, again and again until `seconds` are full.
 
     `playout_delay_s`: None = as `live.LiveStream` chooses. `progress` takes the seconds so far. Raises as
-    `live.LiveStream`.
+    `live.LiveStream`, and as `CodedSignal.quality`.
     """
+    controller = member.controller
     samples = looped(texture, seconds, rate_hz)
     rms = float(np.sqrt(np.mean(np.square(samples))))
     signal_format = live_format(rate_hz, texture.unit, [float(np.max(np.abs(samples)))], [rms])
     stream = live.LiveStream(controller, signal_format, playout_delay_s=playout_delay_s)
-    watch = Watch(stream)
-    block_samples = min(stream.packet_samples, math.ceil(live.MAX_BLOCK_S * rate_hz))
+    watch, coded = Watch(stream), CodedSignal(stream)
 
     def note(status: Status) -> None:
         watch.note(status)
         if progress is not None:
             progress(stream.seconds)
 
-    result = live.play(stream, watch.blocks(live.paced(stream, samples, block_samples)), progress=note)
+    result = live.play(stream, coded.blocks(watch.blocks(samples)), progress=note)
     watch.close()
-    return LiveRun(result, 1e3 * stream.playout_delay_s, tuple(watch.minutes))
+    quality = coded.quality(member, None, result)
+    return LiveRun(result, 1e3 * stream.playout_delay_s, tuple(watch.minutes), quality, watch.timing(member))

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from vibrocast.host.bench_file import Bench
     from vibrocast.host.bench_limits import Judged
     from vibrocast.host.controller import Controller
-    from vibrocast.host.end_to_end import Outcome
+    from vibrocast.host.end_to_end import Member, Outcome
     from vibrocast.host.harness.faulty_transport import FaultyTransport
     from vibrocast.host.harness.latency import Latency
     from vibrocast.host.harness.live_run import LiveRun
@@ -270,60 +270,71 @@ def vibrocast_actuator(vibrocast_bench: Bench, vibrocast_device: Controller) -> 
 
 
 @pytest.fixture
-def vibrocast_play(
-    vibrocast_bench: Bench, vibrocast_device: Controller, vibrocast_actuator: Actuator, _vibrocast_kept: _Kept
-) -> Callable[..., Outcome]:
-    """A function that encodes a texture, plays it and compares: `vibrocast_play(texture, **options)`.
-
-    The options are those of `vibrocast.codec.encoding.encode_recording`. It returns an Outcome, whose `report` is a
-    Report. The test fails where the playback misses limits of the bench file.
-    """
-    from vibrocast.codec.encoding import encode_recording
-    from vibrocast.host import end_to_end
+def _vibrocast_member(vibrocast_bench: Bench, vibrocast_device: Controller, vibrocast_actuator: Actuator) -> Member:
+    """The controller under test, with the models of its actuator."""
     from vibrocast.host.bench_file import driven_actuator
+    from vibrocast.host.end_to_end import Member
 
     first = vibrocast_bench.first
     driven = driven_actuator(vibrocast_bench, first, vibrocast_device.description.actuator)
+    return Member(vibrocast_device, first.address, driven, vibrocast_actuator)
+
+
+@pytest.fixture
+def vibrocast_play(vibrocast_bench: Bench, _vibrocast_member: Member, _vibrocast_kept: _Kept) -> Callable[..., Outcome]:
+    """A function that encodes a texture, plays it and compares: `vibrocast_play(texture, **options)`.
+
+    The options are those of `vibrocast.codec.encoding.encode_recording`. It returns an Outcome, whose `report` is a
+    Report. The test fails where the playback misses limits of the bench file, or the controller plays something else
+    than was sent though nothing was lost.
+    """
+    from vibrocast.codec.encoding import encode_recording
+    from vibrocast.host import end_to_end
+
+    member = _vibrocast_member
 
     def play_texture(texture: Recording, **options: Any) -> Outcome:
         encoding = encode_recording(texture, live=True, **options)
         outcome = end_to_end.play(
-            vibrocast_device,
-            first.address,
+            member.controller,
+            member.address,
             texture.name,
             encoding.stream,
             encoding,
-            actuator=driven,
-            skin_model=vibrocast_actuator,
+            actuator=member.actuator,
+            skin_model=member.skin_model,
         )
         _vibrocast_kept.playback(outcome)
-        _judge(vibrocast_bench, outcome.report.judged())
+        report = outcome.report
+        _judge(vibrocast_bench, report.judged(), report.differs and not (report.lost_packets or report.underruns))
         return outcome
 
     return play_texture
 
 
-def _judge(bench: Bench, figures: Iterable[Judged]) -> None:
-    """Fail a test whose figures miss limits of the bench file."""
+def _judge(bench: Bench, figures: Iterable[Judged], differs: bool = False) -> None:
+    """Fail a test whose figures miss limits of the bench file, or whose controller played otherwise than was sent."""
     from vibrocast.host.bench_limits import missed
 
+    if differs:
+        pytest.fail("the controller played something else than was sent, though nothing was lost")
     if lines := missed(bench.limits, figures):
         pytest.fail(f"limits missed: {'; '.join(lines)}")
 
 
 @pytest.fixture
-def vibrocast_live(vibrocast_bench: Bench, vibrocast_device: Controller) -> Callable[..., LiveRun]:
+def vibrocast_live(vibrocast_bench: Bench, _vibrocast_member: Member) -> Callable[..., LiveRun]:
     """A function that streams a texture live: `vibrocast_live(texture, seconds=10.0, playout_delay_s=None)`.
 
     It returns a LiveRun, with the counts of each minute: with many seconds, a soak. The test fails where the stream
-    misses limits of the bench file.
+    misses limits of the bench file, or the controller plays something else than was sent though nothing was lost.
     """
     from vibrocast.host.harness.live_run import run_live
     from vibrocast.host.live_watch import judged
 
     def stream(texture: Recording, seconds: float = 10.0, **options: Any) -> LiveRun:
-        run = run_live(vibrocast_device, texture, seconds, **options)
-        _judge(vibrocast_bench, judged(run.result))
+        run = run_live(_vibrocast_member, texture, seconds, **options)
+        _judge(vibrocast_bench, judged(run.result, run.quality, run.timing), run.quality.differs)
         return run
 
     return stream
@@ -335,7 +346,8 @@ def vibrocast_latency(
 ) -> Callable[..., Latency]:
     """A function that measures the latency of a live texture: `vibrocast_latency(texture, seconds=4.0)`.
 
-    It returns a `vibrocast.host.harness.Latency`. The test fails where it misses limits of the bench file.
+    It returns a `vibrocast.host.harness.Latency`. The test fails where it misses limits of the bench file, or the
+    controller decodes something else than was sent though nothing was lost.
     """
     from dataclasses import asdict
 
@@ -344,7 +356,7 @@ def vibrocast_latency(
 
     def measure(texture: Recording, **options: Any) -> Latency:
         latency = measure_latency(vibrocast_device, vibrocast_actuator, texture, **options)
-        _judge(vibrocast_bench, judged_latency(asdict(latency)))
+        _judge(vibrocast_bench, judged_latency(asdict(latency)), latency.stable and not latency.as_sent)
         return latency
 
     return measure

@@ -79,6 +79,11 @@ class Change:
         """Whether the figure has become worse, or can no longer be compared."""
         return self.problem is not None
 
+    @property
+    def counted(self) -> bool:
+        """Whether the figure counts what was lost or differs, which another take does not undo."""
+        return self.name.rpartition(": ")[2] in (DECODED, COMPUTED, "underruns", "lost packets", "damaged frames")
+
 
 # A computer that does other work as well measures times again within these.
 TOLERANCES = {
@@ -107,6 +112,8 @@ TOLERANCES = {
     "drift, ppm": Tolerance(0, 50.0),
     "damaged frames": Tolerance(1, 0.0),
 }
+_ALWAYS_KNOWN = ("smallest stable latency, ms",)
+"""Figures that every working device has; others need a sensor, a capture or an unequal copy."""
 _WHAT_A_DEVICE_IS = ("hardware", "serial_number", "actuator")
 
 
@@ -245,6 +252,23 @@ def judged_latency(latency: dict[str, Any]) -> Iterator[Judged]:
     yield Judged("lost_percent", "live", lost_percent(latency["lost_packets"], latency["packets"]))
 
 
+def deviations(document: dict[str, Any]) -> Iterator[str]:
+    """Yield in words where the controller played something else than was sent, though it lost nothing."""
+    measured = document["measured"]
+    latency = measured.get("latency")
+    if latency and latency["as_sent"] is False and not (latency["lost_packets"] or latency["underruns"]):
+        yield f"live: {DECODED}"
+    for texture in measured.get("fidelity") or ():
+        if texture["lost_packets"] or texture["underruns"]:
+            continue
+        for name, key in ((DECODED, "as_decoded"), (COMPUTED, "as_computed")):
+            if texture[key] is False:
+                yield f"{texture['texture']}: {name}"
+    for each in measured.get("together") or ():
+        if each["as_computed"] is False and not each["underruns"]:
+            yield f"{each['name']}, together: {COMPUTED}"
+
+
 def warnings(document: dict[str, Any]) -> Iterator[str]:
     """Yield in words what makes a figure of `figures` uncertain."""
     latency = document["measured"].get("latency")
@@ -293,6 +317,8 @@ def _change(name: str, before: float | None, now: float | None, was_taken: bool,
         problem = "not in the earlier run" if is_taken else "not measured now"
     elif (before is None) != (now is None):
         problem = "not known in the earlier run" if before is None else "not known now"
+    elif before is None and name in _ALWAYS_KNOWN:
+        problem = "known in neither run"
     elif before is not None and now is not None:
         tolerance = TOLERANCES[name.rpartition(": ")[2]]
         problem = None if tolerance.allows(before, now) else "worse"

@@ -1,8 +1,9 @@
-"""Measures a bench by the names of the measurements, times that have become worse again, and writes what there is."""
+"""Measures a bench by the names of the measurements, again where times have become worse, and writes what there is."""
 
 import contextlib
 import sys
 from collections.abc import Collection, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from vibrocast.host.bench_file import Bench
 from vibrocast.host.bench_limits import missed
 from vibrocast.host.controller import ConnectionLost, Controller, ControllerError
 from vibrocast.host.harness import measurements, page
+from vibrocast.host.harness.latency import Latency
 from vibrocast.host.harness.results import ACTUATOR, JSON, NAMES, PAGE, Results, compare, judged
 from vibrocast.host.harness.sensors import SensorError
 from vibrocast.host.provenance import Provenance
@@ -50,10 +52,23 @@ def measure_bench(
             _measure(bench, again, retaken)
             for key, count in retaken.link.items():
                 results.link[key] = results.link.get(key, 0) + count
-            results.measured.update(
-                {name: value for name, value in retaken.measured.items() if not _is_worse(earlier, retaken, name)}
-            )
+            for name, value in retaken.measured.items():
+                before = results.measured[name]
+                results.measured[name] = before if _is_worse(earlier, retaken, name) else value
+                if name == "latency":
+                    results.measured[name] = _with_losses_of(results.measured[name], before, value)
     return results
+
+
+def _with_losses_of(kept: Latency, first: Latency, second: Latency) -> Latency:
+    """Return the times of one take with the losses of both: only times depend on how busy the computer was."""
+    return replace(
+        kept,
+        packets=first.packets + second.packets,
+        underruns=first.underruns + second.underruns,
+        lost_packets=first.lost_packets + second.lost_packets,
+        as_sent=first.as_sent and second.as_sent,
+    )
 
 
 def _possible(bench: Bench, names: Collection[str]) -> tuple[str, ...]:
@@ -100,9 +115,9 @@ def _counted(controller: Controller, results: Results) -> Iterator[None]:
 
 
 def _is_worse(earlier: dict[str, Any], results: Results, name: str) -> bool:
-    """Return whether a figure of one measurement has become worse than in an earlier run."""
+    """Return whether a time of one measurement has become worse than in an earlier run."""
     now = Results(results.device, results.host, {name: results.measured[name]}, asked=(name,))
-    return any(change.problem == "worse" for change in compare(earlier, now.document()))
+    return any(change.problem == "worse" and not change.counted for change in compare(earlier, now.document()))
 
 
 @contextlib.contextmanager

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
+from studies.faulty_bench import Misreading, at_half_gain
 from vibrocast.host import live_watch
 from vibrocast.host.cli.command_line import main
 from vibrocast.host.cli.exit_codes import LIMIT_MISSED
@@ -74,8 +75,10 @@ def test_low_delay_means_blocks_of_2_ms(tmp_path: Path) -> None:
     assert run(*given, "--constant-rate-bps", "8000").exit_code == 2
 
 
-def test_no_sample_is_no_error() -> None:
-    assert run("-", "--unit", "drive").exit_code == 0
+def test_a_source_without_a_sample_is_rejected() -> None:
+    result = run("-", "--unit", "drive")
+    assert result.exit_code == 2
+    assert "ended before its first sample" in result.output
 
 
 def test_the_unit_of_raw_samples_is_asked_for() -> None:
@@ -202,7 +205,10 @@ def test_the_quality_of_the_codec_stands_next_to_that_at_the_skin(tmp_path: Path
     quality = json.loads(report.read_text())
     assert quality["skin"]["snr_db"] < quality["snr_db"] - 1
     assert "integrated" in quality["skin_note"] or "as displacement" in quality["skin_note"]
-    assert f"SNR {quality['snr_db']:.2f} dB; at the skin SNR {quality['skin']['snr_db']:.2f} dB" in result.output
+    assert (
+        f"SNR {quality['snr_db']:.2f} dB; at the skin, by models, SNR {quality['skin']['snr_db']:.2f} dB"
+        in result.output
+    )
 
 
 def test_a_limit_at_the_skin_is_judged(tmp_path: Path) -> None:
@@ -210,6 +216,30 @@ def test_a_limit_at_the_skin_is_judged(tmp_path: Path) -> None:
     result = run("rough", "--seconds", "1.5", "--playout-delay-ms", "300", "--bench", bench)
     assert result.exit_code == LIMIT_MISSED
     assert re.search(r"live: snr_db = [\d.]+, min_snr_db = 40", result.output)
+
+
+def test_the_times_of_a_stream_are_judged(tmp_path: Path) -> None:
+    bench = bench_file(tmp_path, "sim", "max_latency_ms = 1\nmax_lost_percent = 100")
+    result = run("rough", "--seconds", "1.5", "--playout-delay-ms", "300", "--bench", bench)
+    assert result.exit_code == LIMIT_MISSED
+    assert "limits missed: live: latency_ms" in result.output
+
+
+@pytest.mark.parametrize("limit", ["max_latency_ms = 1000", "min_snr_db = -10", "min_gain = 0"])
+def test_a_figure_that_a_short_stream_does_not_show_misses_its_limit(tmp_path: Path, limit: str) -> None:
+    bench = bench_file(tmp_path, "sim", f"{limit}\nmax_lost_percent = 100")
+    result = run("rough", "--seconds", "0.2", "--bench", bench)
+    assert result.exit_code == LIMIT_MISSED
+    assert f"{limit.split(' ')[0][4:]} is not known, {limit};" in result.output
+
+
+def test_a_controller_that_plays_something_else_fails(tmp_path: Path) -> None:
+    with serial_port(Misreading(Controller, at_half_gain)) as port:
+        bench = bench_file(tmp_path, f"serial:{port.name}", "max_gain = 1.1\nmax_lost_percent = 100")
+        result = run("rough", "--seconds", "1", "--playout-delay-ms", "300", "--bench", bench)
+    assert result.exit_code == 1
+    assert "decoded as sent yes, DAC as computed NO" in result.output
+    assert "played something else than was sent" in result.output
 
 
 @pytest.mark.parametrize(

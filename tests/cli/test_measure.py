@@ -16,7 +16,9 @@ from tests.sound_server import HEADPHONES, PAD, SoundServer
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host.cli.command_line import main
 from vibrocast.host.cli.exit_codes import LIMIT_MISSED, NO_DEVICE, REGRESSION
+from vibrocast.host.device_clock import ClockFit
 from vibrocast.host.harness import measurements
+from vibrocast.host.harness.latency import Latency
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import ACTUATORS, Codes
 from vibrocast.output.sound_card import Capture, Playback, find
@@ -117,6 +119,24 @@ def test_what_is_worse_as_the_computer_was_busy_is_measured_again(
     assert lasting.exit_code == REGRESSION
     assert "throughput to the controller" in lasting.output
     assert next(taken, None) is None
+
+
+def test_losses_of_a_first_take_stay_where_times_are_measured_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def latency(total_ms: float, lost_packets: int) -> Latency:
+        clock = ClockFit(0.0, 0.0, 0.0, 0.0, 1.0)
+        return Latency("mdct", {}, 2800, 32, 10.0, 99, 100, {}, total_ms, 1.0, 0, lost_packets, True, clock)
+
+    takes = iter([latency(25.0, 0), latency(99.0, 3), latency(25.0, 0)])
+    monkeypatch.setattr(measurements, "MEASUREMENTS", {"latency": lambda *_: next(takes)})
+    monkeypatch.setattr("vibrocast.host.harness.page.write", lambda *_: None)
+    arguments = ("--only", "latency", "--out")
+    assert run(*arguments, str(tmp_path / "earlier")).exit_code == 0
+    result = run(*arguments, str(tmp_path / "now"), "--compare", str(tmp_path / "earlier" / "measured.json"))
+    assert "worse, measured again: latency" in result.output
+    assert result.exit_code == REGRESSION
+    assert "live: lost packets (worse)" in result.output and "latency, ms (worse)" not in result.output
 
 
 def test_what_was_measured_before_the_cable_was_pulled_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

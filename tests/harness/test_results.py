@@ -136,6 +136,30 @@ def test_a_figure_that_the_earlier_run_lacks_cannot_be_compared() -> None:
     }
 
 
+def test_a_figure_that_every_device_has_is_a_problem_where_neither_run_knows_it() -> None:
+    unstable = changed("measured", "smallest", "found", value=None)
+    (change,) = [change for change in results.compare(unstable, unstable) if change.regressed]
+    assert (change.name, change.problem) == ("smallest stable latency, ms", "known in neither run")
+
+
+@pytest.mark.parametrize(
+    ("path", "found"),
+    [
+        (("latency", "as_sent"), ["live: decoded as sent"]),
+        (("fidelity", 0, "as_decoded"), ["oak: best: decoded as sent"]),
+        (("fidelity", 0, "as_computed"), ["oak: best: DAC as computed"]),
+    ],
+)
+def test_what_a_controller_plays_otherwise_is_named_unless_it_lost_something(
+    path: tuple[str | int, ...], found: list[str]
+) -> None:
+    document = changed("measured", *path, value=False)
+    assert list(results.deviations(document)) == found
+    for measured in (document["measured"]["latency"], document["measured"]["fidelity"][0]):
+        measured["lost_packets"] = 1
+    assert list(results.deviations(document)) == []
+
+
 def test_limits_name_the_figures_that_miss_them() -> None:
     limits = BenchLimits(min_snr_db=12.5, max_gain=1.05, max_latency_ms=25.0, max_bad_frames=0, max_drift_ppm=2.0)
     document = changed("measured", "latency", "lost_packets", value=8)
