@@ -31,6 +31,8 @@ from vibrocast.codec.rate_control import Policy, rate_controlled_encoder
 LIVE_PACKET_BLOCKS = 4
 LIVE_REFRESH_S = 0.25
 _FILE_PACKET_BLOCKS = 128
+_FILE_PACKET_SAMPLES = 4096
+"""Samples over all channels of a packet that no host can split: each board in firmware/build.py takes it."""
 _WHOLE_FILE_BLOCKS = 1024
 """Blocks over all channels of a recording that becomes one packet, if hosts can split it for a controller."""
 # Every packet fits into one frame of the wire protocol, so a file can be played as it is.
@@ -144,12 +146,17 @@ def live_framing(rate_hz: int) -> Framing:
 def file_framing(codec: Codec, samples: int, rate_hz: int, channels: int) -> Framing:
     """Return the framing for a file: one refresh at the start, packets of at most 128 blocks over all channels.
 
-    A short recording is one packet, if the codec can split it later.
+    If the codec can split packets later, a short recording is one packet; if not, a packet has at most 4096 samples
+    over all channels, so that it plays on every board.
     """
     hop = mdct.hop_samples(rate_hz)
     needed = -(-samples // hop) + 1
-    whole = codec.repack is not None and needed * channels <= _WHOLE_FILE_BLOCKS
-    return Framing(needed * hop if whole else min(needed, max(1, _FILE_PACKET_BLOCKS // channels)) * hop, 0)
+    most = _FILE_PACKET_BLOCKS
+    if codec.repack is None:
+        most = min(most, _FILE_PACKET_SAMPLES // hop)
+    elif needed * channels <= _WHOLE_FILE_BLOCKS:
+        most = needed * channels
+    return Framing(min(needed, max(1, most // channels)) * hop, 0)
 
 
 def gain_for(peak: float) -> float:
