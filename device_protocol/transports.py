@@ -10,16 +10,25 @@ import socket
 import threading
 import time
 from abc import ABC, abstractmethod
+from pathlib import Path
 from typing import Any, Protocol, Self
 
 import serial
 import usb.core
 import usb.util
 
-# Fixed for UARTs (8 data bits, no parity, 1 stop bit, no flow control); a USB serial port ignores it.
+# Of a port whose address names no other (8 data bits, no parity, 1 stop bit, no flow control).
 BAUD = 921_600
+MIN_BAUD, MAX_BAUD = 1200, 20_000_000
+SERIAL_FORM = "serial:PORT[@BAUD]"
+USB_FORM = "usb:VID:PID[:SERIAL] (VID and PID hexadecimal)"
+UDEV_RULES = Path(__file__).with_name("70-vibrocast.rules")
+"""Gives users of Linux access to controllers on USB."""
 VENDOR_INTERFACE_CLASS = 0xFF
 
+# The baud rate is the digits behind the last "@"; a PORT that ends so itself needs a baud rate behind it.
+_SERIAL = re.compile(r"serial:(?P<port>.+?)(?:@(?P<baud>[0-9]+))?")
+_USB = re.compile("usb:(?P<vendor>[0-9a-fA-F]{1,4}):(?P<product>[0-9a-fA-F]{1,4})(?::(?P<number>.+))?")
 _WRITE_TIMEOUT_S = 1.0
 # A multiple of every bulk packet size (64 and 512), so that no read can overflow.
 _USB_READ_BYTES = 4096
@@ -81,7 +90,8 @@ class SerialTransport(Closing):
     """A serial port: a UART, a USB serial port, a pseudo-terminal, or a URL of pyserial, such as socket://HOST:PORT.
 
     Where the system allows, `write` leaves up to 8 KiB that the port does not take at once to later calls of `read`
-    and `write`. Raises TransportError if it cannot be opened.
+    and `write`. It does not set DTR and RTS, which the system raises when a port is opened; pyserial on Windows sets
+    both. Raises TransportError if it cannot be opened.
     """
 
     def __init__(self, port: str, baud: int = BAUD) -> None:
@@ -94,7 +104,13 @@ class SerialTransport(Closing):
         self._taken_s = 0.0
         try:
             # Exclusive: two programs on one port would garble each other's frames.
-            self._serial = serial.serial_for_url(self._port, self._baud, write_timeout=_WRITE_TIMEOUT_S, exclusive=True)
+            self._serial = serial.serial_for_url(
+                self._port, self._baud, write_timeout=_WRITE_TIMEOUT_S, exclusive=True, do_not_open=True
+            )
+            # pyserial 3 sets both lines when it opens a port, and has no option to leave them.
+            for update in ("_update_dtr_state", "_update_rts_state"):
+                setattr(self._serial, update, lambda: None)
+            self._serial.open()
         except (OSError, ValueError) as error:
             raise TransportError(
                 f"cannot open serial port {self._port}: {error}; check the name (`vibrocast devices` lists the ports), "
@@ -299,13 +315,14 @@ class ThreadedTransport(Closing):
 class UsbTransport(Closing):
     """The bulk endpoints of a USB device's vendor interface (class 0xFF, one bulk IN and one bulk OUT).
 
-    `backend`: a pyusb backend, such as the simulated device's; None = libusb. Raises TransportError if there is no
-    such device.
+    `backend`: a pyusb backend, such as the simulated device's; None = libusb. `serial_number`: None = there is one such
+    device only; `reopen` opens no other one. Raises TransportError if there is no such device, or more than one.
     """
 
-    def __init__(self, vendor_id: int, product_id: int, backend: Any = None) -> None:
-        self._name = f"USB device {vendor_id:04x}:{product_id:04x}"
+    def __init__(self, vendor_id: int, product_id: int, backend: Any = None, serial_number: str | None = None) -> None:
+        self._address = f"usb:{vendor_id:04x}:{product_id:04x}"
         self._identifiers = {"idVendor": vendor_id, "idProduct": product_id}
+        self._serial_number = serial_number
         self._backend = backend or libusb_backend()
         if self._backend is None:
             raise TransportError("no libusb was found; install the package libusb-package again")
@@ -313,11 +330,7 @@ class UsbTransport(Closing):
 
     def _open(self) -> None:
         try:
-            device = usb.core.find(backend=self._backend, **self._identifiers)
-            if device is None:
-                raise TransportError(
-                    f"there is no {self._name}; plug it in and check its identifiers (`vibrocast devices` lists them)"
-                )
+            device = self._found()
             interface = usb.util.find_descriptor(_configuration(device), bInterfaceClass=VENDOR_INTERFACE_CLASS)
             self._in = interface and _bulk_endpoint(interface, usb.util.ENDPOINT_IN)
             self._out = interface and _bulk_endpoint(interface, usb.util.ENDPOINT_OUT)
@@ -331,9 +344,42 @@ class UsbTransport(Closing):
             self._in.clear_halt()
             self._out.clear_halt()
         except usb.core.USBError as error:
-            hint = "give your user access to it (a udev rule on Linux)" if error.errno == errno.EACCES else "replug it"
+            hint = _USB_HINTS.get(error.errno, "plug it in again")
             raise TransportError(f"{self._name} cannot be opened ({error}); {hint}") from error
         self._device = device
+
+    @property
+    def _name(self) -> str:
+        return f"USB device {self._address}" + (f":{self._serial_number}" if self._serial_number else "")
+
+    def _found(self) -> Any:
+        """Return the device, whose serial number is known from then on. Raises TransportError and USBError."""
+        devices = list(usb.core.find(find_all=True, backend=self._backend, **self._identifiers))
+        if not devices:
+            raise TransportError(
+                f"there is no {self._name}; plug it in and check its identifiers (`vibrocast devices` lists them)"
+            )
+        numbers: list[str | None] = []
+        unreadable: usb.core.USBError | None = None
+        for device in devices:
+            try:
+                numbers.append(usb_serial_number(device))
+            except usb.core.USBError as error:  # of another user or, on Windows, open in another program
+                numbers.append(None)
+                unreadable = error
+        chosen = [each for each, number in zip(devices, numbers, strict=True) if self._serial_number in (None, number)]
+        if not chosen and unreadable is not None:
+            raise unreadable
+        if len(chosen) != 1:
+            problem = f"there is no {self._name}" if not chosen else f"{len(chosen)} devices are {self._name}"
+            known = sorted({f"{self._address}:{number}" for number in numbers if number})
+            choice = f"choose one of {', '.join(known)}" if known else "plug in one of them only"
+            same = len(known) < len(devices)
+            raise TransportError(
+                f"{problem}; {choice}" + ("; program a serial number of its own into each board" if same else "")
+            )
+        self._serial_number = self._serial_number or usb_serial_number(chosen[0]) or None
+        return chosen[0]
 
     def _broken(self, error: Exception) -> TransportError:
         return TransportError(f"{self._name} broke off ({error}); check the cable and the controller")
@@ -378,6 +424,36 @@ class UsbTransport(Closing):
         usb.util.dispose_resources(self._device)
 
 
+_USB_HINTS = {
+    errno.EACCES: f"give your user access: on Linux, copy {UDEV_RULES} to /etc/udev/rules.d, add your device's "
+    "identifiers, and plug it in again",
+    errno.EBUSY: "end the other program that uses it",
+}
+
+
+def usb_serial_number(device: Any) -> str:
+    """Return the serial number of a pyusb device; empty if it has none. Raises USBError where it cannot be read."""
+    if not device.iSerialNumber:
+        return ""
+    try:
+        number: str = device.serial_number
+    except ValueError:
+        # No readable string. pyusb also says this where the user may not open the device: this raises that error.
+        device.get_active_configuration()
+        return ""
+    return number if number.isprintable() else ""
+
+
+def usb_address(device: Any) -> str:
+    """Return the address of a pyusb device, with its serial number if it can be read."""
+    address = f"usb:{device.idVendor:04x}:{device.idProduct:04x}"
+    try:
+        number = usb_serial_number(device)
+    except usb.core.USBError:
+        number = ""
+    return f"{address}:{number}" if number else address
+
+
 def libusb_backend() -> Any:
     """Return the libusb of this environment, as a pyusb backend; None if there is none."""
     import libusb_package
@@ -385,14 +461,26 @@ def libusb_backend() -> Any:
     return libusb_package.get_libusb1_backend()
 
 
+def serial_port(address: str) -> tuple[str, int]:
+    """Return the port, or URL of pyserial, and the baud rate of an address SERIAL_FORM. Raises TransportError."""
+    match = _SERIAL.fullmatch(address)
+    if match is None:
+        raise TransportError(f"{address!r} names no serial port; give {SERIAL_FORM}")
+    baud = int(match["baud"] or BAUD)
+    if not MIN_BAUD <= baud <= MAX_BAUD:
+        raise TransportError(
+            f"{address}: {baud} is no baud rate; give {MIN_BAUD} to {MAX_BAUD} behind the @, or leave it out"
+        )
+    return match["port"], baud
+
+
 def open_transport(address: str, usb_backend: Any = None) -> Transport:
-    """Open "serial:PORT", as SerialTransport does, or "usb:VID:PID" (hexadecimal). Raises TransportError."""
-    kind, _, rest = address.partition(":")
-    if kind == "serial" and rest:
-        return SerialTransport(rest)
-    if kind == "usb" and (match := re.fullmatch("([0-9a-fA-F]{1,4}):([0-9a-fA-F]{1,4})", rest)):
-        return UsbTransport(int(match[1], 16), int(match[2], 16), usb_backend)
-    raise TransportError(f"{address!r} is no address of a controller; give serial:PORT or usb:VID:PID (hexadecimal)")
+    """Open a transport at an address: SERIAL_FORM, as SerialTransport does, or USB_FORM. Raises TransportError."""
+    if _SERIAL.fullmatch(address):
+        return SerialTransport(*serial_port(address))
+    if match := _USB.fullmatch(address):
+        return UsbTransport(int(match["vendor"], 16), int(match["product"], 16), usb_backend, match["number"])
+    raise TransportError(f"{address!r} is no address of a controller; give {SERIAL_FORM} or {USB_FORM}")
 
 
 def selectable(transport: Transport) -> Transport:

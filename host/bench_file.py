@@ -14,6 +14,7 @@ from msgspec import Meta, structs
 
 from vibrocast import textures
 from vibrocast.device_protocol.messages import ActuatorDescription
+from vibrocast.device_protocol.transports import SERIAL_FORM, TransportError, serial_port
 from vibrocast.files import InputFileError
 from vibrocast.host import devices, sensitivity
 from vibrocast.host.bench_limits import BenchLimits
@@ -36,7 +37,7 @@ from vibrocast.toml_tables import (
 )
 
 SENSOR_KINDS = ("accelerometer", "laser")
-_INPUT = "audio:CARD:CHANNEL or serial:PORT"
+_INPUT = f"audio:CARD:CHANNEL or {SERIAL_FORM}"
 SENSOR_PLACEHOLDERS = ("file", "seconds")
 SUFFIXES = (".wav", ".csv", ".txt", ".tsv", ".npy", ".npz")
 RateHz = Annotated[float, within(20, 1e7, "sample rate in Hz")]
@@ -96,8 +97,7 @@ class Sensor(Table, frozen=True, kw_only=True):
     `sensitivity`: what one `unit` makes in the file's numbers, where full scale of a WAV file or of integers is 1.
 
     `input`: in place of `command`, one of `host.recorder.FORMS`. `sensitivity` is a text then, as
-    `host.sensitivity.parse` takes it; `volts_full_scale`, `axis`, `rate_hz` and `baud`: as of
-    `host.recorder.open_source`.
+    `host.sensitivity.parse` takes it; `volts_full_scale`, `axis` and `rate_hz`: as of `host.recorder.open_source`.
     """
 
     name: Text
@@ -111,7 +111,6 @@ class Sensor(Table, frozen=True, kw_only=True):
     unit: Unit | None = None
     sensitivity: Annotated[float, Meta(gt=0, description="sensitivity per unit")] | Text | None = None
     volts_full_scale: Annotated[float, within(1e-4, 1e4, "volts at digital full scale")] | None = None
-    baud: Annotated[int, within(1200, 20_000_000, "bits per second of the serial port")] | None = None
     axis: Axis | None = None
     reduce: Reduction | None = None
 
@@ -126,8 +125,8 @@ class Sensor(Table, frozen=True, kw_only=True):
         if self.command is None:
             self._check_input()
             return
-        if self.volts_full_scale is not None or self.baud is not None or isinstance(self.sensitivity, str):
-            raise ValueError("volts_full_scale, baud and a sensitivity in text go with input; leave them out")
+        if self.volts_full_scale is not None or isinstance(self.sensitivity, str):
+            raise ValueError("volts_full_scale and a sensitivity in text go with input; leave them out")
         named = {found for part in self.command for found in re.findall(r"\{(\w*)\}", part)}
         if "file" not in named or named - set(SENSOR_PLACEHOLDERS) or not all(map(str.isprintable, self.command)):
             raise ValueError("command must be a list of a program and its arguments, {file} among them, or {seconds}")
@@ -139,6 +138,11 @@ class Sensor(Table, frozen=True, kw_only=True):
         assert self.input is not None, "one of the two is given"
         if not self.input.startswith(("serial:", "audio:")):
             raise ValueError(f"{self.input!r} is no input; give {_INPUT}")
+        if self.input.startswith("serial:"):
+            try:
+                serial_port(self.input)
+            except TransportError as error:
+                raise ValueError(str(error)) from error
         if self.input.startswith("audio:") and (self.sensitivity is None or self.volts_full_scale is None):
             raise ValueError(f"{self.input} records volts; give sensitivity, such as '10.2mV/g', and volts_full_scale")
         if self.unit is not None or self.reduce is not None or self.suffix != ".wav":

@@ -15,6 +15,8 @@ import usb.util
 from vibrocast import extras
 from vibrocast.device_protocol.messages import ActuatorDescription, HelloResponse, SlotState
 from vibrocast.device_protocol.transports import (
+    SERIAL_FORM,
+    USB_FORM,
     VENDOR_INTERFACE_CLASS,
     SerialTransport,
     Transport,
@@ -22,6 +24,7 @@ from vibrocast.device_protocol.transports import (
     UsbTransport,
     libusb_backend,
     open_transport,
+    usb_address,
 )
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.tracing import TappedTransport
@@ -51,9 +54,9 @@ SIMULATED = {
 """All that need no hardware."""
 IN_PROCESS = ("sim", "sim-usb", *EMULATED)
 """Those that this program itself simulates, and so could in simulated time."""
-ADDRESS = re.compile("serial:.+|usb:[0-9a-fA-F]{1,4}:[0-9a-fA-F]{1,4}|audio:.+")
+ADDRESS = re.compile("serial:.+|usb:[0-9a-fA-F]{1,4}:[0-9a-fA-F]{1,4}(:.+)?|audio:.+")
 """Those of hardware."""
-FORMS = "serial:PORT, usb:VID:PID (hexadecimal) or audio:CARD[:CHANNELS][@VOLTS]"
+FORMS = f"{SERIAL_FORM}, {USB_FORM} or audio:CARD[:CHANNELS][@VOLTS]"
 """How they are written."""
 
 _AUDIO = re.compile(r"audio:(?P<card>.+?)(:(?P<channels>\d+(,\d+)*))?(@(?P<volts>[^@]+))?")
@@ -290,7 +293,7 @@ def available() -> dict[str, str]:
         with contextlib.suppress(usb.core.USBError, NotImplementedError):
             for configuration in device:
                 if usb.util.find_descriptor(configuration, bInterfaceClass=VENDOR_INTERFACE_CLASS) is not None:
-                    found[f"usb:{device.idVendor:04x}:{device.idProduct:04x}"] = "vendor interface"
+                    found[usb_address(device)] = "vendor interface"
     return found
 
 

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.device_protocol.transports import BAUD, TransportError
+from vibrocast.device_protocol.transports import SERIAL_FORM, TransportError, serial_port
 from vibrocast.files import atomic_write
 from vibrocast.host.sensitivity import EXAMPLES, Sensitivity
 from vibrocast.host.serial_sensor import Losses, SerialSensor
@@ -25,7 +25,7 @@ DRIFT_HZ = 2.0
 coding removes everything, so that this causal filter leaves the band above as it was."""
 CLIPPED_RUN = 3
 """So many samples in a row at full scale are clipped; a single one may be a peak that just fits."""
-FORMS = "serial:PORT or [audio:]CARD[:CHANNELS]"
+FORMS = f"{SERIAL_FORM} or [audio:]CARD[:CHANNELS]"
 """How inputs are written."""
 
 _FULL_SCALE = 1 - 2**-14  # of it, so that int16's highest value counts
@@ -113,7 +113,6 @@ def open_source(
     *,
     axes: str = "",
     rate_hz: int | None = None,
-    baud: int = BAUD,
 ) -> Iterator[Source]:
     """Open the sensor at an address, one of FORMS, and begin to record.
 
@@ -124,7 +123,7 @@ def open_source(
     if address.startswith("serial:"):
         if volts_full_scale is not None:
             raise TextureError(f"{address} sends numbers; leave out `volts_full_scale`, which is for a sound card")
-        port = address.removeprefix("serial:")
+        port, baud = serial_port(address)
         with SerialSensor(port, baud=baud, rate_hz=rate_hz, sensitivity=sensitivity, axes=axes) as sensor:
             yield sensor
         return

@@ -304,7 +304,7 @@ class TimedSamples:
         if self._lines.bad_in_a_row > _MAX_BAD_LINES:
             raise SensorStreamError(
                 f"the sensor has sent {self._lines.bad_in_a_row} lines in a row that hold no sample; check its "
-                "program, its cable and --baud"
+                "program, its cable and the @BAUD of its address"
             )
         return self.place(found)
 
@@ -520,7 +520,8 @@ class SerialSensor(Closing):
                 problem = (
                     "sends samples in frames, and no frame that states its axes; let it send one every second"
                     if frames.found >= _FRAMES
-                    else "sends neither lines of samples nor frames; check --baud, and that this is the sensor's port"
+                    else "sends neither lines of samples nor frames; check the @BAUD of its address, and that this is "
+                    "the sensor's port"
                 )
                 raise SensorStreamError(f"{self.name} {problem}")
 
@@ -581,7 +582,7 @@ class SerialSensor(Closing):
         if wanted_hz is not None and abs(measured_hz - wanted_hz) > _RATE_TOLERANCE * wanted_hz:
             raise SensorStreamError(
                 f"{self.name} gives its rate as {wanted_hz} Hz, and its times say {measured_hz:.1f} Hz; correct one of "
-                "them, or raise --baud if it loses lines"
+                "them, or raise the @BAUD of its address if it loses lines"
             )
         self.rate_hz = wanted_hz or max(1, round(measured_hz))
         timed = TimedSamples(reader, self.rate_hz, period_us)

@@ -23,6 +23,9 @@ MAXIMUM_PACKET_BYTES = 64
 _CONFIGURATION = 1
 _BULK = 0x02
 _VENDOR_CLASS = 0xFF
+_GET_DESCRIPTOR, _STRING = 6, 3
+_ENGLISH = bytes((0x09, 0x04))  # the only language of the strings
+_SERIAL_NUMBER = 3
 
 
 class _Descriptor(SimpleNamespace):
@@ -37,10 +40,12 @@ class UsbPort(RealTimePort, usb.backend.IBackend):  # type: ignore[misc]
 
     Pass it to `usb.core.find(backend=...)`. Its errors are libusb's: timeout 110, stall 32, no device 19; IndexError
     for a missing descriptor. A handle counts how often the cable had been pulled before it was opened.
+    `serial_number`: in the device descriptor; empty = none.
     """
 
-    def __init__(self, controller: Device) -> None:
+    def __init__(self, controller: Device, serial_number: str = "") -> None:
         super().__init__(controller)
+        self._strings = {_SERIAL_NUMBER: serial_number} if serial_number else {}
         self._plugged = True
         self._pulled = 0
         self._configuration = 0
@@ -90,6 +95,7 @@ class UsbPort(RealTimePort, usb.backend.IBackend):  # type: ignore[misc]
             idVendor=VENDOR_ID,
             idProduct=PRODUCT_ID,
             bcdDevice=0x0100,
+            iSerialNumber=max(self._strings, default=0),
             bNumConfigurations=1,
             address=1,
             bus=1,
@@ -186,8 +192,16 @@ class UsbPort(RealTimePort, usb.backend.IBackend):  # type: ignore[misc]
     def ctrl_transfer(
         self, handle: int, request_type: int, request: int, value: int, index: int, data: Any, timeout_ms: int
     ) -> int:
-        """Stall: the controller has no control requests of its own."""
+        """Fill `data` with a string descriptor (USB 2.0, 9.6.7); stall at any other request. Return its length."""
         self._need_device(handle)
+        kind, number = divmod(value, 256)
+        if (request_type, request, kind) == (0x80, _GET_DESCRIPTOR, _STRING) and (
+            number == 0 or number in self._strings
+        ):
+            text = self._strings[number].encode("utf-16-le") if number else _ENGLISH
+            descriptor = bytes((2 + len(text), _STRING)) + text
+            data[: len(descriptor)] = array.array("B", descriptor[: len(data)])
+            return min(len(descriptor), len(data))
         raise usb.core.USBError("Pipe error", None, errno.EPIPE)
 
     def bulk_write(self, handle: int, endpoint: int, interface: int, data: Any, timeout_ms: int) -> int:

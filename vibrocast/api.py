@@ -302,7 +302,7 @@ def connect(
     """Open a session with a controller, and close it at the end of the `with` block.
 
     Args:
-        address: "sim", another name that `vibrocast devices` lists, "serial:PORT", "usb:VID:PID" or
+        address: "sim", another name that `vibrocast devices` lists, "serial:PORT[@BAUD]", "usb:VID:PID[:SERIAL]" or
             `audio:CARD[:CHANNELS][@VOLTS]`.
         actuator: A name, an Actuator or a TOML file. A sound card or a simulated controller drives it; for a real
             controller it is the model of the actuator. None: as the controller says; a sound card needs one.

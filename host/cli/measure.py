@@ -55,7 +55,7 @@ calibration_options = grouped(
     "calibration",
     CalibrationOptions,
     actuator_option,
-    click.option("--sensor", metavar="INPUT", help="Choose its sensor: serial:PORT or audio:CARD:CHANNEL."),
+    click.option("--sensor", metavar="INPUT", help="Choose its sensor: serial:PORT[@BAUD] or audio:CARD:CHANNEL."),
     sensitivity_option,
     volts_option,
 )

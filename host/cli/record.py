@@ -5,7 +5,6 @@ from pathlib import Path
 import click
 
 from vibrocast import progress
-from vibrocast.device_protocol.transports import BAUD
 from vibrocast.host import recorder
 from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import OutputFile, Whole, positive
@@ -32,13 +31,6 @@ def checked_axes(ctx: click.Context, param: click.Parameter, value: str | None) 
     volts_option,
     click.option("--axes", callback=checked_axes, metavar="XYZ", help="Name the axis of each channel, such as xyz."),
     click.option("--rate-hz", type=Whole("Hz", 20, 10**6), help="Set the sample rate. Default: that of the input."),
-    click.option(
-        "--baud",
-        type=Whole("bit/s", 1200, 20_000_000),
-        default=BAUD,
-        show_default=True,
-        help="Set the rate of a serial port.",
-    ),
 )
 @section(
     OUTPUT,
@@ -52,7 +44,6 @@ def record(
     volts_full_scale: float | None,
     axes: str,
     rate_hz: int | None,
-    baud: int,
     seconds: float | None,
     keep_dc: bool,
 ) -> None:
@@ -64,7 +55,7 @@ def record(
     beside = sidecar.path_of(out)
     if beside.exists() and not sidecar.is_one(beside):
         raise click.UsageError(f"{beside} is another file than a sidecar; give OUT another name")
-    opened = recorder.open_source(address, sensitivity, volts_full_scale, axes=axes, rate_hz=rate_hz, baud=baud)
+    opened = recorder.open_source(address, sensitivity, volts_full_scale, axes=axes, rate_hz=rate_hz)
     with opened as source, progress.bar("recording", details_only=True) as update:
         recorded = recorder.record(
             source,

@@ -18,7 +18,7 @@ from typing import BinaryIO, TypeAlias
 import numpy as np
 
 from vibrocast import extras, textures
-from vibrocast.device_protocol.transports import BAUD, TransportError
+from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host.bench_file import Sensor
 from vibrocast.host.recorder import Levels, Source, open_source, pieces
 from vibrocast.host.sensitivity import parse
@@ -88,7 +88,6 @@ def _at_input(sensor: Sensor, seconds: float) -> Iterator[Callable[[], Recording
                     sensor.volts_full_scale,
                     axes=(sensor.axis or "").lower(),
                     rate_hz=None if sensor.rate_hz is None else int(sensor.rate_hz),
-                    baud=sensor.baud or BAUD,
                 )
             )
         except (TransportError, textures.TextureError, extras.MissingExtraError) as error:

@@ -133,7 +133,7 @@ def test_another_device_is_rejected_and_leaves_no_file(tmp_path: Path, sent: obj
     with sensor(sent) as address:
         result = run("--input", address, str(path))
     assert result.exit_code == 3
-    assert "neither lines of samples nor frames; check --baud" in result.output
+    assert "neither lines of samples nor frames; check the @BAUD" in result.output
     assert list(tmp_path.iterdir()) == []
 
 

@@ -1,8 +1,10 @@
 """Transports over a real pseudo-terminal and over a USB device that a small pyusb backend makes up."""
 
 import errno
+import fcntl
 import os
 import select
+import termios
 import tty
 from array import array
 from collections.abc import Iterator
@@ -10,17 +12,21 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import serial
 import usb.backend
 import usb.core
 
 from vibrocast.device_protocol.transports import (
+    UDEV_RULES,
     SerialTransport,
     ThreadedTransport,
     TransportError,
     UsbTransport,
     open_transport,
     selectable,
+    serial_port,
 )
+from vibrocast.simulated_device.usb_backend import PRODUCT_ID, VENDOR_ID
 
 
 @pytest.fixture
@@ -71,6 +77,56 @@ def test_serial_port_is_not_shared(pseudo_terminal: tuple[int, str]) -> None:
 def test_serial_port_that_is_not_there() -> None:
     with pytest.raises(TransportError, match="vibrocast devices"):
         open_transport("serial:/dev/no-such-port")
+
+
+@pytest.mark.parametrize(
+    ("address", "expected"),
+    [
+        ("serial:/dev/ttyACM0", ("/dev/ttyACM0", 921_600)),
+        ("serial:/dev/ttyACM0@115200", ("/dev/ttyACM0", 115_200)),
+        ("serial:COM3@57600", ("COM3", 57_600)),
+        ("serial:socket://127.0.0.1:7000", ("socket://127.0.0.1:7000", 921_600)),
+        ("serial:rfc2217://me@bench:7000", ("rfc2217://me@bench:7000", 921_600)),
+        ("serial:rfc2217://bench:7000@9600", ("rfc2217://bench:7000", 9600)),
+        ("serial:/dev/serial/by-id/usb-5@left", ("/dev/serial/by-id/usb-5@left", 921_600)),
+        ("serial:/dev/tty@5@9600", ("/dev/tty@5", 9600)),
+    ],
+)
+def test_an_address_names_the_port_and_its_baud_rate(address: str, expected: tuple[str, int]) -> None:
+    assert serial_port(address) == expected
+
+
+@pytest.mark.parametrize("baud", ["0", "1199", "20000001"])
+def test_a_baud_rate_that_no_port_has_is_rejected(baud: str) -> None:
+    with pytest.raises(TransportError, match=f"{baud} is no baud rate; give 1200 to 20000000"):
+        open_transport(f"serial:/dev/ttyACM0@{baud}")
+
+
+def test_the_port_runs_at_the_baud_rate_of_its_address(pseudo_terminal: tuple[int, str]) -> None:
+    controller, port = pseudo_terminal
+    with open_transport(f"serial:{port}@115200"):
+        assert termios.tcgetattr(controller)[4:6] == [termios.B115200, termios.B115200]
+    with open_transport(f"serial:{port}"):
+        assert termios.tcgetattr(controller)[4:6] == [termios.B921600, termios.B921600]
+
+
+def test_dtr_and_rts_are_left_alone(pseudo_terminal: tuple[int, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    controls = []
+    control = fcntl.ioctl
+
+    def noted(file: Any, request: int, *arguments: Any) -> Any:
+        controls.append(request)
+        return control(file, request, *arguments)
+
+    monkeypatch.setattr(fcntl, "ioctl", noted)
+    hangs_up = termios.tcgetattr(pseudo_terminal[0])[2] & termios.HUPCL
+    with SerialTransport(pseudo_terminal[1]) as transport:
+        transport.write(b"x")
+        transport.reopen()
+    assert not {termios.TIOCMSET, termios.TIOCMBIS, termios.TIOCMBIC} & set(controls)
+    assert termios.tcgetattr(pseudo_terminal[0])[2] & termios.HUPCL == hangs_up
+    serial.Serial(pseudo_terminal[1]).close()
+    assert termios.TIOCMBIS in controls, "pyserial itself sets them, and this test would see it"
 
 
 def test_unplugged_serial_port_is_an_error_and_not_a_hang() -> None:
@@ -317,7 +373,12 @@ def test_usb_device_unplugged_while_a_stall_is_cleared_is_an_error(monkeypatch: 
 def test_usb_device_of_another_user_names_the_remedy() -> None:
     backend = MadeUpUsb()
     backend.fault = errno.EACCES
-    with pytest.raises(TransportError, match="udev"):
+    with pytest.raises(TransportError, match=r"70-vibrocast\.rules to /etc/udev/rules\.d"):
+        UsbTransport(0x1209, 0x0001, backend)
+    rules = UDEV_RULES.read_text(encoding="utf-8")
+    assert f'ATTR{{idVendor}}=="{VENDOR_ID:04x}", ATTR{{idProduct}}=="{PRODUCT_ID:04x}", TAG+="uaccess"' in rules
+    backend.fault = errno.EBUSY
+    with pytest.raises(TransportError, match="end the other program"):
         UsbTransport(0x1209, 0x0001, backend)
 
 
@@ -331,5 +392,5 @@ def test_usb_device_of_another_kind_is_rejected(backend: MadeUpUsb) -> None:
 
 @pytest.mark.parametrize("address", ["", "serial:", "usb:", "usb:1209", "usb:xyz:0001", "usb:12090:0001", "tcp:host"])
 def test_address_of_no_kind_is_rejected(address: str) -> None:
-    with pytest.raises(TransportError, match="give serial:PORT or usb:VID:PID"):
+    with pytest.raises(TransportError, match=r"give serial:PORT\[@BAUD\] or usb:VID:PID"):
         open_transport(address)

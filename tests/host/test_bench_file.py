@@ -19,6 +19,12 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "bench.toml"
 CONTROLLER = '[[controllers]]\nname = "left"\naddress = "sim"\n'
 SENSOR = '[[sensors]]\nname = "laser"\nkind = "laser"\ncommand = ["record", "{file}"]\n'
 
+SERIAL_INPUT = """
+[[sensors]]
+name = "accelerometer"
+kind = "accelerometer"
+input = "serial:/dev/ttyACM0@115200"
+"""
 INPUT = """
 [[sensors]]
 name = "accelerometer"
@@ -106,8 +112,8 @@ def test_an_impossible_texture_is_reported_with_its_place(tmp_path: Path) -> Non
         (CONTROLLER + INPUT.replace('"10.2mV/g"', "10.2"), "sensitivity of an input is a text"),
         (CONTROLLER + INPUT + 'unit = "g"\n', "unit, reduce and suffix go with command"),
         (CONTROLLER + INPUT + "rate_hz = 100.5\n", "rate_hz of an input is a whole number"),
-        (CONTROLLER + INPUT + "baud = 9\n", "baud = 9 is out of range"),
-        (CONTROLLER + SENSOR + "volts_full_scale = 2.0\n", "volts_full_scale, baud and a sensitivity in text go with"),
+        (CONTROLLER + SERIAL_INPUT.replace("@115200", "@9"), "9 is no baud rate; give 1200 to 20000000 behind the @"),
+        (CONTROLLER + SENSOR + "volts_full_scale = 2.0\n", "volts_full_scale and a sensitivity in text go with"),
         (CONTROLLER + 2 * '[[actuators]]\nmodel = "lra"\n', "[[actuators]] 2: there is another one on that channel"),
         ("a = " + 9999 * "[", "not a TOML file"),
         (CONTROLLER + '[[textures]]\nfile = "none.wav"\n', "does not exist"),
