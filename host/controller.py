@@ -42,6 +42,8 @@ _log = logging.getLogger(__name__)
 
 # docs/reference/protocol.md, "Sequence numbers"
 ANSWER_TIMEOUT_S = 0.1
+SLOW_BYTES_PER_S = 11_520.0
+"""Of a serial port at 115 200 baud: a request may take that much longer to be answered."""
 TRIES = 20
 HELLO_TRIES = 5
 MIN_PAYLOAD_LIMIT_BYTES = 256
@@ -213,6 +215,7 @@ class Controller(Closing):
         while self._pending is not None:
             yield from self.poll_steps(ANSWER_TIMEOUT_S)
         frame = self._next_request(message)
+        answer_timeout_s += len(frame) / SLOW_BYTES_PER_S
         for _ in range(tries):
             self._write(frame)
             deadline_s = self.clock() + answer_timeout_s

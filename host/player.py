@@ -16,6 +16,7 @@ from vibrocast.host.event_loop import Steps
 from vibrocast.host.limits import check_limits, check_packet
 from vibrocast.host.stream_session import (
     READ_BACK_S,
+    SLOWEST_BYTES_PER_S,
     Capture,
     CaptureOverwritten,
     StreamSession,
@@ -401,8 +402,13 @@ class _Sender:
         return self._captures[tap].samples() if tap in self._captures else None
 
     def read_captures_to_their_end_steps(self) -> Steps[None]:
-        """Read back what is left of the captures. Raises ControllerError if that takes longer than READ_BACK_S."""
-        until_s = self._controller.clock() + READ_BACK_S
+        """Read back what is left of the captures. Raises ControllerError if that takes too long."""
+        left = sum(
+            captured_by_now + rate_hz - self._captures[tap].samples_read
+            for tap, captured_by_now, rate_hz in self._taps()
+        )
+        left_bytes = 2 * self._source.header.channels * max(0, left)
+        until_s = self._controller.clock() + READ_BACK_S + left_bytes / SLOWEST_BYTES_PER_S
         for tap, captured_by_now, rate_hz in self._taps():
             # The output comes to rest within a second; a longer capture is none of this stream.
             more = True

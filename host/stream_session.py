@@ -33,9 +33,14 @@ from vibrocast.host.limits import explained
 _log = logging.getLogger(__name__)
 
 READ_BACK_S = 60.0
-"""For so long at most a capture is read back after playing."""
+"""For so long at most a capture is read back after playing, and longer by the time of its bytes on the slowest link."""
+SLOWEST_BYTES_PER_S = 960.0
+"""Of a serial port at 9600 baud."""
 _MIN_PART = 4
 """A frame of a capture is at least this part full, unless the capture ends in it."""
+_FRAME_S = 0.05
+"""A frame of a capture keeps the link busy for about so long: half the time after which a request is sent again."""
+_MIN_FRAME_BYTES = 64
 
 
 def next_number(stream: int) -> int:
@@ -164,6 +169,9 @@ class Capture:
     """The capture of a tap, read back frame by frame.
 
     `samples_read`: samples per channel, counted as the controller does, up to which it has been read.
+
+    Frames are as long as the link carries in _FRAME_S, measured from frame to frame, so that no Status waits long
+    behind one.
     """
 
     def __init__(self, controller: Controller, tap: Tap, channels: int, first: int = 0) -> None:
@@ -172,11 +180,28 @@ class Capture:
         self._controller, self._tap, self._channels = controller, tap, channels
         self._pieces = [np.zeros((0, channels), np.int16)]
         fixed_bytes = len(pack(CaptureData(tap, channels, 0, 0, b"")))
-        self._frame_samples = (controller.description.limits.max_payload_bytes - fixed_bytes) // (2 * channels)
+        self._max_samples = (controller.description.limits.max_payload_bytes - fixed_bytes) // (2 * channels)
+        self._min_samples = max(1, _MIN_FRAME_BYTES // (2 * channels))
+        self._frame_samples = self._min_samples
+        self._round_trip_s = math.inf  # the shortest
+        self._asked_s: float | None = None  # of a request that is not answered yet
 
     def request(self) -> CaptureRead:
-        """Return the request for the next frame."""
+        """Return the request for the next frame, which is sent now; half of it where the last one was not answered."""
+        if self._asked_s is not None:
+            self._frame_samples = max(self._min_samples, self._frame_samples // 2)
+        self._asked_s = self._controller.clock()
         return CaptureRead(self._tap, self.samples_read, self._frame_samples)
+
+    def _fit(self) -> None:
+        """Choose the length of the next frame from the time that this one took beyond the shortest round trip."""
+        if self._asked_s is None:
+            return
+        took_s = self._controller.clock() - self._asked_s
+        self._asked_s = None
+        self._round_trip_s = min(self._round_trip_s, took_s)
+        factor = min(2.0, _FRAME_S / max(took_s - self._round_trip_s, 1e-6))
+        self._frame_samples = min(self._max_samples, max(self._min_samples, int(factor * self._frame_samples)))
 
     def take(self, answer: CaptureData) -> bool:
         """Take in a frame; return whether there is more.
@@ -199,6 +224,7 @@ class Capture:
                 f"the controller sends {len(piece)} captured samples in a frame for {self._frame_samples}, though it "
                 "has more; update its firmware"
             )
+        self._fit()
         return len(piece) > 0 and self.samples_read < answer.end
 
     def read_steps(self, until_s: float = math.inf) -> Steps[bool]:
@@ -208,8 +234,7 @@ class Capture:
         """
         if self._controller.clock() > until_s:
             raise ControllerError(
-                f"reading the capture back has taken {READ_BACK_S:g} s, and the controller says that it has more; "
-                "restart it"
+                "reading the capture back takes too long, and the controller says that it has more; restart it"
             )
         return self.take((yield from self._controller.request_steps(self.request(), CaptureData)))
 
