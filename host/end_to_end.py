@@ -113,20 +113,22 @@ def play_together(
     encoding: Encoding | None = None,
     loops: int = 1,
     progress: Callable[[_Key, player.Progress], None] | None = None,
+    read_back: bool = True,
 ) -> dict[_Key, Outcome | Exception]:
     """Play a stream to its end on all controllers at once; return by key what each did, or why it failed.
 
     Packets that are too long for a controller are split (`limits.fitted`). The decoded samples and the DAC codes are
-    compared with those computed here. Both are read back from the controller, unless it captures nothing or there would
-    be more than MAX_COMPARED_SAMPLES: then nothing is compared, and the skin is computed from one pass. Nor is a
-    capture compared that the controller overwrites before it is read. A simulated controller of this session gets the
-    stream's model first.
+    compared with those computed here. Both are read back from the controller, unless `read_back` is false, it captures
+    nothing, or there would be more than MAX_COMPARED_SAMPLES: then nothing is compared, and the skin is computed from
+    one pass. Nor is a capture compared that the controller overwrites before it is read. A simulated controller of this
+    session gets the stream's model first.
     `encoding`: how the stream was made from a recording, None for a file that was coded before; the stream may have
     another level (`Stream.with_gain`). `file_name` is for the report. Raises CodecError.
     """
     outcomes: dict[_Key, Outcome | Exception] = {}
     works = {}
     sent: dict[_Key, Stream] = {}
+    unread: dict[_Key, str | None] = {}
     underruns_before = {}
     for key, member in members.items():
         try:
@@ -140,9 +142,10 @@ def play_together(
             continue
         if member.controller.sound_card is not None:
             underruns_before[key] = member.controller.sound_card.underruns
+        unread[key] = _unread_reason(member.controller, sent[key], loops) if read_back else "read-back is switched off"
         settings = player.PlaybackSettings(
             loops=loops,
-            capture=_unread_reason(member.controller, sent[key], loops) is None,
+            capture=unread[key] is None,
             progress=progress and partial(progress, key),
         )
         works[key] = (
@@ -168,6 +171,7 @@ def play_together(
                 loops,
                 offline[sent[key]],
                 result,
+                unread[key],
                 underruns_before.get(key, 0),
             )
         )
@@ -182,11 +186,13 @@ def _compared(
     loops: int,
     offline: NDArray[np.int16],
     result: player.PlaybackResult,
+    unread: str | None,
     underruns_before: int,
 ) -> Outcome:
     """Return what a controller did, compared with the same computed here.
 
-    `offline`: one pass, decoded here. `underruns_before`: of the sound card, before it played.
+    `offline`: one pass, decoded here. `unread`: why nothing was read back; None if it was. `underruns_before`: of the
+    sound card, before it played.
     """
     header, decoder, hello = stream.header, stream.decoder(), member.controller.description
     actuator = member.actuator or actuator_model(hello.actuator)
@@ -258,7 +264,7 @@ def _compared(
         touch=touch_of(skin_model, played_codes),
         decoded_equals_offline=_equal(result.decoded, offline, loops) if comparable else None,
         dac_equals_offline=_equal(result.dac_codes, codes) if comparable else None,
-        comparison_note=_comparison_note(member.controller, stream, loops, result),
+        comparison_note=_comparison_note(member.controller, result, unread),
     )
     missed_s = result.captured_from * decoder.packet_samples / header.rate_hz
     delay_s = decoder.delay_samples / header.rate_hz
@@ -308,15 +314,16 @@ def _unread_reason(controller: Controller, stream: Stream, loops: int) -> str | 
     return None
 
 
-def _comparison_note(controller: Controller, stream: Stream, loops: int, result: player.PlaybackResult) -> str | None:
+def _comparison_note(controller: Controller, result: player.PlaybackResult, unread: str | None) -> str | None:
     """Return why not everything was compared; None if it was."""
     if result.captured_from:
         return "the connection was lost, and the controller began again in the middle"
     if result.decoded is not None and result.dac_codes is not None:
         return None
     keeps = controller.description.limits.capture_samples
-    return _unread_reason(controller, stream, loops) or (
-        f"the controller keeps {keeps} samples of each capture, and overwrote some before they were read"
+    return unread or (
+        f"the controller keeps {keeps} samples of each capture, and overwrote some before they were read, because the "
+        "link or this computer is too slow"
     )
 
 

@@ -80,6 +80,7 @@ class OutputOptions:
 
     report_path: Path | None
     plot_path: Path | None
+    read_back: bool
 
 
 @dataclass(frozen=True)
@@ -146,6 +147,14 @@ class HandOptions:
         OutputOptions,
         click.option("--report", "report_path", type=OutputFile(".json"), help="Write the figures as JSON."),
         click.option("--plot", "plot_path", type=OutputFile(".png", ".svg", ".pdf"), help="Draw the signals."),
+        click.option(
+            "--no-read-back",
+            "read_back",
+            is_flag=True,
+            default=True,
+            flag_value=False,
+            help="Read no samples back, and compare none.",
+        ),
     ),
 )
 @plan_option
@@ -197,6 +206,8 @@ def play(
     if hand.positions_path or hand.stroke_mm:
         if outputs.report_path:
             raise click.UsageError("a profile under a hand has no report; drop --report")
+        if not outputs.read_back:
+            raise click.UsageError("a profile under a hand is always read back; drop --no-read-back")
         if playback.gain_db:
             raise click.UsageError("a profile under a hand has its own level; drop --gain-db")
         own = own_actuator(addresses[0], playback.actuator_name, bench)
@@ -238,7 +249,9 @@ def play(
             stream = stream.with_gain(playback.gain_db)
             with progress.bar("playing") as update:
                 tell = playing(update, stream.bits_per_second)
-                outcomes = end_to_end.play_together(members, file.name, stream, encoding, playback.loops, tell)
+                outcomes = end_to_end.play_together(
+                    members, file.name, stream, encoding, playback.loops, tell, outputs.read_back
+                )
     outcomes |= failures
     if bench is not None:
         outcomes = {name: traced(outcome, bench) for name, outcome in outcomes.items()}
