@@ -117,7 +117,7 @@ def _stm32f405(summary: str, script: str) -> Target:
     return _cortex_m(summary, M4F, script, ("ports/stm32f405",), VC_HARDWARE="feather-stm32f405", **_STM32F405)
 
 
-# Two channels in 128 KiB. The longest packets are those of files below 5600 Hz: 128 blocks of 32 samples, and the
+# Two channels in 128 KiB. The longest packets are those of files that no host can split: 4096 samples, and the
 # overlap of `lapped` at a hop of 128 beyond that of one such block, in whole blocks.
 _STM32F405 = {
     "VC_CHANNELS": 2,
