@@ -441,11 +441,13 @@ class LiveStream:
         wire_bytes = self._wire_bytes
         if wire_bytes is None:
             wire_bytes = self.controller.bytes_sent - self._wire_bytes_before
+        packets = math.ceil(self.seconds / self.packet_s)
         return LiveResult(
             status=self.status,
             underruns=sum(status.underruns for status in streams),
-            packets=math.ceil(self.seconds / self.packet_s),
-            lost_packets=sum(status.lost_packets for status in streams),
+            packets=packets,
+            # A controller that hears of the end too late also counts packets that there never were.
+            lost_packets=min(packets, sum(status.lost_packets for status in streams)),
             dropped_packets=self.dropped_packets,
             bad_frames=max(0, self.status.bad_frames - self._bad_frames_before),  # a restart sets it to 0
             bad_frames_back=self.controller.bad_frames - self._bad_frames_back_before,

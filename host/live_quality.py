@@ -76,7 +76,7 @@ class CodedSignal:
             self._packets += packets
 
     def quality(self, member: Member, model: models.Model | None, result: LiveResult) -> LiveQuality:
-        """Compare what was coded with its source, and what the controller played with what was coded.
+        """Compare the coded signal with its source, and the controller's captures with both.
 
         Reads the controller's captures: call it when the stream has ended. Raises CodecError, ControllerError,
         TransportError.
@@ -90,7 +90,7 @@ class CodedSignal:
         return replace(quality, decoded_equals_offline=decoded, dac_equals_offline=computed)
 
     def _of_coding(self, member: Member, whole: Stream) -> LiveQuality:
-        """Return the quality without what the controller captured; empty where the stream was too short."""
+        """Return the quality of coding, and at the skin by models; empty where the stream was too short."""
         header, empty = whole.header, whole.decoder()
         signal = np.concatenate([np.zeros((0, header.channels)), *self._blocks])
         samples = min(len(signal), len(self._packets) * empty.packet_samples - empty.delay_samples)
@@ -133,6 +133,6 @@ class CodedSignal:
 
 
 def _ends_as(member: Member, tap: Tap, computed: NDArray[np.int16], newest: int) -> bool:
-    """Return whether a capture ends as it was computed. `newest`: samples per channel to compare, if it has so many."""
+    """Return whether a capture ends as it was computed. `newest`: samples per channel to compare, or fewer."""
     first, kept = read_capture(member.controller, tap, computed.shape[1], newest)
     return first + len(kept) == len(computed) and np.array_equal(kept, computed[first:])

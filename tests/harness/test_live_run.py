@@ -1,4 +1,4 @@
-"""Live streams of the harness: what the controller played, and when, against what the host computes."""
+"""Live streams of the harness: samples, codes and times of the controller against those of the host."""
 
 from collections.abc import Callable
 from dataclasses import replace
