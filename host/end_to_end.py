@@ -15,7 +15,7 @@ from vibrocast.codec.encoding import Encoding
 from vibrocast.codec.stream import Stream
 from vibrocast.codec.threshold import over_threshold_db, read_threshold
 from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader
-from vibrocast.device_protocol.messages import ActuatorDescription
+from vibrocast.device_protocol.messages import ActuatorDescription, HelloResponse, Status
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import devices, player, uploader
 from vibrocast.host.controller import Controller, ControllerError
@@ -245,22 +245,9 @@ def _compared(
         bad_frames=result.bad_frames,
         bad_frames_back=result.bad_frames_back,
         reconnects=result.reconnects,
-        device=DeviceDescription(
-            member.address,
-            hello.build,
-            hello.hardware,
-            hello.serial_number,
-            f"{hello.major}.{hello.minor}",
-            tuple(devices.model_images(hello)),
-        ),
+        device=device_description(member.address, hello),
         sound_card=card,
-        actuator=ActuatorUse(
-            name=actuator.name,
-            clipped_samples=result.status.compensation_clipped,
-            voltage_limited=result.status.voltage_limited,
-            slew_limited=result.status.slew_limited,
-            power_limited=result.status.power_limited,
-        ),
+        actuator=actuator_use(actuator, result.status),
         touch=touch_of(skin_model, played_codes),
         decoded_equals_offline=_equal(result.decoded, offline, loops) if comparable else None,
         dac_equals_offline=_equal(result.dac_codes, codes) if comparable else None,
@@ -290,6 +277,29 @@ def _compared(
     traces.append(Trace("skin", skin, skin_rate_hz, "um", skin, skin_rate_hz))
     caption = f"skin: the DAC's codes, {source}, through the model of the actuator {skin_model.name}"
     return Outcome(_with_skin(report, traces), stream, caption, tuple(traces))
+
+
+def device_description(address: str, hello: HelloResponse) -> DeviceDescription:
+    """Return what a report says of the controller at an address, as its Hello states."""
+    return DeviceDescription(
+        address,
+        hello.build,
+        hello.hardware,
+        hello.serial_number,
+        f"{hello.major}.{hello.minor}",
+        tuple(devices.model_images(hello)),
+    )
+
+
+def actuator_use(actuator: Actuator, status: Status) -> ActuatorUse:
+    """Return what a report says of the actuator, of which a controller has this status."""
+    return ActuatorUse(
+        name=actuator.name,
+        clipped_samples=status.compensation_clipped,
+        voltage_limited=status.voltage_limited,
+        slew_limited=status.slew_limited,
+        power_limited=status.power_limited,
+    )
 
 
 def _with_skin(report: Report, traces: Sequence[Trace]) -> Report:

@@ -5,6 +5,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +14,17 @@ from numpy.typing import NDArray
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import Position, State, Status, Tap
 from vibrocast.files import InputFileError
+from vibrocast.host import end_to_end
 from vibrocast.host.controller import Controller, ControllerError
+from vibrocast.host.end_to_end import Member
 from vibrocast.host.picture import Trace
+from vibrocast.host.provenance import Provenance
+from vibrocast.host.report import SCHEMA, StrokeReport
+from vibrocast.host.skin_quality import COMPARED_S, SkinQuality, compare_channels
 from vibrocast.host.stream_session import StreamSession, configure_steps, read_capture
 from vibrocast.output import profile as rendering
 from vibrocast.output.actuator import Actuator, Codes
+from vibrocast.textures import Recording
 
 _POSITION_RATE_HZ = 500
 _MAX_POSITIONS = 1_000_000
@@ -29,6 +36,7 @@ _AHEAD_S, _BEHIND_S = 0.2, 0.05
 _LOADING_S, _MIN_LOADING_BYTES_PER_S = 5.0, 500
 _LATE_S = 5.0
 _READ_S, _MIN_READ_S = 0.02, 0.001
+_FULL_SCALE = 32768  # of a stream's integers
 # The controller's clock is at least at the time of the last Status, ten a second; the soonest of _HEARD counts. Sent
 # _SENT_AFTER_S later, no position comes before its time, even if that clock is slow by 1 %.
 _HEARD, _SENT_AFTER_S = 2, 0.003
@@ -112,13 +120,14 @@ def chosen_movement(
 class Played:
     """The result of a playback by position.
 
-    `status`: at the end. `damaged`: frames that came damaged. `dac_codes`: int16 (n, channels) as far as the controller
-    kept them, from sample `captured_from` on. `positions`: as sent, device time in us and place in nm. `start_us`:
-    device time of the first DAC sample.
+    `status`: at the end. `damaged`: frames that came damaged, `damaged_back`: to this computer. `dac_codes`: int16
+    (n, channels) as far as the controller kept them, from sample `captured_from` on. `positions`: as sent, device time
+    in us and place in nm. `start_us`: device time of the first DAC sample.
     """
 
     status: Status
     damaged: int
+    damaged_back: int
     dac_codes: Codes
     captured_from: int
     start_us: int
@@ -168,6 +177,7 @@ def play(
     The hand goes straight from each position to the next. The controller gets it 500 times a second, by its own
     clock. `progress` is called with the part done. Raises ControllerError, TransportError.
     """
+    damaged_back = controller.bad_frames
     session = load(controller, stream)
     begun = controller.request_status()
     session.news()
@@ -210,7 +220,8 @@ def play(
         status = controller.stop()
     captured_from, codes = read_capture(controller, Tap.DAC, stream.header.channels)
     damaged = status.bad_frames - begun.bad_frames
-    return Played(status, damaged, codes, captured_from, start_us, positions)
+    damaged_back = controller.bad_frames - damaged_back
+    return Played(status, damaged, damaged_back, codes, captured_from, start_us, positions)
 
 
 @dataclass(frozen=True)
@@ -224,24 +235,97 @@ class Computed:
 def computed(stream: Stream, played: Played, actuator: Actuator) -> Computed:
     """Return what a profile gives under the positions that were played, to the bit. Raises CodecError."""
     samples = played.captured_from + len(played.dac_codes)
-    heights, codes = rendering.render(
-        stream.header,
-        stream.decode_integers(),
-        stream.decoder().delay_samples,
-        played.positions,
-        samples,
-        actuator,
-        start_us=played.start_us,
+    return _rendered(stream, stream.decode_integers(), stream.decoder().delay_samples, played, samples, actuator)
+
+
+def _rendered(
+    stream: Stream, heights: NDArray[np.int16], delay_samples: int, played: Played, samples: int, actuator: Actuator
+) -> Computed:
+    """Return what heights (n, channels), in the integers of a stream, give under the positions that were played."""
+    under_hand, codes = rendering.render(
+        stream.header, heights, delay_samples, played.positions, samples, actuator, start_us=played.start_us
     )
-    return Computed(heights * (np.array(stream.header.gains) / 32768), codes)
+    return Computed(under_hand * (np.array(stream.header.gains) / _FULL_SCALE), codes)
 
 
 @dataclass(frozen=True)
 class Stroke:
-    """A playback under a hand, and `as_computed`: whether the DAC's codes are those computed (None: unknown)."""
+    """A playback under a hand, what it gives if all positions come in time, by which actuator, and the report."""
 
     played: Played
-    as_computed: bool | None
+    expected: Computed
+    actuator: Actuator
+    report: StrokeReport
+
+    @property
+    def as_computed(self) -> bool | None:
+        """Whether the DAC's codes are those computed; None: unknown."""
+        return self.report.dac_equals_offline
+
+
+def play_and_compare(
+    member: Member,
+    file_name: str,
+    stream: Stream,
+    movement: Movement,
+    texture: Recording | None = None,
+    bench_sha256: str | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Stroke:
+    """Play a spatial stream as `play` does, compare with the same computed here, and report.
+
+    `texture`: from which the stream was coded, at its rate, None = not known. Raises as `play`, and CodecError.
+    """
+    controller, hello = member.controller, member.controller.description
+    played = play(controller, stream, movement, progress)
+    actuator = member.actuator or end_to_end.actuator_model(hello.actuator)
+    skin_model = member.skin_model or actuator
+    expected = computed(stream, played, actuator)
+    length_mm = 1e3 * stream.samples / stream.header.rate_hz
+    report = StrokeReport(
+        schema=SCHEMA,
+        run=Provenance(bench_sha256),
+        version=version("vibrocast"),
+        file=file_name,
+        codec=stream.codec_name,
+        model=stream.model_name,
+        channels=stream.header.channels,
+        length_mm=length_mm,
+        stream_bytes=stream.size_bytes,
+        bits_per_mm=8 * stream.size_bytes / length_mm,
+        seconds=movement.seconds,
+        fastest_mm_s=movement.fastest_mm_s,
+        positions=len(played.positions),
+        underruns=played.status.underruns,
+        bad_frames=played.damaged,
+        bad_frames_back=played.damaged_back,
+        skin=_skin_quality(stream, texture, played, expected, actuator, skin_model),
+        device=end_to_end.device_description(member.address, hello),
+        sound_card=controller.sound_card,
+        actuator=end_to_end.actuator_use(actuator, played.status),
+        dac_equals_offline=as_computed(played, expected, actuator),
+    )
+    return Stroke(played, expected, skin_model, report)
+
+
+def _skin_quality(
+    stream: Stream, texture: Recording | None, played: Played, expected: Computed, actuator: Actuator, skin: Actuator
+) -> SkinQuality | None:
+    """Return how the skin moves against the texture under the hand, in the beginning; None where nothing is read back.
+
+    `skin`: the actuator that moves it.
+    """
+    if not len(played.dac_codes):
+        return None
+    first = played.captured_from
+    end = min(first + len(played.dac_codes), first + round(COMPARED_S * actuator.dac_rate_hz))
+    asked = [expected.heights_um[first:end]]
+    if texture is not None:
+        whole = np.rint(texture.samples / np.array(stream.header.gains) * _FULL_SCALE)
+        heights = np.clip(whole, -_FULL_SCALE, _FULL_SCALE - 1).astype(np.int16)
+        asked.insert(0, _rendered(stream, heights, 0, played, end, actuator).heights_um[first:])
+    moved = skin.displacement_um(played.dac_codes[: end - first])
+    return compare_channels(asked, actuator.dac_rate_hz, moved, actuator.dac_rate_hz)
 
 
 def as_computed(played: Played, expected: Computed, actuator: Actuator) -> bool | None:

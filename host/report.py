@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 from vibrocast.files import atomic_write
 from vibrocast.host.bench_limits import Judged, lost_percent
@@ -117,15 +118,54 @@ class Report:
         """Whether a decoded sample or a DAC code differs from the one computed here."""
         return False in (self.decoded_equals_offline, self.dac_equals_offline)
 
-    def as_json(self) -> str:
-        """Return the report as a JSON object, indented by two spaces."""
-        return json.dumps(asdict(self), indent=2, allow_nan=False) + "\n"
+    def write(self, path: Path) -> None:
+        """Write the report as JSON. Raises OSError."""
+        write_json(path, asdict(self))
+
+
+@dataclass(frozen=True)
+class StrokeReport:
+    """Figures of one height profile under a hand; docs/reference/report.md explains each. None: not known."""
+
+    schema: int
+    run: Provenance
+    version: str
+    file: str
+    codec: str
+    model: str | None
+    channels: int
+    length_mm: float
+    stream_bytes: int
+    bits_per_mm: float
+    seconds: float
+    fastest_mm_s: float
+    positions: int
+    underruns: int
+    bad_frames: int
+    bad_frames_back: int
+    skin: SkinQuality | None
+    device: DeviceDescription
+    sound_card: CardUse | None
+    actuator: ActuatorUse
+    dac_equals_offline: bool | None
+
+    def judged(self) -> Iterator[Judged]:
+        """Yield the figures that limits of a bench file judge.
+
+        Nobody counts lost positions. None was lost where the output is as all of them make it.
+        """
+        yield Judged("underruns", self.file, self.underruns)
+        yield Judged("lost_percent", self.file, 0.0 if self.dac_equals_offline else None)
+        yield Judged("bad_frames", self.file, self.bad_frames + self.bad_frames_back)
+        for key in ("snr_db", "gain"):
+            yield Judged(key, self.file, None if self.skin is None else getattr(self.skin, key))
 
     def write(self, path: Path) -> None:
-        """Write the report as JSON.
+        """Write the report as JSON. Raises OSError."""
+        write_json(path, asdict(self))
 
-        Raises:
-            OSError: The file cannot be written.
-        """
-        with atomic_write(path) as partial:
-            partial.write_text(self.as_json(), encoding="utf-8")
+
+def write_json(path: Path, document: Any) -> None:
+    """Write a report that is ready for JSON, indented, whole or not at all. Raises OSError."""
+    with atomic_write(path) as partial:
+        partial.write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")

@@ -1,6 +1,5 @@
 """The subcommand `live`: streams raw samples from standard input, or a generated texture, with the least delay."""
 
-import json
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
@@ -17,7 +16,6 @@ from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, chosen_codec, defau
 from vibrocast.codec.live_format import live_format
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.device_protocol.messages import Status
-from vibrocast.files import atomic_write
 from vibrocast.host import devices, end_to_end, uploader
 from vibrocast.host import live as streaming
 from vibrocast.host.bench_limits import BenchLimits, missed
@@ -48,7 +46,7 @@ from vibrocast.host.controller import ControllerError
 from vibrocast.host.live_quality import CodedSignal, LiveQuality
 from vibrocast.host.live_watch import Timing, Watch, judged
 from vibrocast.host.provenance import Provenance
-from vibrocast.host.report import SCHEMA
+from vibrocast.host.report import SCHEMA, write_json
 from vibrocast.textures.recording import MAX_CHANNELS
 
 if TYPE_CHECKING:
@@ -283,7 +281,7 @@ def live(
             watch.close()
             document = figures(stream.result(), stream, watch, bench, quality, timing)
             if report_path:
-                write_report(report_path, document)
+                write_json(report_path, document)
     delay_ms = 1000 * stream.playout_delay_s
     add(document)
     if target is not None:
@@ -365,12 +363,6 @@ def figures(
         "sound_card": None if card is None else asdict(card),
         "minutes": [asdict(minute) for minute in watch.minutes],
     }
-
-
-def write_report(path: Path, document: dict[str, Any]) -> None:
-    """Write a report as JSON, whole or not at all. Raises OSError."""
-    with atomic_write(path) as partial:
-        partial.write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def raw_blocks(

@@ -1,6 +1,5 @@
 """The steps of subcommands that take a plan, which replaces their other options."""
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,9 +10,9 @@ from click.core import ParameterSource
 from msgspec import structs
 
 from vibrocast import models, progress
-from vibrocast.files import atomic_write
 from vibrocast.host.cli.answers import answer, wants_json
 from vibrocast.host.printable import plain
+from vibrocast.host.report import write_json
 
 if TYPE_CHECKING:  # modules that plan take a second to load; other commands need not wait for them
     from vibrocast.host.planner import Plan
@@ -64,8 +63,7 @@ def play(plan: "Plan", names: Sequence[str], report: Path | None, table: Path | 
     compared = comparison.rows(played)
     documents = [comparison.document(each) for each in played]
     if report is not None:
-        with atomic_write(report) as partial:
-            partial.write_text(json.dumps(documents, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        write_json(report, documents)
     if table is not None:
         comparison.write_csv(table, compared)
     answer(documents)

@@ -1,6 +1,5 @@
 """The subcommand `play`: plays a recording, a .vct file or a plan on a controller, and reports how it went."""
 
-import json
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -13,7 +12,6 @@ from vibrocast import extras, progress, textures
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ
 from vibrocast.codec.stream import MAX_GAIN_DB, Stream, read_stream
 from vibrocast.device_protocol.coded_stream import StreamError, packet_sequence
-from vibrocast.files import atomic_write
 from vibrocast.host import devices, player, profiles
 from vibrocast.host.bench_limits import missed
 from vibrocast.host.cli import planned
@@ -52,9 +50,9 @@ from vibrocast.host.cli.steps import (
 )
 from vibrocast.host.controller import ControllerError
 from vibrocast.host.limits import check_limits
-from vibrocast.host.report import Report, Touch
+from vibrocast.host.report import Report, Touch, write_json
 from vibrocast.output import actuator_files
-from vibrocast.output.actuator import ACTUATORS, Actuator
+from vibrocast.output.actuator import ACTUATORS
 
 if TYPE_CHECKING:
     from vibrocast.host import end_to_end, position_playback
@@ -204,20 +202,34 @@ def play(
     if len(addresses) > 1 and (hand.positions_path or hand.stroke_mm or outputs.plot_path):
         raise click.UsageError("--positions, --stroke-mm and --plot are for one controller; give one --device")
     if hand.positions_path or hand.stroke_mm:
-        if outputs.report_path:
-            raise click.UsageError("a profile under a hand has no report; drop --report")
         if not outputs.read_back:
             raise click.UsageError("a profile under a hand is always read back; drop --no-read-back")
         if playback.gain_db:
             raise click.UsageError("a profile under a hand has its own level; drop --gain-db")
-        own = own_actuator(addresses[0], playback.actuator_name, bench)
+        own_actuator(addresses[0], playback.actuator_name)
         from vibrocast.host import position_playback
 
         movement = position_playback.chosen_movement(
             hand.positions_path, hand.stroke_mm, recording.hand_speed_mm_s, playback.loops
         )
-        stream = spatial_stream(file, quality, replace(recording, hand_speed_mm_s=None))
-        play_profile(file.name, addresses[0], own, replace(stream, runtime=runtime), movement, outputs.plot_path)
+        stream, texture = spatial_stream(file, quality, replace(recording, hand_speed_mm_s=None))
+        trace_failure(outputs.report_path and outputs.report_path.with_suffix(".pcapng"))
+        with (
+            devices.connect(addresses[0], runtime, actuators[addresses[0]]) as controller,
+            progress.bar("playing") as update,
+        ):
+            check_bench_actuator(bench, addresses[0], controller.description.actuator)
+            stroke = position_playback.play_and_compare(
+                end_to_end.member(controller, addresses[0], actuators[addresses[0]]),
+                file.name,
+                replace(stream, runtime=runtime),
+                movement,
+                texture,
+                None if bench is None else bench.sha256,
+                update,
+            )
+        tell_stroke(stroke, outputs)
+        fail_where_missed([] if bench is None else missed(bench.limits, stroke.report.judged()))
         return
     source = read_source(file, quality, recording, runtime)
     trace_failure(outputs.report_path and outputs.report_path.with_suffix(".pcapng"))
@@ -326,8 +338,7 @@ def report_each(outcomes: "dict[str, end_to_end.Outcome | Exception]", report_pa
         for name, each in reports.items()
     ]
     if report_path:
-        with atomic_write(report_path) as partial:
-            partial.write_text(json.dumps(documents, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        write_json(report_path, documents)
     answer(documents)
     lines = {
         name: f"FAILED: {each}"
@@ -346,52 +357,57 @@ def report_each(outcomes: "dict[str, end_to_end.Outcome | Exception]", report_pa
         )
 
 
-def spatial_stream(file: Path, quality: QualityOptions, recording: RecordingOptions) -> Stream:
-    """Return a height profile, or a .vct file of one, as a stream over position. Raises BadInput for any other."""
+def spatial_stream(
+    file: Path, quality: QualityOptions, recording: RecordingOptions
+) -> tuple[Stream, textures.Recording | None]:
+    """Return a height profile, or a .vct file of one, as a stream over position, and what was coded, where known.
+
+    Raises BadInput for any other.
+    """
     if file.suffix.lower() == ".vct":
-        stream = coded_already(file, quality, recording)
+        stream, texture = coded_already(file, quality, recording), None
     else:
         profile = profiles.recording_of(file, **vars(recording))
-        stream = encoded_profile(profile, quality, profiles.SLOWEST_MM_S).stream
+        encoding = encoded_profile(profile, quality, profiles.SLOWEST_MM_S)
+        stream, texture = encoding.stream, encoding.recording
     if not stream.header.spatial:
         raise BadInput(f"{file}: coded over time, not over position; encode the profile again with --spatial")
-    return stream
+    return stream, texture
 
 
-def play_profile(
-    name: str,
-    address: str,
-    actuator: Actuator | None,
-    stream: Stream,
-    movement: "position_playback.Movement",
-    plot_path: Path | None,
-) -> None:
-    """Play a spatial stream under a moving hand; print what was played, and draw it."""
-    from vibrocast.host import end_to_end, picture, position_playback
+def tell_stroke(stroke: "position_playback.Stroke", outputs: OutputOptions) -> None:
+    """Print what was played under a hand, write it and draw it. Raises ControllerError where it is not as computed."""
+    from vibrocast.host import picture, position_playback
 
-    with devices.connect(address, stream.runtime, actuator) as controller, progress.bar("playing") as update:
-        played = position_playback.play(controller, stream, movement, progress=update)
-        card, dac = controller.sound_card, controller.description.actuator
-    actuator = devices.behind_dac(address, actuator, dac) if actuator else end_to_end.actuator_model(dac)
-    expected = position_playback.computed(stream, played, actuator)
-    status, facts = played.status, stream.facts()
-    if plot_path:
-        picture.draw(plot_path, f"{name} on {address}", *position_playback.pictured(played, expected, actuator))
-    show(
-        {
-            "played": f"{name}, {facts['length_mm']:.2f} mm, under a hand at up to "
-            f"{movement.fastest_mm_s:.0f} mm/s for {movement.seconds:.2f} s",
-            "stream": f"{facts['size_bytes']} bytes, {facts['bits_per_mm']:.0f} bit/mm, codec {facts['codec']}",
-            "actuator": f"{actuator.name}, clipped {status.compensation_clipped}, limited by voltage "
-            f"{status.voltage_limited}, slew {status.slew_limited}, power {status.power_limited} samples",
-            "positions": f"{len(played.positions)} sent, {status.underruns} came too late, frames damaged "
-            f"{played.damaged}",
-            **({"sound card": describe_card(card)} if card else {}),
-            "DAC as computed": {**ANSWERS, False: "no, as where a position is lost"}[
-                position_playback.as_computed(played, expected, actuator)
-            ],
-        }
-    )
+    report, played = stroke.report, stroke.played
+    if outputs.report_path:
+        report.write(outputs.report_path)
+    if outputs.plot_path:
+        pictured = position_playback.pictured(played, stroke.expected, stroke.actuator)
+        picture.draw(outputs.plot_path, f"{report.file} on {report.device.address}", *pictured)
+    if wants_json():
+        add(asdict(report))
+    else:
+        use = report.actuator
+        show(
+            {
+                "played": f"{report.file}, {report.length_mm:.2f} mm, under a hand at up to "
+                f"{report.fastest_mm_s:.0f} mm/s for {report.seconds:.2f} s",
+                "stream": f"{report.stream_bytes} bytes, {report.bits_per_mm:.0f} bit/mm, codec {report.codec}",
+                "at the skin": describe_skin(report.skin, None),
+                "actuator": f"{use.name}, clipped {use.clipped_samples}, limited by voltage {use.voltage_limited}, "
+                f"slew {use.slew_limited}, power {use.power_limited} samples",
+                "positions": f"{report.positions} sent, {report.underruns} came too late, damaged frames "
+                f"{report.bad_frames} there, {report.bad_frames_back} back",
+                **({"sound card": describe_card(report.sound_card)} if report.sound_card else {}),
+                "DAC as computed": ANSWERS[report.dac_equals_offline],
+            }
+        )
+    if report.dac_equals_offline is False:
+        raise ControllerError(
+            "the controller played something else than the positions ask for: one was lost on the way, or it renders "
+            "wrongly; use a shorter cable or a less busy machine, then play again"
+        )
 
 
 def coded_already(file: Path, quality: QualityOptions, recording: RecordingOptions) -> Stream:

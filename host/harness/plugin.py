@@ -379,13 +379,21 @@ def vibrocast_flash(vibrocast_device: Controller) -> Iterator[Callable[[bytes], 
 
 
 @pytest.fixture
-def vibrocast_stroke(vibrocast_device: Controller, vibrocast_actuator: Actuator) -> Callable[..., Stroke]:
+def vibrocast_stroke(
+    vibrocast_bench: Bench, vibrocast_device: Controller, vibrocast_actuator: Actuator
+) -> Callable[..., Stroke]:
     """A function that plays a height profile under a hand that strokes there and back.
 
     `vibrocast_stroke(profile, stroke_mm=10.0, hand_speed_mm_s=50.0, strokes=1, **options)`; the options are those of
-    `vibrocast.host.profiles.encode`. It returns a `vibrocast.host.position_playback.Stroke`.
+    `vibrocast.host.profiles.encode`. It returns a `vibrocast.host.position_playback.Stroke`. The test fails where the
+    playback misses limits of the bench file.
     """
-    from vibrocast.host import position_playback, profiles
+    from vibrocast.host import end_to_end, position_playback, profiles
+    from vibrocast.host.bench_file import driven_actuator
+
+    first = vibrocast_bench.first
+    driven = driven_actuator(vibrocast_bench, first, vibrocast_device.description.actuator)
+    member = end_to_end.Member(vibrocast_device, first.address, driven, vibrocast_actuator)
 
     def stroke(
         profile: Recording,
@@ -394,11 +402,13 @@ def vibrocast_stroke(vibrocast_device: Controller, vibrocast_actuator: Actuator)
         strokes: int = 1,
         **options: Any,
     ) -> Stroke:
-        stream = profiles.encode(profile, **options).stream
+        encoding = profiles.encode(profile, **options)
         movement = position_playback.back_and_forth(stroke_mm, hand_speed_mm_s, strokes)
-        played = position_playback.play(vibrocast_device, stream, movement)
-        expected = position_playback.computed(stream, played, vibrocast_actuator)
-        return position_playback.Stroke(played, position_playback.as_computed(played, expected, vibrocast_actuator))
+        played = position_playback.play_and_compare(
+            member, profile.name, encoding.stream, movement, encoding.recording, vibrocast_bench.sha256
+        )
+        _judge(vibrocast_bench, played.report.judged())
+        return played
 
     return stroke
 

@@ -1,16 +1,19 @@
 """Profiles under a hand from the command line: coding, properties, movements, playing, rejections."""
 
+import contextlib
+import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from click.testing import CliRunner, Result
 
 from vibrocast import codec, textures
 from vibrocast.codec.stream import Stream
 from vibrocast.files import InputFileError
-from vibrocast.host import position_playback, profiles
+from vibrocast.host import end_to_end, position_playback, profiles
 from vibrocast.host.cli.command_line import main
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.output.actuator import PIEZO_STACK
@@ -139,3 +142,62 @@ def test_controllers_that_cannot_are_named(stream: Stream) -> None:
         link = MemoryLink(SimulatedController(Settings(profile_samples=samples)))
         with Controller(link, link.clock, link.sleep) as controller, pytest.raises(ControllerError, match=reason):
             position_playback.load(controller, stream)
+
+
+@pytest.fixture
+def simulated_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let every address be a simulated controller in simulated time, where no position is late."""
+
+    @contextlib.contextmanager
+    def connect(*_: object) -> Iterator[Controller]:
+        link = MemoryLink(SimulatedController())
+        with Controller(link, link.clock, link.sleep) as controller:
+            yield controller
+
+    monkeypatch.setattr("vibrocast.host.devices.connect", connect)
+
+
+def stroked(folder: Path, limits: str, *options: str, actuator: str = PIEZO_STACK.name) -> Result:
+    """Play the profile under a hand on a bench with these limits."""
+    bench = folder / "bench.toml"
+    bench.write_text(
+        '[[controllers]]\nname = "it"\naddress = "serial:port"\n'
+        f'[[actuators]]\nmodel = "{actuator}"\n[limits]\n{limits}\n'
+    )
+    hand = ("--stroke-mm", "10", "--hand-speed-mm-s", "60")
+    return CliRunner().invoke(main, ["play", str(PROFILE), *hand, "--bench", str(bench), *options])
+
+
+@pytest.mark.usefixtures("simulated_time")
+def test_a_bench_file_judges_a_profile_under_a_hand(tmp_path: Path) -> None:
+    """As any playback: its actuator, its limits, the comparison, the report."""
+    report, kept = tmp_path / "stroke.json", "min_snr_db = 5\nmin_gain = 0.8\nmax_bad_frames = 0\nmax_lost_percent = 0"
+    done = stroked(tmp_path, kept, "--json", "--report", str(report))
+    assert done.exit_code == 0, done.output
+    told = json.loads(report.read_text())
+    assert json.loads(done.stdout) == told
+    assert told["run"]["bench_sha256"] and told["device"]["address"] == "serial:port"
+    assert told["positions"] > 200 and told["dac_equals_offline"] is True and told["skin"]["snr_db"] > 5
+    done = stroked(tmp_path, "min_snr_db = 100")
+    assert done.exit_code == 4 and "min_snr_db = 100" in done.stderr
+    done = stroked(tmp_path, "", actuator="lra")
+    assert done.exit_code == 2 and "the bench has lra there" in done.stderr
+
+
+@pytest.mark.usefixtures("simulated_time")
+@pytest.mark.parametrize(("equal", "exit_code"), [(True, 0), (False, 1), (None, 4)])
+def test_a_profile_that_is_not_played_as_computed_fails(
+    equal: bool | None, exit_code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(position_playback, "as_computed", lambda *_: equal)
+    assert stroked(tmp_path, "").exit_code == exit_code
+
+
+def test_a_controller_that_keeps_no_captures_is_judged_by_the_rest(stream: Stream) -> None:
+    movement = position_playback.back_and_forth(1.0, 500.0, 1)
+    for settings in (Settings(), Settings(capture_samples=0)):
+        link = MemoryLink(SimulatedController(settings))
+        with Controller(link, link.clock, link.sleep) as controller:
+            member = end_to_end.member(controller, "sim", None)
+            report = position_playback.play_and_compare(member, "short", stream, movement).report
+        assert (report.dac_equals_offline, report.underruns) == (True if settings == Settings() else None, 0)
