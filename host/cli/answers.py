@@ -1,16 +1,19 @@
 """The answer of a subcommand: lines for a person, or with --json one value for a program."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from vibrocast.host.cli import exit_codes
+
 if TYPE_CHECKING:
     from vibrocast.textures import Profile
 
 _KEY = "vibrocast.answer"
+_SO_FAR = "vibrocast.figures_so_far"
 
 
 def _begin(ctx: click.Context, param: click.Parameter, value: bool) -> None:
@@ -67,12 +70,27 @@ def answer(document: Any) -> None:
         click.get_current_context().meta[_KEY] = document
 
 
+def figures_so_far(read: Callable[[], Mapping[str, Any] | None]) -> None:
+    """Add what `read` returns to the answer in JSON if the command under way is interrupted."""
+    click.get_current_context().meta[_SO_FAR] = read
+
+
 def print_answer(ctx: click.Context, error: BaseException | None = None) -> None:
     """Print the answer in JSON, if that is wanted, with the error that ended the command, if any."""
     if _KEY not in ctx.meta:
         return
     document = ctx.meta.pop(_KEY)
-    if isinstance(error, click.ClickException) and not isinstance(document, list):
-        document = {**(document or {}), "error": error.format_message(), "exit_code": error.exit_code}
-    if document is not None:  # else the command has printed lines of its own, or was interrupted
+    if isinstance(error, click.ClickException):
+        document = _failed(document, error.format_message(), error.exit_code)
+    elif isinstance(error, (click.Abort, KeyboardInterrupt)):
+        if _SO_FAR in ctx.meta:
+            document = {**(document or {}), **(ctx.meta[_SO_FAR]() or {})}
+        document = _failed(document, "interrupted", exit_codes.interrupted_by(exit_codes.signalled))
+    if document is not None:  # else the command has printed lines of its own
         click.echo(json.dumps(document, indent=2, allow_nan=False, default=str))
+
+
+def _failed(document: Any, error: str, exit_code: int) -> dict[str, Any]:
+    """Return an answer with the error that ended the command; a list stands in it as `results`."""
+    facts = {"results": document} if isinstance(document, list) else document or {}
+    return {**facts, "error": error, "exit_code": exit_code}

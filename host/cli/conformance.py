@@ -36,7 +36,7 @@ def conformance(address: str, actuator_name: str | None, out: Path | None, no_fl
     machine was too busy to decide.
     """
     extras.require("bench")
-    from vibrocast.host.conformance import PAGE, NotTestable, TappedLink, run_suite
+    from vibrocast.host.conformance import PAGE, NotTestable, SuiteInterrupted, TappedLink, run_suite
 
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)  # an error is better known before the tests than after
@@ -48,6 +48,9 @@ def conformance(address: str, actuator_name: str | None, out: Path | None, no_fl
             report = run_suite(TappedLink(transport, may_flash=not no_flash), quick, update)
     except NotTestable as error:
         raise BadInput(str(error)) from error
+    except SuiteInterrupted as interruption:
+        add(interruption.report.facts())
+        raise
     if wants_json():
         add(report.facts())
     else:
@@ -56,7 +59,9 @@ def conformance(address: str, actuator_name: str | None, out: Path | None, no_fl
         report.write(out)
         tell(f"report: {out / PAGE}")
     if not report.conforming:
-        raise click.exceptions.Exit(exit_codes.HOST_BUSY if report.undecided else exit_codes.FAILED)
+        code = exit_codes.HOST_BUSY if report.undecided else exit_codes.FAILED
+        add({"error": report.summary, "exit_code": code})
+        raise click.exceptions.Exit(code)
 
 
 def show(report: "Report") -> None:

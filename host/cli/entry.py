@@ -8,7 +8,7 @@ import threading
 from types import FrameType
 from typing import NoReturn
 
-from vibrocast.host.cli import exit_codes
+from vibrocast.host.cli import exit_codes, json_option
 
 # Windows has no SIGHUP.
 STOPPING_SIGNALS: tuple[signal.Signals, ...] = tuple(
@@ -43,8 +43,16 @@ def main() -> None:
 
 def _leave(number: int, _frame: FrameType | None) -> NoReturn:
     """Leave at once: nothing is under way yet, and libraries that are being loaded may swallow an exception."""
+    _exit_at_once(number)
+
+
+def _exit_at_once(number: int) -> NoReturn:
+    """Tell that a signal ended the command, in JSON as well if that is wanted, and end the process."""
+    exit_code = exit_codes.interrupted_by(number)
     os.write(2, b"error: interrupted\n")
-    os._exit(exit_codes.interrupted_by(number))
+    if json_option.is_given(sys.argv[1:]):
+        os.write(1, b'{"error": "interrupted", "exit_code": %d}\n' % exit_code)
+    os._exit(exit_code)
 
 
 def _interrupt(number: int, _frame: FrameType | None) -> NoReturn:
@@ -82,6 +90,6 @@ def _end_where_unheeded(read_end: int) -> None:
     from vibrocast.files import remove_partial
 
     remove_partial()
-    show_cursor = b"\x1b[?25h\n" if os.isatty(2) else b""  # a progress bar hides it
-    os.write(2, show_cursor + b"error: interrupted\n")
-    os._exit(exit_codes.interrupted_by(number))
+    if os.isatty(2):
+        os.write(2, b"\x1b[?25h\n")  # a progress bar hides the cursor
+    _exit_at_once(number)

@@ -280,10 +280,10 @@ def live(
             # Of a stream that was cut, too, but then at once.
             watch.close()
             document = figures(stream.result(), stream, watch, bench, quality, timing)
+            add(document)
             if report_path:
                 write_json(report_path, document)
     delay_ms = 1000 * stream.playout_delay_s
-    add(document)
     if target is not None:
         tell(
             f"packets {result.payload_bps:.0f} bit/s, with frames {result.wire_bps:.0f} bit/s "

@@ -1,13 +1,16 @@
 """The subcommand `measure`: measures a controller on its bench, reports, and compares with an earlier run."""
 
+import json
+import time
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from vibrocast import extras
-from vibrocast.host.cli.answers import add, tell
+from vibrocast.host.cli.answers import add, figures_so_far, tell
 from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import FOLDER, INPUT
 from vibrocast.host.cli.options import (
@@ -87,6 +90,14 @@ def calibrated(bench: "Bench", given: CalibrationOptions) -> "Bench":
     return replace(bench, sensors=(sensor,))
 
 
+def written_since(path: Path, began_ns: int) -> dict[str, Any] | None:
+    """Return the results that a run has written since it began, ns since 1970; None without any."""
+    if not path.exists() or path.stat().st_mtime_ns < began_ns:
+        return None
+    document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return document
+
+
 @click.command()
 @click.option(
     "--device", metavar="ADDRESS|NAME", help="Choose a controller, by address or name. Default: the bench's, else sim."
@@ -154,6 +165,7 @@ def measure(
     bench = calibrated(bench, calibration)
     before = None if earlier is None else read_results(earlier)
     trace_failure(out / TRACE)
+    figures_so_far(partial(written_since, out / JSON, time.time_ns()))
     results = measure_bench(bench, out, names, before)
     changes = [] if before is None else compare(before, results.document())
     for name, why in results.failed.items():

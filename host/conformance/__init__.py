@@ -4,7 +4,7 @@
 """
 
 from vibrocast.host.conformance.report import PAGE, Outcome, Report
-from vibrocast.host.conformance.runner import NotTestable, run_suite
+from vibrocast.host.conformance.runner import NotTestable, SuiteInterrupted, run_suite
 from vibrocast.host.conformance.tapped_link import TappedLink
 
-__all__ = ["PAGE", "NotTestable", "Outcome", "Report", "TappedLink", "run_suite"]
+__all__ = ["PAGE", "NotTestable", "Outcome", "Report", "SuiteInterrupted", "TappedLink", "run_suite"]

@@ -31,6 +31,14 @@ BUSY_S = 0.05
 """A machine that wakes up later than this from a wait may itself have caused what a test blames on the controller."""
 
 
+class SuiteInterrupted(KeyboardInterrupt):
+    """Somebody stopped the suite; `report` has the findings until then."""
+
+    def __init__(self, report: Report) -> None:
+        super().__init__()
+        self.report = report
+
+
 class NotTestable(Exception):
     """The controller does not answer Hello correctly, so nothing else can be tested."""
 
@@ -43,7 +51,7 @@ def run_suite(
     """Run the suite on the controller behind a link; return its description, and the findings in suite order.
 
     `quick`: leave out tests longer than a second. `progress` is called with the part that is done and the next section.
-    The output is at rest afterwards, also after an exception. Raises NotTestable, KeyboardInterrupt.
+    The output is at rest afterwards, also after an exception. Raises NotTestable, SuiteInterrupted.
     """
     probe = Probe(link)
     try:
@@ -53,10 +61,17 @@ def run_suite(
             f"no controller of protocol {PROTOCOL_MAJOR} answers ({reason}); check power and address"
         ) from reason
     suite_run = _SuiteRun(link, progress)
-    _run(suite_run, "-m", "not long" if quick else "")
+    interrupted = False
+    try:
+        _run(suite_run, "-m", "not long" if quick else "")
+    except KeyboardInterrupt:
+        interrupted = True
     left_out = ["tests longer than a second"] * quick
     left_out += ["tests that write model images"] * (not link.may_flash)
-    return Report(probe.description, tuple(suite_run.all_findings()), tuple(left_out))
+    report = Report(probe.description, tuple(suite_run.all_findings()), tuple(left_out))
+    if interrupted:
+        raise SuiteInterrupted(report)
+    return report
 
 
 def requirements() -> list[Requirement]:
@@ -127,6 +142,8 @@ class _SuiteRun:
     def pytest_keyboard_interrupt(self, excinfo: pytest.ExceptionInfo[BaseException]) -> None:
         # Of this kind is what stops the session as well.
         self.interrupted = not excinfo.errisinstance(pytest.Session.Interrupted)
+        if self.interrupted:
+            self._not_tested = "the suite was interrupted"
 
     def all_findings(self) -> list[Finding]:
         """Return a finding for each requirement."""

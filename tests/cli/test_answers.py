@@ -1,7 +1,11 @@
 """Each subcommand answers in JSON, and keeps a log where asked: for CI jobs that read neither screens nor pages."""
 
+import contextlib
 import json
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +14,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from vibrocast.host.cli.command_line import SUBCOMMANDS, main
+from vibrocast.host.harness.measurements import MEASUREMENTS
 
 ROOT = Path(__file__).parents[2]
 OAK = str(ROOT / "examples" / "oak.wav")
@@ -75,3 +80,55 @@ def test_a_log_has_levels_and_a_file(tmp_path: Path) -> None:
     assert any("set up: codec" in line for line in lines)
     assert next(line for line in lines if "ERROR" in line).endswith("exit code 3")
     assert run("--log", tmp_path / "no" / "folder" / "log", "devices").exit_code == 2
+
+
+def test_an_interrupted_command_answers_with_the_figures_so_far(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a stream, of measurements, and of the tests of a controller."""
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    def cut(*arguments: object) -> Any:
+        result = run(*arguments, "--json")
+        told = json.loads(result.stdout)
+        assert (result.exit_code, told["error"], told["exit_code"]) == (130, "interrupted", 130), result.output
+        return told
+
+    with monkeypatch.context() as patch:
+        patch.setattr("vibrocast.host.live_watch.Watch.note", interrupted)
+        assert 0 < cut("live", "rough", "--seconds", "30")["seconds"] < 30
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "measured.json").write_text('{"earlier": "run"}')
+    os.utime(out / "measured.json", (1.0, 1.0))
+    with monkeypatch.context() as patch:
+        patch.setitem(MEASUREMENTS, "gap", interrupted)
+        assert cut("measure", "--only", "throughput,gap", "--out", out)["measured"]["throughput"]
+        (out / "measured.json").write_text('{"earlier": "run"}')
+        os.utime(out / "measured.json", (1.0, 1.0))
+        assert cut("measure", "--only", "gap", "--out", out) == {"error": "interrupted", "exit_code": 130}
+    tested: list[str] = []
+
+    def sections(_part: float, section: str) -> None:
+        tested.append(section)
+        if len(tested) == 20:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("vibrocast.progress.bar", lambda _: contextlib.nullcontext(sections))
+        found = cut("conformance", "--quick")["requirements"]
+    assert {each["outcome"] for each in found[:10]} == {"pass"}
+    assert found[-1]["outcome"] == "not tested" and found[-1]["reason"] == "the suite was interrupted"
+
+
+def test_a_command_that_is_killed_while_a_library_computes_answers_in_json() -> None:
+    """Also before it has parsed a single option."""
+    code = (
+        "import sys, signal; sys.argv = ['vibrocast', 'codecs', '--json'];"
+        "from vibrocast.host.cli import entry; entry._leave(signal.SIGTERM, None)"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=False)
+    assert ended.returncode == 143
+    assert json.loads(ended.stdout) == {"error": "interrupted", "exit_code": 143}
