@@ -1,7 +1,7 @@
 """The report of a playback: figures of stream, device and comparison with the offline decoder, as JSON."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -163,6 +163,21 @@ class StrokeReport:
     def write(self, path: Path) -> None:
         """Write the report as JSON. Raises OSError."""
         write_json(path, asdict(self))
+
+
+@dataclass(frozen=True)
+class UnfinishedReport:
+    """Figures of a playback that did not come to its end, as far as it came. None: it had not begun."""
+
+    schema: int
+    run: Provenance
+    version: str
+    file: str
+    device: Mapping[str, str]
+    played_s: float | None
+    underruns: int | None
+    lost_packets: int | None
+    error: str
 
 
 def write_json(path: Path, document: Any) -> None:

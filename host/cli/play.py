@@ -1,8 +1,11 @@
 """The subcommand `play`: plays a recording, a .vct file or a plan on a controller, and reports how it went."""
 
+import contextlib
 import math
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,10 +15,13 @@ from vibrocast import extras, progress, textures
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ
 from vibrocast.codec.stream import MAX_GAIN_DB, Stream, read_stream
 from vibrocast.device_protocol.coded_stream import StreamError, packet_sequence
+from vibrocast.device_protocol.messages import MessageError
+from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import devices, player, profiles
 from vibrocast.host.bench_limits import missed
 from vibrocast.host.cli import planned
 from vibrocast.host.cli.answers import add, answer, wants_json
+from vibrocast.host.cli.errors import DeviceFailure, explained
 from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, positive
 from vibrocast.host.cli.options import (
@@ -50,7 +56,8 @@ from vibrocast.host.cli.steps import (
 )
 from vibrocast.host.controller import ControllerError
 from vibrocast.host.limits import check_limits
-from vibrocast.host.report import Report, Touch, write_json
+from vibrocast.host.provenance import Provenance
+from vibrocast.host.report import SCHEMA, Report, Touch, UnfinishedReport, write_json
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import ACTUATORS
 
@@ -183,7 +190,7 @@ def play(
     controllers or on one --device for each. The command compares measurement and forecast, and fails if they differ by
     more than 10 %.
     """
-    from vibrocast.host import end_to_end, picture
+    from vibrocast.host import end_to_end
 
     if outputs.plot_path is not None:
         extras.require("plot")
@@ -213,8 +220,9 @@ def play(
             hand.positions_path, hand.stroke_mm, recording.hand_speed_mm_s, playback.loops
         )
         stream, texture = spatial_stream(file, quality, replace(recording, hand_speed_mm_s=None))
-        trace_failure(outputs.report_path and outputs.report_path.with_suffix(".pcapng"))
+        run = Run(file.name, devices.unique_names(addresses), bench, outputs.report_path)
         with (
+            run.reported_where_cut(),
             devices.connect(addresses[0], runtime, actuators[addresses[0]]) as controller,
             progress.bar("playing") as update,
         ):
@@ -232,81 +240,135 @@ def play(
         fail_where_missed([] if bench is None else missed(bench.limits, stroke.report.judged()))
         return
     source = read_source(file, quality, recording, runtime)
-    trace_failure(outputs.report_path and outputs.report_path.with_suffix(".pcapng"))
-    names = devices.unique_names(addresses)
-    sessions = {name: devices.connect(address, runtime, actuators[address]) for name, address in names.items()}
-    with devices.open_all(sessions) as (controllers, failures):
-        # A stream that the controller cannot play need not be encoded first.
-        for name, controller in list(controllers.items()):
-            check_bench_actuator(bench, names[name], controller.description.actuator)
-            try:
+    run = Run(file.name, devices.unique_names(addresses), bench, outputs.report_path)
+    sessions = {name: devices.connect(address, runtime, actuators[address]) for name, address in run.names.items()}
+    with run.reported_where_cut():
+        with devices.open_all(sessions) as (controllers, failures):
+            # A stream that the controller cannot play need not be encoded first.
+            for name, controller in list(controllers.items()):
+                check_bench_actuator(bench, run.names[name], controller.description.actuator)
+                try:
+                    if isinstance(source, Stream):
+                        check_limits(controller, source.header.channels, source.header.rate_hz)
+                    else:
+                        check_limits(controller, source.channels, quality.stream_rate_hz)
+                except StreamError as error:
+                    failures[name] = error
+            members = {
+                name: end_to_end.member(controller, run.names[name], actuators[run.names[name]])
+                for name, controller in controllers.items()
+                if name not in failures
+            }
+            outcomes: dict[str, end_to_end.Outcome | Exception] = {}
+            if members:
                 if isinstance(source, Stream):
-                    check_limits(controller, source.header.channels, source.header.rate_hz)
+                    stream, encoding = source, None
                 else:
-                    check_limits(controller, source.channels, quality.stream_rate_hz)
-            except StreamError as error:
-                failures[name] = error
-        members = {
-            name: end_to_end.member(controller, names[name], actuators[names[name]])
-            for name, controller in controllers.items()
-            if name not in failures
-        }
-        outcomes: dict[str, end_to_end.Outcome | Exception] = {}
-        if members:
-            if isinstance(source, Stream):
-                stream, encoding = source, None
-            else:
-                encoding = encoded(source, quality, recording.unit, live=True, runtime=runtime)
-                stream = encoding.stream
-            stream = stream.with_gain(playback.gain_db)
-            with progress.bar("playing") as update:
-                tell = playing(update, stream.bits_per_second)
-                outcomes = end_to_end.play_together(
-                    members, file.name, stream, encoding, playback.loops, tell, outputs.read_back
-                )
-    outcomes |= failures
-    if bench is not None:
-        outcomes = {name: traced(outcome, bench) for name, outcome in outcomes.items()}
-    limits_missed = [
-        line
-        for each in outcomes.values()
-        if bench is not None and not isinstance(each, Exception)
-        for line in missed(bench.limits, each.report.judged())
-    ]
-    if len(names) > 1:
-        report_each({name: outcomes[name] for name in names}, outputs.report_path)
-        fail_where_missed(limits_missed)
-        return
-    (outcome,) = outcomes.values()
-    if isinstance(outcome, Exception):
-        raise outcome
-    if outputs.report_path:
-        outcome.report.write(outputs.report_path)
-    if outputs.plot_path:
-        picture.draw(outputs.plot_path, f"{file.name} on {addresses[0]}", outcome.caption, outcome.traces)
-    if wants_json():
-        add(asdict(outcome.report))
+                    encoding = encoded(source, quality, recording.unit, live=True, runtime=runtime)
+                    stream = encoding.stream
+                stream = stream.with_gain(playback.gain_db)
+                with progress.bar("playing") as update:
+                    tell = playing(update, stream.bits_per_second, run.latest)
+                    outcomes = end_to_end.play_together(
+                        members, file.name, stream, encoding, playback.loops, tell, outputs.read_back
+                    )
+        outcomes = {name: run.traced((outcomes | failures)[name]) for name in run.names}
+        (outcome, *others) = outcomes.values()
+        if isinstance(outcome, Exception) and not others:
+            raise outcome
+    if others or isinstance(outcome, Exception):
+        report_each(run, outcomes)
     else:
-        show(summary(outcome, stream))
-    if outcome.report.touch.level_db <= 0:
+        tell_outcome(run, outcome, outputs, stream)
+    reports = [each.report for each in outcomes.values() if not isinstance(each, Exception)]
+    fail_where_missed(
+        [] if bench is None else [line for each in reports for line in missed(bench.limits, each.judged())]
+    )
+
+
+@dataclass(frozen=True)
+class Run:
+    """The playback of a file on controllers: by `names` their addresses, and how far each has played.
+
+    Its reports are written and added to the answer where it does not come to its end, too; its last frames are kept.
+    """
+
+    file: str
+    names: Mapping[str, str]
+    bench: "Bench | None"
+    report_path: Path | None
+    latest: dict[str, player.Progress] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        trace_failure(self.report_path and self.report_path.with_suffix(".pcapng"))
+
+    @cached_property
+    def provenance(self) -> Provenance:
+        """The origin of the reports."""
+        return Provenance(None if self.bench is None else self.bench.sha256)
+
+    def traced(self, outcome: "end_to_end.Outcome | Exception") -> "end_to_end.Outcome | Exception":
+        """Return an outcome whose report names the bench file."""
+        if isinstance(outcome, Exception):
+            return outcome
+        return replace(outcome, report=replace(outcome.report, run=self.provenance))
+
+    def unfinished(self, name: str, error: BaseException) -> UnfinishedReport:
+        """Return the report of a controller that has not played all."""
+        now = self.latest.get(name)
+        return UnfinishedReport(
+            schema=SCHEMA,
+            run=self.provenance,
+            version=version("vibrocast"),
+            file=self.file,
+            device={"address": self.names[name]},
+            played_s=None if now is None else now.position_s,
+            underruns=None if now is None else now.status.underruns,
+            lost_packets=None if now is None else now.status.lost_packets,
+            error=str(error) or "interrupted",
+        )
+
+    @contextlib.contextmanager
+    def reported_where_cut(self) -> Iterator[None]:
+        """Tell the reports where the block is interrupted, or a controller fails."""
+        try:
+            yield
+        except (ControllerError, TransportError, MessageError, KeyboardInterrupt) as error:
+            self.tell_reports([self.unfinished(name, error) for name in self.names])
+            raise
+
+    def tell_reports(self, reports: Sequence[Report | UnfinishedReport]) -> None:
+        """Write the reports, and make them the answer in JSON; of several controllers, as a list. Raises OSError."""
+        documents = [asdict(each) for each in reports]
+        document = documents if len(documents) > 1 else documents[0]
+        if self.report_path:
+            write_json(self.report_path, document)
+        answer(document)
+
+
+def tell_outcome(run: Run, outcome: "end_to_end.Outcome", outputs: OutputOptions, given: Stream) -> None:
+    """Print what one controller played, write it and draw it; `given`: the stream before it was fitted.
+
+    Raises ControllerError if it played something else than was sent.
+    """
+    from vibrocast.host import picture
+
+    report = outcome.report
+    run.tell_reports([report])
+    if outputs.plot_path:
+        picture.draw(outputs.plot_path, f"{report.file} on {report.device.address}", outcome.caption, outcome.traces)
+    if not wants_json():
+        show(summary(outcome, given))
+    if report.touch.level_db <= 0:
         click.echo("warning: nobody would feel this; raise --gain-db, or check --unit and --full-scale", err=True)
-    if outcome.report.sound_card:
-        warn_of_underruns(outcome.report.sound_card)
-    if outcome.report.differs:
+    if report.sound_card:
+        warn_of_underruns(report.sound_card)
+    if report.differs:
         raise ControllerError(
             "the controller played something else than was sent: the lines above count underruns and lost packets; if "
             "there are any, use a shorter cable or a less busy machine, else the --runtime by which the controller "
             "decodes"
         )
-    fail_where_missed(limits_missed)
-
-
-def traced(outcome: "end_to_end.Outcome | Exception", bench: "Bench") -> "end_to_end.Outcome | Exception":
-    """Return an outcome whose report names the bench file."""
-    if isinstance(outcome, Exception):
-        return outcome
-    run = replace(outcome.report.run, bench_sha256=bench.sha256)
-    return replace(outcome, report=replace(outcome.report, run=run))
 
 
 def read_source(
@@ -327,33 +389,36 @@ def read_source(
     return source
 
 
-def report_each(outcomes: "dict[str, end_to_end.Outcome | Exception]", report_path: Path | None) -> None:
-    """Print a line for each of several controllers, and write their reports as a JSON list.
+def report_each(run: Run, outcomes: "Mapping[str, end_to_end.Outcome | Exception]") -> None:
+    """Print a line for each of several controllers, and tell their reports.
 
-    Raises ControllerError if one failed, or played something else than was sent.
+    If one failed, or played something else than was sent, raises the error of all that failed; DeviceFailure where
+    theirs differ.
     """
-    reports = {name: each if isinstance(each, Exception) else each.report for name, each in outcomes.items()}
-    documents = [
-        {"device": {"address": name}, "error": str(each)} if isinstance(each, Exception) else asdict(each)
-        for name, each in reports.items()
-    ]
-    if report_path:
-        write_json(report_path, documents)
-    answer(documents)
-    lines = {
-        name: f"FAILED: {each}"
-        if isinstance(each, Exception)
-        else f"played {each.loops} time(s), underruns {each.underruns}, lost packets {each.lost_packets}, "
-        f"reconnects {each.reconnects}, decoded as sent {ANSWERS[each.decoded_equals_offline]}, "
-        f"DAC as computed {ANSWERS[each.dac_equals_offline]}"
-        for name, each in reports.items()
-    }
+    run.tell_reports(
+        [run.unfinished(name, each) if isinstance(each, Exception) else each.report for name, each in outcomes.items()]
+    )
+    lines: dict[str, str] = {}
+    failed: dict[str, type[click.ClickException]] = {}
+    for name, each in outcomes.items():
+        if isinstance(each, Exception):
+            lines[name] = f"FAILED: {each}"
+            failed[name] = type(explained(each, {}))
+            continue
+        report = each.report
+        lines[name] = (
+            f"played {report.loops} time(s), underruns {report.underruns}, lost packets {report.lost_packets}, "
+            f"reconnects {report.reconnects}, decoded as sent {ANSWERS[report.decoded_equals_offline]}, "
+            f"DAC as computed {ANSWERS[report.dac_equals_offline]}"
+        )
+        if report.differs:
+            failed[name] = DeviceFailure
     if not wants_json():
         show(lines)
-    failed = [name for name, each in reports.items() if isinstance(each, Exception) or each.differs]
     if failed:
-        raise ControllerError(
-            f"{len(failed)} of {len(reports)} controllers failed: {', '.join(failed)}; the line of each says why"
+        kinds = set(failed.values())
+        raise (kinds.pop() if len(kinds) == 1 else DeviceFailure)(
+            f"{len(failed)} of {len(outcomes)} controllers failed: {', '.join(failed)}; the line of each says why"
         )
 
 
@@ -420,9 +485,13 @@ def coded_already(file: Path, quality: QualityOptions, recording: RecordingOptio
     return read_stream(file, quality.model.image if quality.model else None)
 
 
-def playing(update: progress.Update, bits_per_second: float) -> Callable[[str, player.Progress], None]:
-    """Return what tells `update` of a playback on named controllers: mean position, rate, least buffer, underruns."""
-    latest: dict[str, player.Progress] = {}
+def playing(
+    update: progress.Update, bits_per_second: float, latest: dict[str, player.Progress]
+) -> Callable[[str, player.Progress], None]:
+    """Return what tells `update` of a playback on named controllers: mean position, rate, least buffer, underruns.
+
+    `latest`: is filled with the progress of each.
+    """
 
     def tell(name: str, now: player.Progress) -> None:
         latest[name] = now

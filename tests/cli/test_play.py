@@ -1,0 +1,59 @@
+"""`vibrocast play`: what it answers and leaves where a playback does not come to its end, and on which controllers."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner, Result
+
+from vibrocast.device_protocol.transports import TransportError
+from vibrocast.host import end_to_end
+from vibrocast.host.cli.command_line import main
+
+OAK = str(Path(__file__).parents[2] / "examples" / "oak.wav")
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(main, ["play", OAK, *map(str, arguments)])
+
+
+@pytest.mark.parametrize(
+    ("other", "differs", "exit_code"), [("serial:absent", False, 3), ("sim", False, 3), ("sim", True, 1)]
+)
+def test_several_controllers_end_with_the_exit_code_that_failures_share(
+    other: str, differs: bool, exit_code: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And the answer has an error, which a list could not have."""
+    monkeypatch.setattr("vibrocast.host.report.Report.differs", differs)
+    result = run("--device", "serial:nowhere", "--device", other, "--json")
+    told = json.loads(result.stdout)
+    assert (result.exit_code, told["exit_code"]) == (exit_code, exit_code), result.output
+    assert "controllers failed: serial:nowhere" in told["error"]
+    absent, second = told["results"]
+    assert absent["device"] == {"address": "serial:nowhere"} and "cannot open serial port nowhere" in absent["error"]
+    assert absent["run"] == second["run"]
+
+
+@pytest.mark.parametrize(("cut", "exit_code"), [(KeyboardInterrupt(), 130), (TransportError("the cable is out"), 3)])
+def test_a_playback_that_is_cut_leaves_report_and_trace(
+    cut: BaseException, exit_code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    play_together = end_to_end.play_together
+
+    def play_and_cut(*arguments: Any) -> Any:
+        outcomes = play_together(*arguments)
+        if isinstance(cut, Exception):
+            return dict.fromkeys(outcomes, cut)
+        raise cut
+
+    monkeypatch.setattr("vibrocast.host.end_to_end.play_together", play_and_cut)
+    report = tmp_path / "cut.json"
+    result = run("--report", report, "--json")
+    assert result.exit_code == exit_code, result.output
+    told = json.loads(report.read_text())
+    assert told["error"] == (str(cut) or "interrupted")
+    assert told["device"] == {"address": "sim"} and told["played_s"] == pytest.approx(4.0, abs=0.1)
+    assert told["underruns"] >= 0 and told["lost_packets"] >= 0 and told["schema"] == 2
+    assert json.loads(result.stdout) == {**told, "exit_code": exit_code}
+    assert (tmp_path / "cut.pcapng").exists()
