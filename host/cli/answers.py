@@ -1,13 +1,13 @@
 """The answer of a subcommand: lines for a person, or with --json one value for a program."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from vibrocast.host.cli import exit_codes
+from vibrocast.host.cli import exit_codes, json_option
 
 if TYPE_CHECKING:
     from vibrocast.textures import Profile
@@ -16,8 +16,9 @@ _KEY = "vibrocast.answer"
 _SO_FAR = "vibrocast.figures_so_far"
 
 
-def _begin(ctx: click.Context, param: click.Parameter, value: bool) -> None:
-    if value:
+def begin(ctx: click.Context, arguments: Sequence[str]) -> None:
+    """Let the command with these arguments answer in JSON if they ask for it, whatever is wrong with the others."""
+    if json_option.is_given(arguments):
         ctx.meta[_KEY] = None
 
 
@@ -26,10 +27,8 @@ def with_json(command: click.Command) -> click.Command:
     if isinstance(command, click.Group):
         for inner in command.commands.values():
             with_json(inner)
-    elif not any("--json" in parameter.opts for parameter in command.params):
-        command.params.append(
-            click.Option(["--json"], is_flag=True, expose_value=False, callback=_begin, help="Print JSON.")
-        )
+    elif not any(json_option.OPTION in parameter.opts for parameter in command.params):
+        command.params.append(click.Option([json_option.OPTION], is_flag=True, expose_value=False, help="Print JSON."))
     return command
 
 

@@ -14,7 +14,7 @@ import click
 
 from vibrocast import extras
 from vibrocast.host.cli import exit_codes
-from vibrocast.host.cli.answers import print_answer, with_json
+from vibrocast.host.cli.answers import begin, print_answer, with_json
 from vibrocast.host.cli.errors import explained, option_names
 from vibrocast.host.cli.failure_trace import keep_trace
 from vibrocast.host.cli.option_types import OutputFile
@@ -95,6 +95,15 @@ class VibrocastCommand(click.Group):
             fail(error.format_message(), error.exit_code)
         except click.Abort:
             fail("interrupted", exit_codes.interrupted_by(exit_codes.signalled))
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the options before the subcommand; see whether the answer is to be JSON first."""
+        begin(ctx, args)
+        try:
+            return super().parse_args(ctx, args)
+        except click.ClickException as error:
+            print_answer(ctx, error)
+            raise
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of the subcommands."""

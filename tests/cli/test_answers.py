@@ -132,3 +132,34 @@ def test_a_command_that_is_killed_while_a_library_computes_answers_in_json() -> 
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=False)
     assert ended.returncode == 143
     assert json.loads(ended.stdout) == {"error": "interrupted", "exit_code": 143}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("measure", "--only", "foo", "--json"), "is no measurement"),
+        (("live", "rough", "--seconds", "nan", "--json"), "finite number"),
+        (("proxy", "sim", "--lost", "2", "--json"), "from 0 to 1"),
+        (("play", OAK, "--no-such-option", "--json"), "No such option"),
+        (("play", OAK, "--report", "/nope/r.json", "--json"), "the folder /nope does not exist"),
+        (("play", "--json", OAK, "--bench", "{bench}"), "min_snr_db"),
+        (("no-such-command", "--json"), "No such command"),
+        (("keys", "no-such-command", "--json"), "No such command"),
+        (("--trace", "frames.txt", "devices", "--json"), "another suffix"),
+        (("--log", "/nope/log", "devices", "--json"), "the folder /nope does not exist"),
+    ],
+)
+def test_an_option_that_cannot_be_read_is_an_error_in_the_answer(
+    arguments: tuple[str, ...], told: str, tmp_path: Path
+) -> None:
+    bench = tmp_path / "bench.toml"
+    bench.write_text('[[controllers]]\nname = "it"\naddress = "sim"\n[limits]\nmin_snr_db = nan\n')
+    result = run(*(argument.format(bench=bench) for argument in arguments))
+    answered = json.loads(result.stdout)
+    assert (result.exit_code, answered["exit_code"]) == (2, 2)
+    assert told in answered["error"]
+
+
+def test_json_behind_two_dashes_is_an_argument() -> None:
+    result = run("encode", "--", "--json", "out.vct")
+    assert result.exit_code == 2 and not result.stdout
