@@ -29,7 +29,7 @@ def read(path: Path, allowed: Sequence[str]) -> "Plan":
     for parameter in context.command.params:
         name = parameter.name or ""
         given = context.get_parameter_source(name) == ParameterSource.COMMANDLINE
-        if given and name not in ("plan_path", *allowed):
+        if given and parameter.expose_value and name not in ("plan_path", *allowed):  # --json changes nothing
             label = parameter.opts[-1] if isinstance(parameter, click.Option) else parameter.human_readable_name
             raise click.UsageError(f"{label} contradicts the plan; drop it, or change {path}")
     plan = read_plan(path)

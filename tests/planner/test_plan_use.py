@@ -112,3 +112,8 @@ def test_what_is_measured_of_a_bench_is_measured_of_a_plan(plan: Path, tmp_path:
     assert result.exit_code == 0, result.stderr
     measured = json.loads((tmp_path / "measured.json").read_text())
     assert [each["texture"] for each in measured["measured"]["fidelity"]] == ["wood"]
+
+
+def test_json_does_not_contradict_a_plan(plan: Path, tmp_path: Path) -> None:
+    result = run("encode", "wood", tmp_path / "wood.vct", "--plan", plan, "--json")
+    assert result.exit_code == 0 and json.loads(result.stdout)["out"] == str(tmp_path / "wood.vct")
