@@ -196,6 +196,7 @@ def play(
         extras.require("plot")
     if plan_path is not None:
         plan = planned.read(plan_path, ("file", "addresses", "report_path"))
+        keep_frames(outputs.report_path)
         planned.play(plan, [str(file)] if file else [], outputs.report_path)
         return
     file = needed(file, "FILE")
@@ -286,6 +287,11 @@ def play(
     )
 
 
+def keep_frames(report_path: Path | None) -> None:
+    """Keep the last frames beside the report if the playback fails."""
+    trace_failure(report_path and report_path.with_suffix(".pcapng"))
+
+
 @dataclass(frozen=True)
 class Run:
     """The playback of a file on controllers: by `names` their addresses, and how far each has played.
@@ -300,7 +306,7 @@ class Run:
     latest: dict[str, player.Progress] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        trace_failure(self.report_path and self.report_path.with_suffix(".pcapng"))
+        keep_frames(self.report_path)
 
     @cached_property
     def provenance(self) -> Provenance:

@@ -28,6 +28,7 @@ from vibrocast.host.planner import band
 from vibrocast.host.planner.candidates import spqi
 from vibrocast.host.planner.plan_file import Plan, PlanError, PlannedController, PlannedTexture
 from vibrocast.host.stream_session import read_capture, stopped_on_error
+from vibrocast.host.tracing import TappedTransport
 from vibrocast.output.actuator import Actuator, Codes
 from vibrocast.textures import Recording
 
@@ -114,7 +115,8 @@ def opened(address: str, actuator: Actuator | None) -> Iterator[CountingControll
     """Open a session with the controller at an address; `actuator`: of a simulated one. Raises as `devices.connect`.
 
     One that this program simulates is played in simulated time, in which no busy computer makes a packet late; an
-    emulated processor counts its instructions, which takes several times as long.
+    emulated processor counts its instructions, which takes several times as long. A trace has the times of this
+    computer even so.
     """
     if address not in devices.IN_PROCESS:
         with devices.reach(address, actuator=actuator) as transport:
@@ -125,10 +127,11 @@ def opened(address: str, actuator: Actuator | None) -> Iterator[CountingControll
     if address in devices.EMULATED:
         device = devices.emulated(address)
         link = MemoryLink(device)
-        yield CountingController(link, link.clock, link.sleep, lambda: device.processor.counter.instructions)
+        tapped = TappedTransport(link, address)
+        yield CountingController(tapped, link.clock, link.sleep, lambda: device.processor.counter.instructions)
     else:
         link = MemoryLink(devices.simulated(actuator=actuator))
-        yield CountingController(link, link.clock, link.sleep)
+        yield CountingController(TappedTransport(link, address), link.clock, link.sleep)
 
 
 class PartlyPlayedError(ControllerError):

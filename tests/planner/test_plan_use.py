@@ -117,3 +117,13 @@ def test_what_is_measured_of_a_bench_is_measured_of_a_plan(plan: Path, tmp_path:
 def test_json_does_not_contradict_a_plan(plan: Path, tmp_path: Path) -> None:
     result = run("encode", "wood", tmp_path / "wood.vct", "--plan", plan, "--json")
     assert result.exit_code == 0 and json.loads(result.stdout)["out"] == str(tmp_path / "wood.vct")
+
+
+def test_a_plan_that_plays_otherwise_leaves_its_last_frames(
+    plan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("vibrocast.host.planner.comparison.failures", lambda *_: ["wood is not as planned"])
+    result = run("play", "--plan", plan, "--report", tmp_path / "played.json", "--json")
+    assert (result.exit_code, (tmp_path / "played.pcapng").exists()) == (1, True), result.output
+    told = json.loads(result.stdout)
+    assert told["error"] == "wood is not as planned" and told["results"][0]["texture"] == "wood"
