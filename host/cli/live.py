@@ -24,13 +24,14 @@ from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import Number, OutputFile, Whole, positive
 from vibrocast.host.cli.options import (
     BadInput,
+    Chosen,
     actuator_option,
     bench_actuator,
+    bench_device_option,
     bench_option,
     check_bench_actuator,
     chosen_highpass_hz,
     codec_option,
-    device_option,
     fail_where_missed,
     grouped,
     keep_dc_option,
@@ -160,7 +161,7 @@ class DelayOptions:
 @section(
     CONTROLLER,
     bench_option,
-    device_option,
+    bench_device_option,
     actuator_option,
     grouped(
         "delay",
@@ -182,7 +183,7 @@ class DelayOptions:
 def live(
     source: str,
     bench: "Bench | None",
-    address: str,
+    chosen: Chosen,
     actuator_name: str | None,
     samples: SampleOptions,
     delay: DelayOptions,
@@ -219,23 +220,25 @@ def live(
         signal_format = live_format(rate_hz, stream_unit, [full_scale] * samples.channels)
     highpass_hz = chosen_highpass_hz(samples.keep_dc, samples.unit)
     model = coding.model
-    chosen = chosen_codec(coding.codec_name, model)
+    live_codec = chosen_codec(coding.codec_name, model)
     setting = coding.setting
     if coding.purpose is not None:
         known = texture.samples if source != STANDARD_INPUT else None
-        setting = {**codec.shape_setting(chosen, coding.purpose, known, rate_hz, signal_format.unit), **setting}
-    if chosen.needs_model and model is None:
-        model = default_model(chosen)
-    actuator = own_actuator(address, actuator_name, bench)
+        setting = {**codec.shape_setting(live_codec, coding.purpose, known, rate_hz, signal_format.unit), **setting}
+    if live_codec.needs_model and model is None:
+        model = default_model(live_codec)
+    address = chosen.address
+    given = own_actuator(address, actuator_name)
+    actuator = bench_actuator(bench, chosen) if given is None else given
     trace_failure(report_path and report_path.with_suffix(".pcapng"))
     with devices.connect(address, actuator=actuator) as controller, progress.bar("streaming") as update:
-        check_bench_actuator(bench, address, controller.description.actuator)
+        check_bench_actuator(bench, chosen, controller.description.actuator)
         if model is not None:
             uploader.provide(controller, address, model.image)
-        shortest = chosen.block_setting(chosen.blocks[0]) if delay.low_delay and chosen.blocks else {}
-        live_coding = streaming.LiveCoding(chosen.name, {**shortest, **setting}, model)
+        shortest = live_codec.block_setting(live_codec.blocks[0]) if delay.low_delay and live_codec.blocks else {}
+        live_coding = streaming.LiveCoding(live_codec.name, {**shortest, **setting}, model)
         if target is not None:
-            equal = codec.equal_error(chosen, signal_format) if target.equal_error else {}
+            equal = codec.equal_error(live_codec, signal_format) if target.equal_error else {}
             live_coding = replace(
                 live_coding,
                 setting={**equal, **setting},
@@ -270,8 +273,7 @@ def live(
             result = streaming.play(stream, blocks, progress=show)
             if not result.packets:
                 raise BadInput("standard input ended before its first sample; check the program that writes to it")
-            moved = bench_actuator(bench, address) if bench is not None and actuator is None else actuator
-            member = end_to_end.member(controller, address, moved)
+            member = end_to_end.member(controller, address, actuator)
             quality = coded.quality(member, model, result)
             timing = watch.timing(member)
         except streaming.LiveError as error:

@@ -83,7 +83,7 @@ def parsed_setting(ctx: click.Context, param: click.Parameter, values: Sequence[
 
 
 def chosen_bench(ctx: click.Context, param: click.Parameter, value: Path | None) -> "Bench | None":
-    """Return the bench of a file, and let `checked_address` take the names of its controllers."""
+    """Return the bench of a file, and let `chosen_controller` take the names of its controllers."""
     if value is None:
         return None
     from vibrocast.host.bench_file import read_bench
@@ -93,15 +93,41 @@ def chosen_bench(ctx: click.Context, param: click.Parameter, value: Path | None)
     return bench
 
 
-def checked_address(ctx: click.Context, param: click.Parameter, value: str) -> str:
-    """Return a controller's address as `host.devices.connect` takes it, or raise click.BadParameter.
+@dataclass(frozen=True)
+class Chosen:
+    """A controller that --device chooses. `name`: in the bench file; None = not there."""
 
-    With a bench file, a controller's name stands for its address, and the first controller is the default.
+    address: str
+    name: str | None = None
+
+
+def chosen_controller(ctx: click.Context, param: click.Parameter, value: str) -> Chosen:
+    """Return a controller by its name in the bench file or its address, or raise click.BadParameter.
+
+    The first controller of the bench file is the default, and the first one at an address counts.
     """
     if bench := ctx.meta.get(_BENCH):
         if ctx.get_parameter_source(param.name or "") == ParameterSource.DEFAULT:
-            return str(bench.first.address)
-        value = next((each.address for each in bench.controllers if each.name == value), value)
+            return Chosen(bench.first.address, bench.first.name)
+        for key in ("name", "address"):
+            for each in bench.controllers:
+                if getattr(each, key) == value:
+                    return Chosen(each.address, each.name)
+    return Chosen(checked_address(ctx, param, value))
+
+
+def chosen_controllers(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> tuple[Chosen, ...]:
+    """Return controllers as `chosen_controller` does; raise click.BadParameter for a port that is given twice."""
+    chosen = tuple(chosen_controller(ctx, param, value) for value in values)
+    addresses = [each.address for each in chosen]
+    for address in addresses:
+        if addresses.count(address) > 1 and address not in devices.SIMULATED:
+            raise click.BadParameter(f"{address} is given twice, and a port has one controller; keep one", ctx, param)
+    return chosen
+
+
+def checked_address(ctx: click.Context, param: click.Parameter, value: str) -> str:
+    """Return a controller's address as `host.devices.connect` takes it, or raise click.BadParameter."""
     if value not in devices.SIMULATED and not devices.ADDRESS.fullmatch(value):
         raise click.BadParameter(
             f"{value!r} is no address; give {', '.join(devices.SIMULATED)}, {devices.FORMS}",
@@ -109,15 +135,6 @@ def checked_address(ctx: click.Context, param: click.Parameter, value: str) -> s
             param,
         )
     return value
-
-
-def checked_addresses(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> tuple[str, ...]:
-    """Return addresses as `checked_address` does; raise click.BadParameter for a port that is given twice."""
-    addresses = tuple(checked_address(ctx, param, value) for value in values)
-    for address in addresses:
-        if addresses.count(address) > 1 and address not in devices.SIMULATED:
-            raise click.BadParameter(f"{address} is given twice, and a port has one controller; keep one", ctx, param)
-    return addresses
 
 
 def grouped(name: str, kind: type[Any], *decorators: Callable[..., Any]) -> Callable[[Callable[..., Any]], Any]:
@@ -155,10 +172,19 @@ device_option = click.option(
     show_default=True,
     help="Choose the controller; `vibrocast devices` lists the addresses.",
 )
+bench_device_option = click.option(
+    "--device",
+    "chosen",
+    callback=chosen_controller,
+    metavar="ADDRESS",
+    default="sim",
+    show_default=True,
+    help="Choose the controller; `vibrocast devices` lists the addresses.",
+)
 devices_option = click.option(
     "--device",
-    "addresses",
-    callback=checked_addresses,
+    "chosen",
+    callback=chosen_controllers,
     metavar="ADDRESS",
     multiple=True,
     default=("sim",),
@@ -210,32 +236,26 @@ actuator_option = click.option(
 )
 
 
-def own_actuator(address: str, name: str | None, bench: "Bench | None" = None) -> Actuator | None:
-    """Return the actuator of `actuator_option`, or of the bench, for a controller that takes one.
-
-    Raises click.UsageError.
-    """
-    if bench is not None and name is None:
-        return bench_actuator(bench, address) if devices.takes_actuator(address) else None
+def own_actuator(address: str, name: str | None) -> Actuator | None:
+    """Return the actuator of `actuator_option` for a controller that takes one. Raises click.UsageError."""
     if name is not None and not devices.takes_actuator(address):
         raise click.UsageError(f"{address} has its actuator compiled in; drop --actuator")
     return None if name is None else actuator_files.find(name)
 
 
-def bench_actuator(bench: "Bench", address: str) -> Actuator | None:
-    """Return the actuator that a bench has behind an address; None = the bench says nothing of it."""
-    names = [each.name for each in bench.controllers if each.address == address]
-    return bench.actuator(names[0]) if names else None
+def bench_actuator(bench: "Bench | None", chosen: Chosen) -> Actuator | None:
+    """Return the actuator that a bench has behind a controller; None = the bench says nothing of it."""
+    return None if bench is None or chosen.name is None else bench.actuator(chosen.name)
 
 
-def check_bench_actuator(bench: "Bench | None", address: str, description: ActuatorDescription) -> None:
-    """Raise BenchFileError where the controller at an address drives another actuator than the bench has there."""
+def check_bench_actuator(bench: "Bench | None", chosen: Chosen, description: ActuatorDescription) -> None:
+    """Raise BenchFileError where a controller drives another actuator than the bench has there."""
     if bench is None:
         return
     from vibrocast.host.bench_file import check_actuator
 
     for each in bench.controllers:
-        if each.address == address:
+        if each.name == chosen.name:
             check_actuator(bench, each, description)
 
 

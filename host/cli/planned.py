@@ -33,10 +33,11 @@ def read(path: Path, allowed: Sequence[str]) -> "Plan":
             label = parameter.opts[-1] if isinstance(parameter, click.Option) else parameter.human_readable_name
             raise click.UsageError(f"{label} contradicts the plan; drop it, or change {path}")
     plan = read_plan(path)
-    option = "addresses" if "addresses" in context.params else "address"
+    option = "chosen" if "chosen" in context.params else "address"
     if context.get_parameter_source(option) != ParameterSource.COMMANDLINE:
         return plan
-    addresses = context.params[option] if option == "addresses" else (context.params[option],)
+    given = context.params[option]
+    addresses = [each.address for each in given] if option == "chosen" else [given]
     if len(plan.controllers) != len(addresses):
         raise click.UsageError(
             f"{path} has {len(plan.controllers)} controllers, and --device is given {len(addresses)} times; give one "

@@ -26,6 +26,7 @@ from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, positive
 from vibrocast.host.cli.options import (
     BadInput,
+    Chosen,
     QualityOptions,
     RecordingOptions,
     bench_actuator,
@@ -167,7 +168,7 @@ def play(
     file: Path | None,
     plan_path: Path | None,
     bench: "Bench | None",
-    addresses: tuple[str, ...],
+    chosen: tuple[Chosen, ...],
     playback: PlaybackOptions,
     outputs: OutputOptions,
     quality: QualityOptions,
@@ -195,7 +196,7 @@ def play(
     if outputs.plot_path is not None:
         extras.require("plot")
     if plan_path is not None:
-        plan = planned.read(plan_path, ("file", "addresses", "report_path"))
+        plan = planned.read(plan_path, ("file", "chosen", "report_path"))
         keep_frames(outputs.report_path)
         planned.play(plan, [str(file)] if file else [], outputs.report_path)
         return
@@ -203,33 +204,35 @@ def play(
     reject_overwriting([outputs.report_path, outputs.plot_path], [file, *files_of(quality.model)])
     # The firmware decodes by one of the runtimes alone: so do the others, to be compared with the same.
     runtime = next(
-        filter(None, [devices.decoding_runtime(address, playback.runtime) for address in addresses]), playback.runtime
+        filter(None, [devices.decoding_runtime(each.address, playback.runtime) for each in chosen]), playback.runtime
     )
     given = None if playback.actuator_name is None else actuator_files.find(playback.actuator_name)
-    actuators = {address: given if given or bench is None else bench_actuator(bench, address) for address in addresses}
-    if len(addresses) > 1 and (hand.positions_path or hand.stroke_mm or outputs.plot_path):
+    names = dict(zip(devices.unique_names([each.address for each in chosen]), chosen, strict=True))
+    actuators = {name: given or bench_actuator(bench, each) for name, each in names.items()}
+    run = Run(file.name, names, bench, outputs.report_path)
+    if len(chosen) > 1 and (hand.positions_path or hand.stroke_mm or outputs.plot_path):
         raise click.UsageError("--positions, --stroke-mm and --plot are for one controller; give one --device")
     if hand.positions_path or hand.stroke_mm:
         if not outputs.read_back:
             raise click.UsageError("a profile under a hand is always read back; drop --no-read-back")
         if playback.gain_db:
             raise click.UsageError("a profile under a hand has its own level; drop --gain-db")
-        own_actuator(addresses[0], playback.actuator_name)
+        ((name, controlled),) = names.items()
+        own_actuator(controlled.address, playback.actuator_name)
         from vibrocast.host import position_playback
 
         movement = position_playback.chosen_movement(
             hand.positions_path, hand.stroke_mm, recording.hand_speed_mm_s, playback.loops
         )
         stream, texture = spatial_stream(file, quality, replace(recording, hand_speed_mm_s=None))
-        run = Run(file.name, devices.unique_names(addresses), bench, outputs.report_path)
         with (
             run.reported_where_cut(),
-            devices.connect(addresses[0], runtime, actuators[addresses[0]]) as controller,
+            devices.connect(controlled.address, runtime, actuators[name]) as controller,
             progress.bar("playing") as update,
         ):
-            check_bench_actuator(bench, addresses[0], controller.description.actuator)
+            check_bench_actuator(bench, controlled, controller.description.actuator)
             stroke = position_playback.play_and_compare(
-                end_to_end.member(controller, addresses[0], actuators[addresses[0]]),
+                end_to_end.member(controller, controlled.address, actuators[name]),
                 file.name,
                 replace(stream, runtime=runtime),
                 movement,
@@ -241,13 +244,12 @@ def play(
         fail_where_missed([] if bench is None else missed(bench.limits, stroke.report.judged()))
         return
     source = read_source(file, quality, recording, runtime)
-    run = Run(file.name, devices.unique_names(addresses), bench, outputs.report_path)
-    sessions = {name: devices.connect(address, runtime, actuators[address]) for name, address in run.names.items()}
+    sessions = {name: devices.connect(each.address, runtime, actuators[name]) for name, each in names.items()}
     with run.reported_where_cut():
         with devices.open_all(sessions) as (controllers, failures):
             # A stream that the controller cannot play need not be encoded first.
             for name, controller in list(controllers.items()):
-                check_bench_actuator(bench, run.names[name], controller.description.actuator)
+                check_bench_actuator(bench, names[name], controller.description.actuator)
                 try:
                     if isinstance(source, Stream):
                         check_limits(controller, source.header.channels, source.header.rate_hz)
@@ -256,7 +258,7 @@ def play(
                 except StreamError as error:
                     failures[name] = error
             members = {
-                name: end_to_end.member(controller, run.names[name], actuators[run.names[name]])
+                name: end_to_end.member(controller, names[name].address, actuators[name])
                 for name, controller in controllers.items()
                 if name not in failures
             }
@@ -273,7 +275,7 @@ def play(
                     outcomes = end_to_end.play_together(
                         members, file.name, stream, encoding, playback.loops, tell, outputs.read_back
                     )
-        outcomes = {name: run.traced((outcomes | failures)[name]) for name in run.names}
+        outcomes = {name: run.traced((outcomes | failures)[name]) for name in names}
         (outcome, *others) = outcomes.values()
         if isinstance(outcome, Exception) and not others:
             raise outcome
@@ -294,13 +296,13 @@ def keep_frames(report_path: Path | None) -> None:
 
 @dataclass(frozen=True)
 class Run:
-    """The playback of a file on controllers: by `names` their addresses, and how far each has played.
+    """The playback of a file on controllers: by name those that are chosen, and how far each has played.
 
     Its reports are written and added to the answer where it does not come to its end, too; its last frames are kept.
     """
 
     file: str
-    names: Mapping[str, str]
+    names: Mapping[str, Chosen]
     bench: "Bench | None"
     report_path: Path | None
     latest: dict[str, player.Progress] = field(default_factory=dict)
@@ -327,7 +329,7 @@ class Run:
             run=self.provenance,
             version=version("vibrocast"),
             file=self.file,
-            device={"address": self.names[name]},
+            device={"address": self.names[name].address},
             played_s=None if now is None else now.position_s,
             underruns=None if now is None else now.status.underruns,
             lost_packets=None if now is None else now.status.lost_packets,

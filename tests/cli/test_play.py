@@ -8,8 +8,9 @@ import pytest
 from click.testing import CliRunner, Result
 
 from vibrocast.device_protocol.transports import TransportError
-from vibrocast.host import end_to_end
+from vibrocast.host import devices, end_to_end
 from vibrocast.host.cli.command_line import main
+from vibrocast.output.actuator import Actuator
 
 OAK = str(Path(__file__).parents[2] / "examples" / "oak.wav")
 
@@ -57,3 +58,35 @@ def test_a_playback_that_is_cut_leaves_report_and_trace(
     assert told["underruns"] >= 0 and told["lost_packets"] >= 0 and told["schema"] == 2
     assert json.loads(result.stdout) == {**told, "exit_code": exit_code}
     assert (tmp_path / "cut.pcapng").exists()
+
+
+@pytest.mark.parametrize("command", [("play", OAK), ("live", "rough", "--seconds", "0.3")])
+def test_controllers_at_one_address_have_each_its_own_actuator(
+    command: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = tmp_path / "two.toml"
+    bench.write_text(
+        "".join(
+            f'[[controllers]]\nname = "{name}"\naddress = "sim"\n'
+            f'[[actuators]]\ncontroller = "{name}"\nmodel = "{model}"\n'
+            for name, model in (("left", "piezo-stack"), ("right", "lra"))
+        )
+        + "[limits]\nmax_lost_percent = 100\n"
+    )
+    opened: list[str] = []
+    connect = devices.connect
+
+    def noted(address: str, runtime: str | None = None, actuator: Actuator | None = None) -> Any:
+        assert actuator is not None
+        opened.append(actuator.name)
+        return connect(address, runtime, actuator)
+
+    monkeypatch.setattr("vibrocast.host.devices.connect", noted)
+    for given, names in ((("right",), ["lra"]), (("sim",), ["piezo-stack"]), ((), ["piezo-stack"])):
+        chosen = [part for name in given for part in ("--device", name)]
+        result = CliRunner().invoke(main, [*command, "--bench", str(bench), *chosen])
+        assert (result.exit_code, opened) == (0, names), result.output
+        opened.clear()
+    if command[0] == "play":
+        result = run("--bench", bench, "--device", "left", "--device", "right", "--json")
+        assert [each["actuator"]["name"] for each in json.loads(result.stdout)] == ["piezo-stack", "lra"]
