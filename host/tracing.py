@@ -21,6 +21,7 @@ class Tracer:
     def __init__(self) -> None:
         self._kept: deque[TracedFrame] = deque()
         self._kept_bytes = 0
+        self._path: Path | None = None
         self._file: BinaryIO | None = None
         self._writer: Writer | None = None
         self._flushed_s = 0.0
@@ -36,11 +37,30 @@ class Tracer:
         self._kept_bytes += len(frame.encoded)
         while self._kept_bytes > KEPT_BYTES and self._kept:
             self._kept_bytes -= len(self._kept.popleft().encoded)
-        if self._file is not None and self._writer is not None:
+        if self._path is not None:
+            self._write(frame, self._path)
+
+    def _write(self, frame: TracedFrame, path: Path) -> None:
+        """Write a frame into a file that the first one opens; after a failure, no other. Raises OSError."""
+        try:
+            if self._file is None or self._writer is None:
+                self._file = path.open("wb")
+                self._writer = writer(self._file, path.suffix)
             self._writer.write(frame)
             if time.monotonic() - self._flushed_s > _FLUSH_S:
                 self._file.flush()
                 self._flushed_s = time.monotonic()
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                self._close()
+            error.filename = str(path)
+            raise
+
+    def _close(self) -> None:
+        """Write no more frames. Raises OSError."""
+        file, self._path, self._file, self._writer = self._file, None, None, None
+        if file is not None:
+            file.close()
 
     def take(self) -> tuple[TracedFrame, ...]:
         """Return the kept frames, once."""
@@ -60,13 +80,19 @@ class Tracer:
 
     @contextlib.contextmanager
     def writing(self, path: Path) -> Iterator[None]:
-        """Write each frame of the block into a file, one of `trace.SUFFIXES`. Raises OSError."""
-        with path.open("wb") as self._file:
-            self._writer = writer(self._file, path.suffix)
-            try:
-                yield
-            finally:
-                self._file, self._writer = None, None
+        """Write each frame of the block into a file, one of `trace.SUFFIXES`; without a frame, none. Raises OSError."""
+        self._path = path
+        try:
+            yield
+        except BaseException:
+            with contextlib.suppress(OSError):  # the failure itself is the news
+                self._close()
+            raise
+        try:
+            self._close()
+        except OSError as error:
+            error.filename = str(path)
+            raise
 
 
 tracer = Tracer()

@@ -1,11 +1,13 @@
 """The `vibrocast` command: finds the subcommand, loads it, and turns each error into one line and an exit code."""
 
+import contextlib
 import importlib
 import logging
 import shlex
 import sys
 import time
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
@@ -17,7 +19,7 @@ from vibrocast.host.cli import exit_codes
 from vibrocast.host.cli.answers import begin, print_answer, with_json
 from vibrocast.host.cli.errors import explained, option_names
 from vibrocast.host.cli.failure_trace import keep_trace
-from vibrocast.host.cli.option_types import OutputFile
+from vibrocast.host.cli.option_types import OutputFile, reject_overwriting
 from vibrocast.host.printable import plain
 
 LOG_LEVELS = ("debug", "info", "warning", "error")
@@ -100,7 +102,11 @@ class VibrocastCommand(click.Group):
         """Parse the options before the subcommand; see whether the answer is to be JSON first."""
         begin(ctx, args)
         try:
-            return super().parse_args(ctx, args)
+            rest = super().parse_args(ctx, args)
+            # Of the subcommand, only the arguments are known yet; each may be a file that it reads or writes.
+            files = [Path(each.partition("=")[2] if each.startswith("--") else each) for each in rest]
+            reject_overwriting([ctx.params["trace_path"], ctx.params["log_path"]], files)
+            return rest
         except click.ClickException as error:
             print_answer(ctx, error)
             raise
@@ -127,7 +133,8 @@ class VibrocastCommand(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         """Run a subcommand, its errors turned into click's own; with --debug they pass with their traceback."""
         try:
-            result = super().invoke(ctx)
+            with writing_trace(ctx.params["trace_path"]):
+                result = super().invoke(ctx)
         except click.exceptions.Exit:
             print_answer(ctx)
             raise
@@ -154,21 +161,42 @@ class VibrocastCommand(click.Group):
         return result
 
 
+def writing_trace(path: Path | None) -> AbstractContextManager[None]:
+    """Return what writes the frames of a block into a file; None = nowhere."""
+    if path is None:
+        return contextlib.nullcontext()
+    from vibrocast.host.tracing import tracer
+
+    return tracer.writing(path)
+
+
 def trace_file(ctx: click.Context, param: click.Parameter, value: str | None) -> Path | None:
-    """Return the file of a trace, or raise click.BadParameter for another suffix."""
+    """Return the file of a trace, or raise click.BadParameter where it cannot be written."""
     if value is None:
         return None
     from vibrocast.device_protocol.trace import SUFFIXES
 
-    path = Path(value)
-    if path.suffix.lower() not in SUFFIXES:
-        raise click.BadParameter(f"{value!r} has another suffix than {' or '.join(SUFFIXES)}", ctx, param)
-    return path
+    return OutputFile(*SUFFIXES).convert(value, param, ctx)
+
+
+class LogFile(logging.FileHandler):
+    """The file of a log, which raises what keeps it from being written."""
+
+    def handleError(self, record: logging.LogRecord) -> None:
+        """Raise the error that is being handled, and write no more."""
+        error = sys.exc_info()[1]
+        if not isinstance(error, OSError):
+            super().handleError(record)
+            return
+        logging.getLogger("vibrocast").removeHandler(self)
+        with contextlib.suppress(OSError):
+            self.close()
+        raise OSError(error.errno, error.strerror, self.baseFilename) from error
 
 
 def keep_log(path: Path, level: str) -> None:
-    """Append the log of this program to a file. `level`: one of LOG_LEVELS. Raises OSError."""
-    handler = logging.FileHandler(path, encoding="utf-8")
+    """Append the log of this program to a file. `level`: one of LOG_LEVELS. Raises OSError, then or later."""
+    handler = LogFile(path, encoding="utf-8")
     formatter = logging.Formatter("%(asctime)s.%(msecs)03dZ %(levelname)s %(name)s: %(message)s", "%Y-%m-%dT%H:%M:%S")
     formatter.converter = time.gmtime
     handler.setFormatter(formatter)
@@ -182,7 +210,8 @@ def keep_log(path: Path, level: str) -> None:
 def fail(message: str, exit_code: int) -> NoReturn:
     """Print one line on stderr, whatever it quotes, and exit."""
     line = plain(" ".join(message.split()))
-    logging.getLogger(__name__).error("%s; exit code %d", line, exit_code)
+    with contextlib.suppress(OSError):  # of a full log
+        logging.getLogger(__name__).error("%s; exit code %d", line, exit_code)
     click.echo(f"error: {line}", err=True)
     sys.exit(exit_code)
 
@@ -215,9 +244,5 @@ def main(ctx: click.Context, debug: bool, trace_path: Path | None, log_path: Pat
     if log_path is not None:
         keep_log(log_path, log_level)
         logging.getLogger(__name__).info("vibrocast %s: %s", version("vibrocast"), shlex.join(sys.argv[1:]))
-    if trace_path is not None:
-        from vibrocast.host.tracing import tracer
-
-        ctx.with_resource(tracer.writing(trace_path))
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())

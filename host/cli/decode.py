@@ -8,9 +8,9 @@ import click
 from vibrocast import models, progress, textures
 from vibrocast.codec.stream import read_stream, write_profile, write_recording
 from vibrocast.host.cli.answers import tell, tell_profile
-from vibrocast.host.cli.option_types import INPUT, OutputFile
+from vibrocast.host.cli.option_types import INPUT, OutputFile, reject_overwriting
 from vibrocast.host.cli.options import model_option, runtime_option
-from vibrocast.host.cli.steps import files_of, reject_overwriting, show
+from vibrocast.host.cli.steps import files_of, show
 
 
 @click.command()

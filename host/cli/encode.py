@@ -13,7 +13,7 @@ from vibrocast.codec.encoding import Encoding
 from vibrocast.host import profiles
 from vibrocast.host.cli import planned
 from vibrocast.host.cli.answers import add, tell, wants_json
-from vibrocast.host.cli.option_types import INPUT, OutputFile, positive
+from vibrocast.host.cli.option_types import INPUT, OutputFile, positive, reject_overwriting
 from vibrocast.host.cli.options import (
     QualityOptions,
     RecordingOptions,
@@ -28,7 +28,6 @@ from vibrocast.host.cli.steps import (
     encoded,
     encoded_profile,
     files_of,
-    reject_overwriting,
     show,
 )
 

@@ -1,7 +1,8 @@
-"""The types of options: numbers with units and ranges, files and folders."""
+"""The types of options: numbers with units and ranges, files and folders; no file is written over another."""
 
 import math
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -98,3 +99,14 @@ class _Folder(click.Path):
 INPUT = click.Path(path_type=Path)
 """A file or folder to read; what reads it rejects what it cannot take."""
 FOLDER = _Folder()
+
+
+def reject_overwriting(outputs: Sequence[Path | None], inputs: Sequence[Path | None]) -> None:
+    """Raise click.UsageError where a file to write is also one to read, or two to write are the same."""
+    used = [path for path in inputs if path]
+    for output in filter(None, outputs):
+        for other in used:
+            same = os.path.realpath(output) == os.path.realpath(other)
+            if same or (output.exists() and other.exists() and output.samefile(other)):
+                raise click.UsageError(f"{output} and {other} are the same file; give the output another name")
+        used.append(output)

@@ -23,7 +23,7 @@ from vibrocast.host.cli import planned
 from vibrocast.host.cli.answers import add, answer, wants_json
 from vibrocast.host.cli.errors import DeviceFailure, explained
 from vibrocast.host.cli.failure_trace import trace_failure
-from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, positive
+from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, positive, reject_overwriting
 from vibrocast.host.cli.options import (
     BadInput,
     Chosen,
@@ -51,7 +51,6 @@ from vibrocast.host.cli.steps import (
     encoded_profile,
     files_of,
     needed,
-    reject_overwriting,
     show,
     warn_of_underruns,
 )

@@ -10,7 +10,7 @@ from vibrocast.codec.stream import MAX_GAIN_DB
 from vibrocast.files import atomic_write
 from vibrocast.host import devices
 from vibrocast.host.cli.answers import tell
-from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole
+from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, reject_overwriting
 from vibrocast.host.cli.options import (
     BadInput,
     QualityOptions,
@@ -22,7 +22,7 @@ from vibrocast.host.cli.options import (
 )
 from vibrocast.host.cli.play import read_source
 from vibrocast.host.cli.sections import CONTROLLER, PLAYBACK, SectionedCommand, section
-from vibrocast.host.cli.steps import encoded, files_of, reject_overwriting
+from vibrocast.host.cli.steps import encoded, files_of
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import ACTUATORS, MAX_FULL_SCALE_VOLTS, MIN_FULL_SCALE_VOLTS
 from vibrocast.output.rendering import render as rendered_codes

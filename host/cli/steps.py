@@ -1,7 +1,6 @@
 """Steps that several subcommands share: check arguments, encode with a progress bar, print facts."""
 
-import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TypeVar
 
@@ -27,17 +26,6 @@ def needed(argument: _Argument | None, name: str) -> _Argument:
     if argument is None:
         raise click.UsageError(f"missing {name}; pass it, or --plan")
     return argument
-
-
-def reject_overwriting(outputs: Sequence[Path | None], inputs: Sequence[Path | None]) -> None:
-    """Raise click.UsageError where a file to write is also one to read, or two to write are the same."""
-    used = [path for path in inputs if path]
-    for output in filter(None, outputs):
-        for other in used:
-            same = os.path.realpath(output) == os.path.realpath(other)
-            if same or (output.exists() and other.exists() and output.samefile(other)):
-                raise click.UsageError(f"{output} and {other} are the same file; give the output another name")
-        used.append(output)
 
 
 def files_of(model: models.Model | None) -> list[Path]:

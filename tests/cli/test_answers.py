@@ -59,7 +59,7 @@ def test_what_was_played_is_a_report() -> None:
         "sim",
         "sim-usb",
     ]
-    streamed = answer("live", "rough", "--seconds", "0.5")
+    streamed = answer("live", "rough", "--seconds", "0.5", "--playout-delay-ms", "300")
     assert streamed["schema"] == 2 and len(streamed["minutes"]) == 1
 
 
@@ -145,7 +145,7 @@ def test_a_command_that_is_killed_while_a_library_computes_answers_in_json() -> 
         (("play", "--json", OAK, "--bench", "{bench}"), "min_snr_db"),
         (("no-such-command", "--json"), "No such command"),
         (("keys", "no-such-command", "--json"), "No such command"),
-        (("--trace", "frames.txt", "devices", "--json"), "another suffix"),
+        (("--trace", "frames.txt", "devices", "--json"), "must end in"),
         (("--log", "/nope/log", "devices", "--json"), "the folder /nope does not exist"),
     ],
 )

@@ -109,3 +109,29 @@ def test_a_trace_is_decoded_as_the_controller_did(tmp_path: Path) -> None:
     assert run("--trace", live, "status", "--device", "sim").exit_code == 0
     refused = run("replay", live, "--decode", heard)
     assert refused.exit_code == 2 and "no stream was set up in it" in refused.output
+
+
+@pytest.mark.parametrize("given", [("replay", "{trace}"), ("status", "--log={trace}"), ("play", OAK, "--nonsense")])
+def test_a_trace_that_is_there_already_survives_a_command_that_is_rejected(
+    given: tuple[str, ...], tmp_path: Path
+) -> None:
+    trace = tmp_path / "trace.pcapng"
+    assert run("--trace", trace, "status").exit_code == 0
+    before = trace.read_bytes()
+    result = run("--trace", trace, *(part.format(trace=trace) for part in given))
+    assert result.exit_code == 2, result.output
+    assert trace.read_bytes() == before
+    if given[0] == "replay":
+        assert "are the same file; give the output another name" in result.stderr
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a full disk is simulated on Linux alone")
+@pytest.mark.parametrize("option", ["--trace", "--log"])
+def test_a_full_disk_is_one_line(option: str, tmp_path: Path) -> None:
+    full = tmp_path / "full.pcapng"
+    full.symlink_to("/dev/full")
+    result = run(option, full, "status", "--json")
+    assert result.exit_code == 2 and not isinstance(result.exception, OSError), result.exception
+    (line,) = result.stderr.splitlines()
+    assert line.endswith("full.pcapng: No space left on device; free some space, or write elsewhere")
+    assert json.loads(result.stdout)["exit_code"] == 2

@@ -55,7 +55,7 @@ def test_any_command_writes_a_trace(tmp_path: Path) -> None:
     hello, *_ = [found[1] for frame in read_trace(path) if not frame.from_host and (found := frame.message())]
     assert isinstance(hello, HelloResponse)
     other = CliRunner().invoke(main, ["--trace", str(tmp_path / "trace.txt"), "status"])
-    assert other.exit_code == 2 and "has another suffix than .pcapng or .jsonl" in other.output
+    assert other.exit_code == 2 and "the name must end in .pcapng or .jsonl" in other.output
 
 
 def test_a_failed_run_leaves_a_trace_next_to_its_report(tmp_path: Path) -> None:
