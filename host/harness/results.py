@@ -1,6 +1,7 @@
 """The results of a run: kept as JSON, judged by limits, and compared with an earlier run."""
 
 import json
+import math
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -124,7 +125,7 @@ def read_results(path: Path) -> dict[str, Any]:
     if path.stat().st_size > _MAX_BYTES:
         raise InputFileError(f"{path}: longer than any run's JSON; give that of an earlier `vibrocast measure`")
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(path.read_text(encoding="utf-8"), parse_float=_finite, parse_constant=_finite)
         if (document["format"], document["schema"]) != (FORMAT, SCHEMA):
             raise ValueError(f"format {document['format']!r}, schema {document['schema']!r}")
         dict(figures(document))
@@ -132,6 +133,14 @@ def read_results(path: Path) -> dict[str, Any]:
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise InputFileError(f"{path}: not the JSON of an earlier `vibrocast measure`; give that ({error})") from error
     return dict(document)
+
+
+def _finite(text: str) -> float:
+    """Return a number of a document. Raises ValueError for NaN and infinity, which no run writes."""
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text} is no figure")
+    return value
 
 
 def figures(document: dict[str, Any]) -> Iterator[tuple[str, float]]:

@@ -2,6 +2,7 @@
 
 import copy
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -208,6 +209,17 @@ def test_another_file_is_no_earlier_run(text: str, tmp_path: Path) -> None:
     path = tmp_path / "run.json"
     path.write_text(text)
     with pytest.raises(InputFileError, match="not the JSON of an earlier `vibrocast measure`"):
+        results.read_results(path)
+
+
+@pytest.mark.parametrize("number", ["NaN", "Infinity", "1e999"])
+def test_a_run_with_a_figure_that_is_no_number_is_damaged(number: str, tmp_path: Path) -> None:
+    path = tmp_path / "run.json"
+    RUN.write(path)
+    text, count = re.subn(r'"snr_db": [\d.]+', f'"snr_db": {number}', path.read_text())
+    assert count
+    path.write_text(text)
+    with pytest.raises(InputFileError, match=f"{number} is no figure"):
         results.read_results(path)
 
 
