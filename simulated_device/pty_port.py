@@ -68,7 +68,25 @@ class PtyPort(RealTimePort):
             self._master, self._slave = os.openpty()
             tty.setraw(self._slave)
             os.set_blocking(self._master, False)
-            os.symlink(os.ttyname(self._slave), self.name)
+            self._link(os.ttyname(self._slave))
+
+    def _link(self, port: str) -> None:
+        """Give a pseudo-terminal the name of this port, in place of a link that leads nowhere. Raises OSError.
+
+        A controller that was killed leaves such a link.
+        """
+        if os.path.islink(self.name) and not os.path.exists(self.name):
+            os.unlink(self.name)
+        try:
+            os.symlink(port, self.name)
+        except FileExistsError as error:
+            problem = (
+                "a file has this name, or a controller runs behind it; end that or remove it, or choose another name"
+            )
+            raise FileExistsError(f"{self.name}: {problem}") from error
+        except OSError as error:
+            error.filename, error.filename2 = self.name, None
+            raise
 
     def _disconnect(self) -> None:
         if self._master >= 0:

@@ -53,6 +53,23 @@ def test_pty_survives_hosts_that_open_and_close_it(pty_port: PtyPort) -> None:
             assert isinstance(host.request_status(), Status)
 
 
+def test_the_link_of_a_controller_that_was_killed_is_replaced_and_no_other(tmp_path: Path) -> None:
+    link = tmp_path / "port"
+    link.symlink_to(tmp_path / "gone")
+    with PtyPort(Controller(), link) as port:
+        with Host(SerialTransport(str(link))) as host:
+            assert isinstance(host.request_status(), Status)
+        with pytest.raises(FileExistsError, match=rf"{port.name}: .* a controller runs behind it; end that"):
+            PtyPort(Controller(), link)
+    link.write_text("kept")
+    with pytest.raises(FileExistsError, match="a file has this name"):
+        PtyPort(Controller(), link)
+    assert link.read_text() == "kept"
+    with pytest.raises(FileNotFoundError) as raised:
+        PtyPort(Controller(), tmp_path / "none" / "port")
+    assert raised.value.filename == str(tmp_path / "none" / "port")
+
+
 def test_pty_survives_a_host_that_never_reads_and_garbage(pty_port: PtyPort) -> None:
     rude = os.open(pty_port.name, os.O_RDWR | os.O_NOCTTY)
     for _ in range(200):
