@@ -85,8 +85,9 @@ def print_answer(ctx: click.Context, error: BaseException | None = None) -> None
         if _SO_FAR in ctx.meta:
             document = {**(document or {}), **(ctx.meta[_SO_FAR]() or {})}
         document = _failed(document, "interrupted", exit_codes.interrupted_by(exit_codes.signalled))
-    if document is not None:  # else the command has printed lines of its own
-        click.echo(json.dumps(document, indent=2, allow_nan=False, default=str))
+    if document is not None:  # else the command has printed lines of its own, such as JSON, one object each
+        alone = isinstance(document, dict) and document.keys() == {"error", "exit_code"}
+        click.echo(json.dumps(document, indent=None if alone else 2, allow_nan=False, default=str))
 
 
 def _failed(document: Any, error: str, exit_code: int) -> dict[str, Any]:

@@ -135,3 +135,20 @@ def test_a_full_disk_is_one_line(option: str, tmp_path: Path) -> None:
     (line,) = result.stderr.splitlines()
     assert line.endswith("full.pcapng: No space left on device; free some space, or write elsewhere")
     assert json.loads(result.stdout)["exit_code"] == 2
+
+
+@needs_terminals
+@pytest.mark.parametrize("command", ["monitor", "proxy", "simulate"])
+def test_commands_that_serve_answer_in_lines_of_json(command: str) -> None:
+    """Also at their end, where somebody reads them line by line."""
+    target = () if command == "simulate" else ("sim",)
+    with serving(command, *target, "--json") as (address, process):
+        run("status", "--device", json.loads(address)["address"])
+        process.send_signal(signal.SIGTERM)
+        shown, _ = process.communicate(timeout=30)
+    *frames, last = map(json.loads, shown.splitlines())
+    assert last == {"error": "interrupted", "exit_code": 143}
+    assert bool(frames) is (command == "monitor")
+    failed = run(command, *(("serial:nowhere",) if target else ("--public-key", "/nope")), "--json")
+    (line,) = failed.stdout.splitlines()
+    assert json.loads(line)["exit_code"] == failed.exit_code
