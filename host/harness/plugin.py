@@ -6,6 +6,8 @@ Where you load it by its module's name as well, pass `-p no:vibrocast -p vibroca
 
 from __future__ import annotations  # no annotation is evaluated: an old pytest lacks some of the classes
 
+import argparse
+import math
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +26,17 @@ if TYPE_CHECKING:
     from vibrocast.host.position_playback import Stroke
     from vibrocast.output.actuator import Actuator
     from vibrocast.textures import Recording
+
+
+def _seconds(text: str) -> float:
+    """Return the value of an option in seconds. Raises argparse.ArgumentTypeError."""
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = math.nan
+    if not (math.isfinite(seconds) and seconds >= 0):
+        raise argparse.ArgumentTypeError(f"{text} cannot be used; give a finite number of seconds of at least 0")
+    return seconds
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -45,7 +58,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
     group.addoption(
         "--vibrocast-wait-s",
-        type=float,
+        type=_seconds,
         default=0.0,
         metavar="SECONDS",
         help="wait so long for a controller that is absent, or that another process uses; default: 0",
@@ -61,7 +74,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
     group.addoption(
         "--vibrocast-timeout-s",
-        type=float,
+        type=_seconds,
         metavar="SECONDS",
         help="fail a test that still talks to its controller after so long; default: never",
     )

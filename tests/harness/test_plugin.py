@@ -284,3 +284,11 @@ def test_it(vibrocast_device):
     result = users_run(pytester, test, SIM, "--vibrocast-timeout-s", "0.3")
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(["*the test still talks to its controller after 0.3 s; see --vibrocast-timeout-s*"])
+
+
+@pytest.mark.parametrize("option", ["--vibrocast-wait-s", "--vibrocast-timeout-s"])
+@pytest.mark.parametrize("value", ["nan", "inf", "-1", "soon"])
+def test_seconds_that_are_none_are_rejected(pytester: pytest.Pytester, option: str, value: str) -> None:
+    result = users_run(pytester, "def test_it(vibrocast_device): pass", SIM, f"{option}={value}")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines([f"*{option}: {value} cannot be used; give a finite number of seconds of at least 0*"])
