@@ -51,7 +51,12 @@ def wire_page(document: Callable[[], dict[str, Any]], port: int = 0) -> Iterator
         def log_message(self, format: str, *arguments: Any) -> None:
             """Say nothing: standard error is for the command."""
 
-    server = ThreadingHTTPServer((ADDRESS, port), Handler)
+    try:
+        server = ThreadingHTTPServer((ADDRESS, port), Handler)
+    except OSError as error:
+        raise OSError(
+            f"no page can be served at port {port}: {error.strerror}; choose another `port`, or 0 for a free one"
+        ) from error
     server.daemon_threads = True
     thread = threading.Thread(target=server.serve_forever, name="wire page", daemon=True)
     thread.start()

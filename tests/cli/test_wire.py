@@ -4,6 +4,7 @@ import contextlib
 import json
 import re
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -152,3 +153,11 @@ def test_commands_that_serve_answer_in_lines_of_json(command: str) -> None:
     failed = run(command, *(("serial:nowhere",) if target else ("--public-key", "/nope")), "--json")
     (line,) = failed.stdout.splitlines()
     assert json.loads(line)["exit_code"] == failed.exit_code
+
+
+def test_a_page_at_a_port_that_is_taken_names_it() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        result = run("monitor", "sim", "--web", "--port", port)
+    assert result.exit_code == 2
+    assert f"no page can be served at port {port}: Address already in use; choose another --port" in result.stderr
