@@ -289,7 +289,7 @@ def play(
 
 
 def keep_frames(report_path: Path | None) -> None:
-    """Keep the last frames beside the report if the playback fails."""
+    """Keep the last frames next to the report if the playback fails."""
     trace_failure(report_path and report_path.with_suffix(".pcapng"))
 
 
