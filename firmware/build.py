@@ -22,8 +22,9 @@ from vibrocast.firmware.keys import read_public_key
 from vibrocast.firmware.native_core import CoreError
 
 ROOT = Path(__file__).parent
-SHARED = ("core", "monocypher", "controller")
-"""Folders whose C sources are in every target."""
+PUBLIC_HEADERS = "include/vibrocast"
+SHARED = ("src/core", "src/monocypher", "src/controller")
+"""The folders of public headers, and those whose C sources are in every target."""
 
 FLAGS = (
     "-std=c99",
@@ -55,7 +56,7 @@ class Target:
     """One build of the firmware.
 
     `folders`: of its port, below firmware/, whose C sources are compiled with those of `shared`. `defines`: sizes of
-    controller/sizes.h, and settings of its port.
+    vibrocast/sizes.h, and settings of its port.
     """
 
     summary: str
@@ -73,7 +74,7 @@ class Target:
 
     def command(self) -> list[str]:
         """Return the compiler's arguments except the output; run it in ROOT."""
-        includes = [f"-I{folder}" for folder in (*self.shared, *self.folders)]
+        includes = [f"-I{folder}" for folder in ("include", *self.folders)]
         texts = {name: f'"{value}"' if isinstance(value, str) else value for name, value in self.defines.items()}
         defines = [f"-D{name}={value}" for name, value in texts.items()]
         return [*FLAGS, *self.flags, *defines, *includes, *map(str, self.sources())]
@@ -159,7 +160,7 @@ TARGETS: Mapping[str, Target] = {
 def build(name: str, sizes: Mapping[str, int] | None = None, public_key: bytes | None = None) -> Path:
     """Build a target of TARGETS, unless it is there already, and return its file.
 
-    `sizes`: of controller/sizes.h, in place of the target's. `public_key`: 32 bytes, of Ed25519; model images need its
+    `sizes`: of vibrocast/sizes.h, in place of the target's. `public_key`: 32 bytes, of Ed25519; model images need its
     signature, None = they need none. A library's declarations for cffi lie next to it, with the suffix ".cdef". Builds
     are kept in firmware/build, or in the user's cache where that cannot be written, by a hash of all that they are made
     from. Raises BuildError and MissingExtraError.
@@ -177,7 +178,7 @@ def build(name: str, sizes: Mapping[str, int] | None = None, public_key: bytes |
             made.mkdir()
             _compile(target, made / built.name)
             if target.suffix == _LIBRARY_SUFFIX:
-                parts = [cffi_declarations(ROOT / shared) for shared in target.shared]
+                parts = [cffi_declarations(ROOT / folder) for folder in (PUBLIC_HEADERS, *target.shared)]
                 (made / built.with_suffix(".cdef").name).write_text("\n".join(parts))
             try:
                 made.rename(folder)
@@ -203,7 +204,7 @@ def _build_folder() -> Path:
 def _fingerprint(target: Target) -> str:
     """Return a hash of the sources, the flags, the machine and the compiler."""
     digest = hashlib.sha256(repr((target.command(), sys.platform, platform.machine(), version("ziglang"))).encode())
-    for folder in (*target.shared, *target.folders):
+    for folder in (PUBLIC_HEADERS, *target.shared, *target.folders):
         for path in sorted((ROOT / folder).iterdir()):
             if path.suffix in (".c", ".h", ".ld"):
                 digest.update(path.name.encode() + path.read_bytes())

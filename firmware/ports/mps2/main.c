@@ -1,8 +1,8 @@
 /* A controller on an MPS2 board. */
-#include "actuator_tables.h"
+#include "vibrocast/actuator_tables.h"
 #include "board.h"
-#include "port.h"
-#include "sizes.h"
+#include "vibrocast/port.h"
+#include "vibrocast/sizes.h"
 
 static int64_t profile[VC_PROFILE_WORDS];
 
