@@ -22,9 +22,8 @@ from vibrocast.firmware.keys import read_public_key
 from vibrocast.firmware.native_core import CoreError
 
 ROOT = Path(__file__).parent
-PUBLIC_HEADERS = "include/vibrocast"
-SHARED = ("src/core", "src/monocypher", "src/controller")
-"""The folders of public headers, and those whose C sources are in every target."""
+SHARED = ("include/vibrocast", "src/core", "src/monocypher", "src/controller")
+"""Folders of every target: public headers, and C sources."""
 
 FLAGS = (
     "-std=c99",
@@ -178,7 +177,7 @@ def build(name: str, sizes: Mapping[str, int] | None = None, public_key: bytes |
             made.mkdir()
             _compile(target, made / built.name)
             if target.suffix == _LIBRARY_SUFFIX:
-                parts = [cffi_declarations(ROOT / folder) for folder in (PUBLIC_HEADERS, *target.shared)]
+                parts = [cffi_declarations(ROOT / folder) for folder in target.shared]
                 (made / built.with_suffix(".cdef").name).write_text("\n".join(parts))
             try:
                 made.rename(folder)
@@ -204,7 +203,7 @@ def _build_folder() -> Path:
 def _fingerprint(target: Target) -> str:
     """Return a hash of the sources, the flags, the machine and the compiler."""
     digest = hashlib.sha256(repr((target.command(), sys.platform, platform.machine(), version("ziglang"))).encode())
-    for folder in (PUBLIC_HEADERS, *target.shared, *target.folders):
+    for folder in (*target.shared, *target.folders):
         for path in sorted((ROOT / folder).iterdir()):
             if path.suffix in (".c", ".h", ".ld"):
                 digest.update(path.name.encode() + path.read_bytes())

@@ -97,7 +97,8 @@ def source() -> tuple[str, str]:
     return (
         f'/* Actuators that ship; {command}. */\n#include "vibrocast/actuator_tables.h"\n\n' + "\n".join(tables),
         f"/* Actuators that ship; {command}. */\n#ifndef {guard}\n#define {guard}\n\n"
-        f'#include "output.h"\n\n/* cffi: begin */\n{declared}/* cffi: end */\n\n#endif\n',
+        f'#include "output.h"\n\n#ifdef __cplusplus\nextern "C" {{\n#endif\n\n'
+        f"/* cffi: begin */\n{declared}/* cffi: end */\n\n#ifdef __cplusplus\n}}\n#endif\n\n#endif\n",
     )
 
 

@@ -3,7 +3,7 @@
 #include <string.h>
 
 #include "vibrocast/actuator_tables.h"
-#include "../src/controller/vc_fields.h"
+#include "../src/core/vc_fields.h"
 #include "vibrocast/output.h"
 #include "targets.h"
 

@@ -2,7 +2,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "../src/controller/vc_fields.h"
+#include "../src/core/vc_fields.h"
 #include "vibrocast/profile.h"
 #include "targets.h"
 

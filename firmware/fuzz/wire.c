@@ -5,8 +5,8 @@
 #include "../src/core/vc_crc.h"
 #include "../src/controller/vc_decoders.h"
 #include "../src/controller/vc_messages.h"
-#include "../src/controller/vc_model_image.h"
-#include "../src/controller/vc_stream_header.h"
+#include "../src/core/vc_model_image.h"
+#include "../src/core/vc_stream_header.h"
 #include "targets.h"
 
 static volatile uint8_t seen;

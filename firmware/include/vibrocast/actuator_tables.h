@@ -4,6 +4,10 @@
 
 #include "output.h"
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 /* cffi: begin */
 /* piezo-stack, DAC of 16 bits at 3000 Hz. */
 extern const vc_actuator vc_piezo_stack;
@@ -14,5 +18,9 @@ extern const vc_actuator vc_lra;
 /* voice-coil, DAC of 16 bits at 8000 Hz. */
 extern const vc_actuator vc_voice_coil;
 /* cffi: end */
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

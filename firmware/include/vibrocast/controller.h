@@ -8,6 +8,10 @@
 
 #include "settings.h"
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 /* cffi: begin */
 typedef struct vc_controller vc_controller;
 
@@ -34,5 +38,9 @@ int vc_controller_advance(vc_controller *controller, uint64_t now_us);
 /* Moves up to `capacity` bytes for the host into `data`. Returns how many bytes. */
 size_t vc_controller_transmit(vc_controller *controller, uint8_t *data, size_t capacity);
 /* cffi: end */
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

@@ -19,6 +19,10 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 /* Highest rate of a stream, in rates of the DAC. */
 #define VC_RESAMPLER_MAX_RATIO 128
 
@@ -136,5 +140,9 @@ uint32_t vc_dac_recovery_samples(const vc_dac *dac);
 
 const vc_limit_counts *vc_dac_counts(const vc_dac *dac);
 /* cffi: end */
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

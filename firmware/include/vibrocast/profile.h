@@ -28,6 +28,10 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 /* Bytes, at compile time, that hold a profile of this many samples, all channels together. */
 #define VC_PROFILE_STATE_BYTES 1232
 #define VC_PROFILE_END_SAMPLES 128 /* per channel: they continue the ends of the octaves */
@@ -69,5 +73,9 @@ int vc_profile_position(vc_profile *profile, uint64_t time_us, int64_t position_
  * Without a position they are 0. All samples must have been loaded. */
 void vc_profile_render(vc_profile *profile, uint64_t time_us, int16_t *heights);
 /* cffi: end */
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

@@ -5,6 +5,10 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 /* `bytes` and its `capacity`, a power of two, belong to the port. The counts run on for ever; only one side writes
  * each. */
 typedef struct {
@@ -54,5 +58,9 @@ static inline size_t vc_ring_write(vc_ring *ring, const uint8_t *data, size_t le
         taken++;
     return taken;
 }
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

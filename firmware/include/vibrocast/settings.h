@@ -5,6 +5,10 @@
 #include "output.h"
 #include "profile.h"
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 /* cffi: begin */
 /* Decoders that are not in C; only the simulated controller has them. */
 struct vc_decoder_callbacks;
@@ -75,5 +79,9 @@ typedef struct {
     void *context;
 } vc_dac_port;
 /* cffi: end */
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

@@ -5,19 +5,9 @@
 
 static const vc_codec *const codecs[] = {VC_CODECS(ROW)};
 
-/* The codec of an identifier; NULL: C does not have it. */
-static const vc_codec *find(uint8_t identifier)
-{
-    unsigned i;
-    for (i = 0; i < VC_CODEC_COUNT; i++)
-        if (codecs[i]->identifier == identifier)
-            return codecs[i];
-    return NULL;
-}
-
 int vc_codec_is_in_c(uint8_t identifier)
 {
-    return find(identifier) != NULL;
+    return vc_codec_find(identifier) != NULL;
 }
 
 void vc_codecs_describe(vc_codec_description *descriptions)
@@ -33,7 +23,7 @@ void vc_codecs_describe(vc_codec_description *descriptions)
 static int check_tables(uint8_t identifier, const uint8_t *tables, size_t length, enum vc_error_code code,
                         vc_rejection *rejection)
 {
-    const vc_codec *codec = find(identifier);
+    const vc_codec *codec = vc_codec_find(identifier);
     const char *flaw;
     if (codec == NULL || codec->check_tables == NULL)
         return vc_reject_numbers(rejection, code, "codec # takes no model image on this controller", identifier, 0);
@@ -53,7 +43,7 @@ int vc_tables_check(const void *context, uint8_t codec, const uint8_t *tables, s
 
 int vc_coding_check(vc_coding *coding, const vc_decoder_callbacks *callbacks, vc_rejection *rejection)
 {
-    const vc_codec *codec = find(coding->codec);
+    const vc_codec *codec = vc_codec_find(coding->codec);
     if (callbacks != NULL && (codec == NULL || coding->tables != NULL)) {
         const int rejected = callbacks->check(callbacks->context, coding, rejection);
         coding->callbacks = callbacks;
@@ -61,20 +51,18 @@ int vc_coding_check(vc_coding *coding, const vc_decoder_callbacks *callbacks, vc
             return rejected;
     }
     coding->callbacks = NULL;
-    if (codec == NULL)
+    switch (vc_codec_check(codec, coding)) {
+    case VC_OK:
+        return 0;
+    case VC_NO_CODEC:
         return vc_reject_numbers(rejection, VC_UNKNOWN_CODEC, "codec # is needed, which this controller does not have",
                                  coding->codec, 0);
-    if (coding->tables != NULL &&
-        check_tables(coding->codec, coding->tables, coding->tables_length, VC_UNKNOWN_CODEC, rejection))
-        return VC_UNKNOWN_CODEC;
-    if (coding->tables == NULL && codec->needs_tables) {
+    case VC_BAD_TABLES:
+        return check_tables(coding->codec, coding->tables, coding->tables_length, VC_UNKNOWN_CODEC, rejection);
+    case VC_NEEDS_MODEL:
         vc_reject(rejection, VC_UNKNOWN_CODEC, "the codec ");
         vc_rejection_add(rejection, codec->name);
         return vc_rejection_add(rejection, " needs a model: flash the model image that the stream was coded for");
-    }
-    switch (codec->check(coding)) {
-    case VC_OK:
-        return 0;
     case VC_HOST_ONLY:
         return vc_reject(rejection, VC_UNKNOWN_CODEC,
                          "one transform of a whole texture, which only hosts decode: encode in blocks");
@@ -86,7 +74,7 @@ int vc_coding_check(vc_coding *coding, const vc_decoder_callbacks *callbacks, vc
 void vc_decoder_init(vc_decoder *decoder, const vc_coding *coding)
 {
     decoder->callbacks = coding->callbacks;
-    decoder->codec = coding->callbacks == NULL ? find(coding->codec) : NULL;
+    decoder->codec = coding->callbacks == NULL ? vc_codec_find(coding->codec) : NULL;
     if (decoder->codec == NULL)
         decoder->callbacks->init(decoder->callbacks->context, coding);
     else

@@ -4,7 +4,7 @@
 #define VIBROCAST_FRAMES_H
 
 #include "../core/vc_cobs.h"
-#include "vc_fields.h"
+#include "../core/vc_fields.h"
 #include "vibrocast/sizes.h"
 
 #define VC_CRC_BYTES 2

@@ -5,7 +5,7 @@
 #define VIBROCAST_IMAGE_STORE_H
 
 #include "vc_messages.h"
-#include "vc_model_image.h"
+#include "../core/vc_model_image.h"
 #include "vc_slot_record.h"
 
 /* Changes of the record by a host from one power-on to the next; 5 or 6 make an upload, and one erases at most one slot

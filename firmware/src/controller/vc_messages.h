@@ -8,7 +8,7 @@
 
 #include "vc_frames.h"
 #include "vibrocast/protocol.h"
-#include "vc_rejection.h"
+#include "../core/vc_rejection.h"
 
 /* cffi: begin */
 /* Opens a session, with the host's protocol version. The layout is the same in every version. */

@@ -11,7 +11,7 @@
 #include "vc_messages.h"
 #include "vc_packet_buffer.h"
 #include "vibrocast/settings.h"
-#include "vc_stream_header.h"
+#include "../core/vc_stream_header.h"
 
 /* Rates of a stream, in Hz. */
 #define VC_MIN_RATE_HZ 100u

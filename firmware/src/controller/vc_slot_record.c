@@ -3,7 +3,7 @@
 
 #include "../core/vc_common.h"
 #include "../core/vc_crc.h"
-#include "vc_fields.h"
+#include "../core/vc_fields.h"
 #include "vibrocast/protocol.h"
 
 /* Entry: "VCSR", counter u32, lowest number u32, of each slot state u8, booted u8, size u32 and SHA-256, then CRC-32.

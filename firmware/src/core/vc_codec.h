@@ -5,6 +5,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "vibrocast/config.h"
+
 /* cffi: begin */
 /* Callbacks that replace a decoder in C; only a controller that has them knows their content. */
 typedef struct vc_decoder_callbacks vc_decoder_callbacks;
@@ -34,7 +36,8 @@ typedef struct {
 typedef struct {
     uint8_t identifier;
     const char *name;
-    int needs_tables; /* there are no built-in tables */
+    size_t decoder_bytes; /* of that memory */
+    int needs_tables;     /* there are no built-in tables */
     /* Returns NULL if a decoder takes the tables, else the reason as a text. NULL: the codec takes no tables. */
     const char *(*check_tables)(const uint8_t *tables, size_t length);
     /* Fills in packet_samples and delay_samples. Returns an enum vc_status. */
@@ -46,19 +49,55 @@ typedef struct {
     uint32_t (*poll)(void *decoder, int16_t *samples);
 } vc_codec;
 
-/* The codecs of the core, a line each: vc_NAME_codec is the row, struct vc_NAME_decoder (vc_decoder_memory.h) the
- * memory.
- */
-#define VC_CODECS(CODEC)                                                                                               \
-    CODEC(mdct)                                                                                                        \
-    CODEC(dct)                                                                                                         \
-    CODEC(slp)                                                                                                         \
-    CODEC(eva)                                                                                                         \
-    CODEC(lapped)                                                                                                      \
-    CODEC(parametric)
+#if VC_WITH_MDCT
+#define VC_IF_MDCT(CODEC) CODEC(mdct)
+#else
+#define VC_IF_MDCT(CODEC)
+#endif
+#if VC_WITH_DCT
+#define VC_IF_DCT(CODEC) CODEC(dct)
+#else
+#define VC_IF_DCT(CODEC)
+#endif
+#if VC_WITH_SLP
+#define VC_IF_SLP(CODEC) CODEC(slp)
+#else
+#define VC_IF_SLP(CODEC)
+#endif
+#if VC_WITH_EVA
+#define VC_IF_EVA(CODEC) CODEC(eva)
+#else
+#define VC_IF_EVA(CODEC)
+#endif
+#if VC_WITH_LAPPED
+#define VC_IF_LAPPED(CODEC) CODEC(lapped)
+#else
+#define VC_IF_LAPPED(CODEC)
+#endif
+#if VC_WITH_PARAMETRIC
+#define VC_IF_PARAMETRIC(CODEC) CODEC(parametric)
+#else
+#define VC_IF_PARAMETRIC(CODEC)
+#endif
 
-#define VC_CODEC_DECLARED(name) extern const vc_codec vc_##name##_codec;
-VC_CODECS(VC_CODEC_DECLARED)
+/* The codecs of this build, a line each: vc_NAME_codec is the row, struct vc_NAME_decoder (vc_decoder_memory.h) the
+ * memory. */
+#define VC_CODECS(CODEC)                                                                                               \
+    VC_IF_MDCT(CODEC)                                                                                                  \
+    VC_IF_DCT(CODEC)                                                                                                   \
+    VC_IF_SLP(CODEC)                                                                                                   \
+    VC_IF_EVA(CODEC)                                                                                                   \
+    VC_IF_LAPPED(CODEC)                                                                                                \
+    VC_IF_PARAMETRIC(CODEC)
+
+extern const vc_codec vc_mdct_codec, vc_dct_codec, vc_slp_codec, vc_eva_codec, vc_lapped_codec, vc_parametric_codec;
+
+/* The codec of an identifier; NULL: this build does not have it. */
+const vc_codec *vc_codec_find(uint8_t identifier);
+
+/* Fills in packet_samples and delay_samples of a coding, whose codec is `codec`; NULL: there is none. Returns VC_OK,
+ * VC_NO_CODEC, VC_BAD_TABLES, VC_NEEDS_MODEL, VC_HOST_ONLY or VC_BAD_CONFIGURATION. Any bytes are safe. */
+int vc_codec_check(const vc_codec *codec, vc_coding *coding);
 
 /* Feeds a packet, and polls it to its end. Returns as vc_mdct_decode. */
 static inline int vc_codec_decode(const vc_codec *codec, void *decoder, uint32_t packet_samples, const uint8_t *packet,

@@ -414,4 +414,4 @@ static uint32_t poll(void *decoder, int16_t *samples)
     return vc_dct_poll(decoder, samples);
 }
 
-const vc_codec vc_dct_codec = {2, "dct", 0, NULL, check, init, feed, poll};
+const vc_codec vc_dct_codec = {2, "dct", sizeof(struct vc_dct_decoder), 0, NULL, check, init, feed, poll};

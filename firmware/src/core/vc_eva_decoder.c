@@ -225,4 +225,4 @@ static uint32_t poll(void *decoder, int16_t *samples)
     return vc_eva_poll(decoder, samples);
 }
 
-const vc_codec vc_eva_codec = {4, "eva", 1, check_tables, check, init, feed, poll};
+const vc_codec vc_eva_codec = {4, "eva", sizeof(struct vc_eva_decoder), 1, check_tables, check, init, feed, poll};

@@ -104,4 +104,5 @@ static uint32_t poll(void *decoder, int16_t *samples)
     return vc_lapped_poll(decoder, samples);
 }
 
-const vc_codec vc_lapped_codec = {12, "lapped", 1, check_tables, check, init, feed, poll};
+const vc_codec vc_lapped_codec = {12,   "lapped", sizeof(struct vc_lapped_decoder), 1, check_tables, check, init,
+                                  feed, poll};

@@ -274,4 +274,4 @@ static uint32_t poll(void *decoder, int16_t *samples)
     return vc_mdct_poll(decoder, samples);
 }
 
-const vc_codec vc_mdct_codec = {1, "mdct", 0, check_tables, check, init, feed, poll};
+const vc_codec vc_mdct_codec = {1, "mdct", sizeof(struct vc_mdct_decoder), 0, check_tables, check, init, feed, poll};

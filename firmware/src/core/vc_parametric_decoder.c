@@ -200,4 +200,5 @@ static uint32_t poll(void *decoder, int16_t *samples)
     return vc_parametric_poll(decoder, samples);
 }
 
-const vc_codec vc_parametric_codec = {11, "parametric", 0, NULL, check, init, feed, poll};
+const vc_codec vc_parametric_codec = {11,   "parametric", sizeof(struct vc_parametric_decoder), 0, NULL, check, init,
+                                      feed, poll};

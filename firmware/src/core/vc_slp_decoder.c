@@ -151,4 +151,4 @@ static uint32_t poll(void *decoder, int16_t *samples)
     return vc_slp_poll(decoder, samples);
 }
 
-const vc_codec vc_slp_codec = {3, "slp", 0, NULL, check, init, feed, poll};
+const vc_codec vc_slp_codec = {3, "slp", sizeof(struct vc_slp_decoder), 0, NULL, check, init, feed, poll};

@@ -1,7 +1,7 @@
 /* The reason for which the controller rejects a request; see vc_rejection.h. */
 #include "vc_rejection.h"
 
-#include "../core/vc_common.h"
+#include "vc_common.h"
 
 #define MAX_DIGITS 20 /* of 2^64 - 1 */
 

@@ -1,7 +1,7 @@
 /* Model images, read where they lie; see vc_model_image.h. */
 #include "vc_model_image.h"
 
-#include "../core/vc_crc.h"
+#include "vc_crc.h"
 
 #define CRC_BYTES 4
 enum { LENGTHS_AT = sizeof VC_IMAGE_MAGIC - 1 + 2, FIXED_BYTES = LENGTHS_AT + 3 + 4 };

@@ -1,7 +1,7 @@
 /* The header of a coded stream, and the heads of its packets; see vc_stream_header.h. */
 #include "vc_stream_header.h"
 
-#include "../core/vc_common.h"
+#include "vc_common.h"
 
 #define INFINITE_GAIN 0x7F80u
 
