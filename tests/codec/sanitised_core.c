@@ -17,6 +17,7 @@
 #include "core/vc_eva.h"
 #include "core/vc_lapped.h"
 #include "vibrocast/output.h"
+#include "vibrocast/status.h"
 #include "core/vc_parametric.h"
 #include "core/vc_slp.h"
 #include "core/vc_mdct.h"
