@@ -2,10 +2,10 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
-CORE := $(wildcard firmware/core/*.[ch] firmware/monocypher/*.[ch] firmware/controller/*.[ch] firmware/ports/python/*.[ch])
+CORE := $(wildcard firmware/include/vibrocast/*.h firmware/src/*/*.[ch] firmware/ports/python/*.[ch])
 SOURCES := pyproject.toml hatch_build.py $(CORE)
 # Generated files need no layout, and those of others keep theirs.
-C_SOURCES := $(filter-out firmware/monocypher/% %_tables.c %/messages.c %/messages.h %/protocol.h,$(wildcard firmware/*/*.[ch] firmware/*/*/*.[ch])) $(wildcard tests/*/*.c)
+C_SOURCES := $(filter-out firmware/src/monocypher/% %_tables.c %/actuator_tables.h %/vc_messages.c %/vc_messages.h %/protocol.h,$(wildcard firmware/*/*.[ch] firmware/*/*/*.[ch] firmware/*/*/*/*.[ch])) $(wildcard tests/*/*.c)
 
 CHECKPOINTS ?= trained
 DATA ?= recordings

@@ -17,10 +17,16 @@ ROOT = Path(__file__).parent
 sys.path.insert(0, str(ROOT))  # a build backend runs this file from elsewhere
 from firmware.declarations import cffi_declarations  # noqa: E402
 
-FOLDERS = ("firmware/core", "firmware/monocypher", "firmware/controller", "firmware/ports/python")
+FOLDERS = (
+    "firmware/include/vibrocast",
+    "firmware/src/core",
+    "firmware/src/monocypher",
+    "firmware/src/controller",
+    "firmware/ports/python",
+)
 FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-fno-sanitize=all", "-g0", "-shared")
 DEFINES = ("-DVC_CHANNELS=16",)
-"""The largest sizes of a simulated controller, where they are not those of firmware/controller/sizes.h."""
+"""The largest sizes of a simulated controller, where they are not those of firmware/include/vibrocast/sizes.h."""
 SUFFIX = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
 MACHINE = platform.machine()
 PROCESSORS = ("baseline", "x86_64_v3") if MACHINE in ("x86_64", "AMD64") else ("baseline",)
@@ -36,7 +42,7 @@ def compile_core(output_folder: Path) -> list[Path]:
 
     Return the libraries, and the declarations that cffi reads. Raises CalledProcessError.
     """
-    flags = [*FLAGS, *DEFINES, *(() if sys.platform == "win32" else ("-fPIC",)), *(f"-I{folder}" for folder in FOLDERS)]
+    flags = [*FLAGS, *DEFINES, *(() if sys.platform == "win32" else ("-fPIC",)), "-Ifirmware/include"]
     if LINKS_GLIBC:
         flags += ["-target", f"{MACHINE}-linux-gnu.{GLIBC[0]}.{GLIBC[1]}"]
     sources = [str(path.relative_to(ROOT)) for folder in FOLDERS for path in sorted((ROOT / folder).glob("*.c"))]

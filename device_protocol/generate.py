@@ -19,7 +19,7 @@ from vibrocast.device_protocol.messages import FROM_HOST, RESPONSES, Described, 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "reference" / "protocol.md"
 DISSECTOR = ROOT / "device_protocol" / "vibrocast.lua"
-CONTROLLER = ROOT / "firmware" / "controller"
+FIRMWARE = ROOT / "firmware"
 _NUMBERS = {"uint8_t": 1, "uint16_t": 2, "uint32_t": 4, "uint64_t": 8, "int64_t": 8}
 _TYPES = {"u8": "uint8_t", "u16": "uint16_t", "u32": "uint32_t", "u64": "uint64_t", "i64": "int64_t", "f32": "uint32_t"}
 _NESTED = (messages.Limits, messages.ActuatorDescription, messages.CodecDescription, messages.ImageDescription)
@@ -30,14 +30,16 @@ _STRUCTS = {messages.Status: "vc_status_report", messages.Limits: "vc_controller
 def generated_files() -> dict[Path, str]:
     """Return the required content of every generated file."""
     return {
-        **{CONTROLLER / name: _in_c_file(name) for name in ("protocol.h", "messages.h", "messages.c")},
+        FIRMWARE / "include" / "vibrocast" / "protocol.h": _in_c_file("protocol.h"),
+        FIRMWARE / "src" / "controller" / "vc_messages.h": _in_c_file("messages.h"),
+        FIRMWARE / "src" / "controller" / "vc_messages.c": _in_c_file("messages.c"),
         DISSECTOR: dissector(),
         PAGE: page(PAGE.read_text(encoding="utf-8")),
     }
 
 
 def _in_c_file(name: str) -> str:
-    """Return a file of firmware/controller, from the template of the same name next to this module."""
+    """Return a file of the firmware, from the template of the same name next to this module."""
     return pages.render(
         Path(__file__).with_name(f"{name}.jinja"),
         coded_stream=coded_stream,

@@ -1,7 +1,7 @@
 """Trains the initial tables of `mdct` on recordings: a refresh then starts from the statistics of textures.
 
 python -m vibrocast.export.mdct_tables RECORDINGS.npz ... --image mine.vcmi      for a controller
-python -m vibrocast.export.mdct_tables RECORDINGS.npz ... --built-in             for firmware/core itself
+python -m vibrocast.export.mdct_tables RECORDINGS.npz ... --built-in             for firmware/src/core itself
 """
 
 from pathlib import Path
@@ -14,22 +14,27 @@ from vibrocast.export.mdct_training import RATE_HZ, trained
 from vibrocast.export.training_data import archive_recordings
 from vibrocast.textures import TextureError
 
-_BUILT_IN_SOURCE = Path(__file__).parents[1] / "firmware" / "core" / "builtin_tables.c"
+_BUILT_IN_SOURCE = Path(__file__).parents[1] / "firmware" / "src" / "core" / "vc_builtin_tables.c"
 
 
 def c_source(tables: bytes) -> str:
-    """Return firmware/core/builtin_tables.c for the tables."""
+    """Return firmware/src/core/vc_builtin_tables.c for the tables."""
     lines = [", ".join(map(str, tables[start : start + 20])) for start in range(0, len(tables), 20)]
     head = (
         "/* Initial tables of the context model; written by `python -m vibrocast.export.mdct_tables --built-in`. */\n"
     )
-    return head + '#include "mdct.h"\n\nconst uint8_t vc_builtin_tables[] = {\n    ' + ",\n    ".join(lines) + "};\n"
+    return (
+        head
+        + '#include "vc_mdct_state.h"\n\nconst uint8_t vc_builtin_tables[] = {\n    '
+        + ",\n    ".join(lines)
+        + "};\n"
+    )
 
 
 @click.command()
 @click.argument("archives", nargs=-1, required=True, type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.option("--image", type=click.Path(dir_okay=False, path_type=Path), help="Write a model image.")
-@click.option("--built-in", is_flag=True, help="Replace the tables built into firmware/core; reinstall afterwards.")
+@click.option("--built-in", is_flag=True, help="Replace the tables built into firmware/src/core; reinstall afterwards.")
 @click.option("--name", default="mdct", show_default=True, help="Name the image.")
 @click.option("--version", default="1", show_default=True, help="State the version of the image.")
 @click.option("--drop-s", default=1.0, show_default=True, help="Drop this many seconds at each start.")

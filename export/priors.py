@@ -60,7 +60,7 @@ class ContextPrior(nn.Module):
 
     Four weighted sums of neighbouring magnitudes - two lower channels of this column, five channels of the last three,
     and a running average - each plus a constant, are combined as powers, with weights for each channel. The sums start
-    as the expected magnitude of firmware/core/mdct_model.c.
+    as the expected magnitude of firmware/src/core/vc_mdct_model.c.
     """
 
     def __init__(self, latents: int) -> None:

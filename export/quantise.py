@@ -29,7 +29,7 @@ TONES = 64
 
 _LARGEST = 32767.0
 _MAX_WORD = 2**32 - 1
-# The values of firmware/core/eva_kernels.h and eva_synthesis.c.
+# The values of firmware/src/core/vc_eva_kernels.h and eva_synthesis.c.
 _ENERGY_SHIFT, _SQUARE_SHIFT, _SCALE_SHIFT, _SAMPLE_UNIT = 24, 15, 32, 1024.0
 
 Values = NDArray[np.float64]

@@ -22,8 +22,8 @@ from vibrocast.firmware.keys import read_public_key
 from vibrocast.firmware.native_core import CoreError
 
 ROOT = Path(__file__).parent
-SHARED = ("core", "monocypher", "controller")
-"""Folders whose C sources are in every target."""
+SHARED = ("include/vibrocast", "src/core", "src/monocypher", "src/controller")
+"""Folders of every target: public headers, and C sources."""
 
 FLAGS = (
     "-std=c99",
@@ -55,7 +55,7 @@ class Target:
     """One build of the firmware.
 
     `folders`: of its port, below firmware/, whose C sources are compiled with those of `shared`. `defines`: sizes of
-    controller/sizes.h, and settings of its port.
+    vibrocast/sizes.h, and settings of its port.
     """
 
     summary: str
@@ -73,7 +73,7 @@ class Target:
 
     def command(self) -> list[str]:
         """Return the compiler's arguments except the output; run it in ROOT."""
-        includes = [f"-I{folder}" for folder in (*self.shared, *self.folders)]
+        includes = [f"-I{folder}" for folder in ("include", *self.folders)]
         texts = {name: f'"{value}"' if isinstance(value, str) else value for name, value in self.defines.items()}
         defines = [f"-D{name}={value}" for name, value in texts.items()]
         return [*FLAGS, *self.flags, *defines, *includes, *map(str, self.sources())]
@@ -132,6 +132,39 @@ _STM32F405 = {
     "VC_RATE_RATIO": 4,
 }
 
+# One channel as it comes from a host: some 0.3 s at 2800 Hz, in packets of at most 128 samples.
+_SMALL = {
+    "VC_CHANNELS": 1,
+    "VC_MAX_CHANNELS": 1,
+    "VC_BUFFER_SAMPLES": 1024,
+    "VC_BUFFER_PACKETS": 16,
+    "VC_BUFFER_BYTES": 4 * 628,
+    "VC_PACKET_SAMPLES": 128,
+    "VC_PROFILE_SAMPLES": 0,
+    "VC_CAPTURE_SAMPLES": 0,
+    "VC_MAX_PAYLOAD_BYTES": 640,
+    "VC_OUTGOING_BYTES": 2 * 640,
+    "VC_RATE_RATIO": 1,
+}
+_CODECS = ("MDCT", "DCT", "SLP", "EVA", "LAPPED", "PARAMETRIC")
+
+
+def _small(codec: str) -> Target:
+    """Return a controller with one codec for small processors, on an emulated board."""
+    only = {f"VC_WITH_{name}": int(name == codec) for name in _CODECS}
+    target = _cortex_m(
+        f"one channel of {codec.lower()} for small processors, on an MPS2 board (an386)",
+        M4F,
+        "small.ld",
+        ("ports/mps2", "ports/mps2/polled"),
+        VC_HARDWARE="mps2-an386",
+        **_SMALL,
+        **only,
+    )
+    # At -Os, zig drops the names of functions, except with -g1.
+    return replace(target, flags=(*target.flags, "-Os", "-g1"))
+
+
 TARGETS: Mapping[str, Target] = {
     "native": Target(
         "shared library of core and controller, for cffi",
@@ -151,6 +184,8 @@ TARGETS: Mapping[str, Target] = {
     **_mps2("cortex-m4", M4F, "an386"),
     **_mps2("cortex-m7", M7, "an500"),
     **_mps2("cortex-m33", M33, "an505", "an505.ld", VC_AN505=1),
+    "small-slp": _small("SLP"),
+    "small-mdct": _small("MDCT"),
     "stm32f405": _stm32f405("Adafruit Feather STM32F405 Express", "board.ld"),
     "stm32f405-qemu": _stm32f405("the same for QEMU, which lacks a memory", "qemu.ld"),
 }
@@ -159,7 +194,7 @@ TARGETS: Mapping[str, Target] = {
 def build(name: str, sizes: Mapping[str, int] | None = None, public_key: bytes | None = None) -> Path:
     """Build a target of TARGETS, unless it is there already, and return its file.
 
-    `sizes`: of controller/sizes.h, in place of the target's. `public_key`: 32 bytes, of Ed25519; model images need its
+    `sizes`: of vibrocast/sizes.h, in place of the target's. `public_key`: 32 bytes, of Ed25519; model images need its
     signature, None = they need none. A library's declarations for cffi lie next to it, with the suffix ".cdef". Builds
     are kept in firmware/build, or in the user's cache where that cannot be written, by a hash of all that they are made
     from. Raises BuildError and MissingExtraError.
@@ -177,7 +212,7 @@ def build(name: str, sizes: Mapping[str, int] | None = None, public_key: bytes |
             made.mkdir()
             _compile(target, made / built.name)
             if target.suffix == _LIBRARY_SUFFIX:
-                parts = [cffi_declarations(ROOT / shared) for shared in target.shared]
+                parts = [cffi_declarations(ROOT / folder) for folder in target.shared]
                 (made / built.with_suffix(".cdef").name).write_text("\n".join(parts))
             try:
                 made.rename(folder)

@@ -1,4 +1,4 @@
-"""Keys and signatures of Ed25519 (RFC 8032) by firmware/controller/ed25519.h, and key files in PEM (RFC 8410)."""
+"""Keys and signatures of Ed25519 (RFC 8032) by vc_ed25519.h, and key files in PEM (RFC 8410)."""
 
 import base64
 import os

@@ -12,7 +12,7 @@ BAND_HZ = 400.0
 """What is worth coding at the slowest hand: up to here the DCT paper's display renders its textures."""
 SLOWEST_MM_S = 10.0
 
-# Parts of its rate: up to where a profile is rendered exactly, and without images (firmware/core/profile.h).
+# Parts of its rate: up to where a profile is rendered exactly, and without images (vibrocast/profile.h).
 _EXACT_PART, _BAND_PART = 0.34, 0.435
 
 

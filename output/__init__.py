@@ -1,1 +1,1 @@
-"""Samples to skin: actuator models, compensation, DAC codes; firmware/core/drive.c and dac.c compute them."""
+"""Samples to skin: actuator models, compensation, DAC codes; vc_drive.c and vc_dac.c of the core compute them."""

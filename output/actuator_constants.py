@@ -1,4 +1,4 @@
-"""An actuator's constants in integers (vc_actuator of firmware/core/output.h); run directly, writes those that ship."""
+"""An actuator's constants in integers (vc_actuator of vibrocast/output.h); run directly, writes those that ship."""
 
 import argparse
 import math
@@ -15,7 +15,9 @@ from vibrocast.output.actuator import (
     Actuator,
 )
 
-TABLES = Path(__file__).parents[1] / "firmware" / "controller" / "actuator_tables.c"
+_FIRMWARE = Path(__file__).parents[1] / "firmware"
+TABLES = _FIRMWARE / "src" / "controller" / "vc_actuator_tables.c"
+HEADER = _FIRMWARE / "include" / "vibrocast" / "actuator_tables.h"
 SHIPPED = {
     "piezo_stack": PIEZO_STACK,
     "piezo_stack_12_bits": replace(PIEZO_STACK, dac_bits=12),
@@ -81,7 +83,7 @@ def _section(tangent: float, quality: float, weights: Sequence[float]) -> dict[s
 
 
 def source() -> tuple[str, str]:
-    """Return the contents of actuator_tables.c and of its header."""
+    """Return the contents of vc_actuator_tables.c and of its header."""
     command = "written by `python -m vibrocast.output.actuator_constants`"
     tables = [
         f"const vc_actuator vc_{name} = {_initialiser(constants(actuator))};\n" for name, actuator in SHIPPED.items()
@@ -93,9 +95,10 @@ def source() -> tuple[str, str]:
     )
     guard = "VIBROCAST_ACTUATOR_TABLES_H"
     return (
-        f'/* Actuators that ship; {command}. */\n#include "actuator_tables.h"\n\n' + "\n".join(tables),
+        f'/* Actuators that ship; {command}. */\n#include "vibrocast/actuator_tables.h"\n\n' + "\n".join(tables),
         f"/* Actuators that ship; {command}. */\n#ifndef {guard}\n#define {guard}\n\n"
-        f'#include "output.h"\n\n/* cffi: begin */\n{declared}/* cffi: end */\n\n#endif\n',
+        f'#include "output.h"\n\n#ifdef __cplusplus\nextern "C" {{\n#endif\n\n'
+        f"/* cffi: begin */\n{declared}/* cffi: end */\n\n#ifdef __cplusplus\n}}\n#endif\n\n#endif\n",
     )
 
 
@@ -112,8 +115,6 @@ def _initialiser(constant: int | bytes | Sequence[int] | Mapping[str, Any], inde
 
 
 if __name__ == "__main__":
-    argparse.ArgumentParser(
-        description="Write the C tables of the actuators that ship into firmware/core."
-    ).parse_args()
-    for path, text in zip((TABLES, TABLES.with_suffix(".h")), source(), strict=True):
+    argparse.ArgumentParser(description="Write the C tables of the actuators that ship into firmware/.").parse_args()
+    for path, text in zip((TABLES, HEADER), source(), strict=True):
         path.write_text(text)

@@ -1,4 +1,4 @@
-"""Renders a height profile by the position of the hand, by firmware/core/profile.h: the same integers everywhere."""
+"""Renders a height profile by the position of the hand, by vibrocast/profile.h: the same integers everywhere."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -12,7 +12,7 @@ from vibrocast.output.actuator import Actuator, Codes
 from vibrocast.output.rendering import Dac, Drive
 
 # Delay with which positions from a host are rendered, and time constant of each of the two low-passes that smooth them:
-# firmware/core/profile.h.
+# vibrocast/profile.h.
 HAND_DELAY_US = 20_000
 HAND_SMOOTHING_US = 4_000
 

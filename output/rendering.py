@@ -1,4 +1,4 @@
-"""From decoded samples to DAC codes, compensation and limits included, by firmware/core/output.h: the same integers.
+"""From decoded samples to DAC codes, compensation and limits included, by vibrocast/output.h: the same integers.
 
 The host computes them with `render`, and compares them with the controller's output. Every step gives the same bits,
 however the samples are cut into pieces.

@@ -1,4 +1,4 @@
-"""The simulated controller: firmware/controller in this process, with a clock, flash and an actuator in Python."""
+"""The simulated controller: firmware/src/controller in this process, with a clock, flash and an actuator in Python."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

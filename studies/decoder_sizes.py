@@ -17,9 +17,18 @@ from vibrocast import codec
 from vibrocast.evaluation.cost import DECODER_SIZES, DecoderSize
 from vibrocast.files import atomic_write
 
-_CORE = Path(__file__).parents[1] / "firmware" / "core"
+_CORE = Path(__file__).parents[1] / "firmware" / "src" / "core"
 _TARGET = ("-target", "thumb-freestanding-eabihf", "-mcpu=cortex_m4+vfp4d16sp")
-_FLAGS = ("-Os", "-std=c99", "-ffreestanding", "-fno-builtin", "-ffunction-sections", "-fdata-sections", "-g0")
+_FLAGS = (
+    "-Os",
+    f"-I{_CORE.parents[1] / 'include'}",
+    "-std=c99",
+    "-ffreestanding",
+    "-fno-builtin",
+    "-ffunction-sections",
+    "-fdata-sections",
+    "-g0",
+)
 
 
 def count_decoder_size(codec_name: str) -> DecoderSize:

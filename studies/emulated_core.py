@@ -56,8 +56,16 @@ def compile_core(output: Path, core: Core, functions: Sequence[str], **defines: 
     script.write_text(f"SECTIONS {{ . = {_FLASH}; .text : {{ *(.text*) *(.rodata*) }} }}\n", encoding="utf-8")
     roots = [f"-Wl,-u,{name}" for name in functions]
     defined = [f"-D{name}={value}" for name, value in defines.items()]
-    sources = [str(path) for path in sorted((ROOT / "core").glob("*.c")) if not path.stem.endswith("_encoder")]
-    options = [*FLAGS, *CORTEX_M_FLAGS, f"-mcpu={core.compiled_for}", "-Wl,--entry=0", "-T", str(script)]
+    sources = [str(path) for path in sorted((ROOT / "src" / "core").glob("*.c")) if not path.stem.endswith("_encoder")]
+    options = [
+        *FLAGS,
+        *CORTEX_M_FLAGS,
+        f"-I{ROOT / 'include'}",
+        f"-mcpu={core.compiled_for}",
+        "-Wl,--entry=0",
+        "-T",
+        str(script),
+    ]
     command = [sys.executable, "-m", "ziglang", "cc", *options, *roots, *defined, *sources, "-o", str(output)]
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:

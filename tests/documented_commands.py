@@ -172,7 +172,7 @@ class Session:
         self._interpreter: subprocess.Popen[str] | None = None
         self._errors = errors
         shutil.copytree(ROOT / "examples", folder / "examples")
-        for name in ("models", "tests"):
+        for name in ("firmware", "models", "tests"):
             (folder / name).symlink_to(ROOT / name)
         (folder / ".venv").symlink_to(sys.prefix)
         packages = folder / "packages"

@@ -525,7 +525,7 @@ def sources() -> list[str]:
 
     Monocypher's are not among them: others wrote those.
     """
-    own = "*.py", "firmware/*.c", "firmware/*.h", ":!firmware/monocypher"
+    own = "*.py", "firmware/*.c", "firmware/*.h", ":!firmware/src/monocypher"
     listed = _git("ls-files", "--cached", "--others", "--exclude-standard", *own)
     return sorted({path for path in listed if (ROOT / path).is_file()})
 

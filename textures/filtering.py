@@ -9,7 +9,7 @@ from vibrocast.textures.recording import Recording, Signal, TextureError
 
 HIGHPASS_HZ = 20.0
 """Below it, the hand moves as a whole, and acceleration is gravity, posture and drift. The actuator output of
-firmware/core drops that band, too."""
+firmware/src/core drops that band, too."""
 TRANSITION = 0.1
 """Width of the filter's transition, relative to its corner: from 18 to 20 Hz."""
 STOP_BAND_DB = 60.0

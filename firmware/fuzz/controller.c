@@ -3,9 +3,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "actuator_tables.h"
-#include "controller.h"
-#include "messages.h"
+#include "vibrocast/actuator_tables.h"
+#include "vibrocast/controller.h"
+#include "../src/controller/vc_messages.h"
 #include "targets.h"
 
 enum { RECORD_BYTES = 256, SLOT_BYTES = 8192, FLASH_BYTES = 2 * RECORD_BYTES + 2 * SLOT_BYTES };

@@ -2,11 +2,11 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "codec.h"
-#include "decoder_memory.h"
-#include "lapped.h"
+#include "../src/core/vc_codec.h"
+#include "../src/core/vc_decoder_memory.h"
+#include "../src/core/vc_lapped.h"
 #include "targets.h"
-#include "vibrocast_core.h"
+#include "../src/core/vc_mdct.h"
 
 /* Beyond these, a controller takes no stream, or one input takes long. */
 #define MAX_PACKET_SAMPLES 4096u

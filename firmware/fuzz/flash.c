@@ -2,8 +2,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "crc.h"
-#include "image_store.h"
+#include "../src/core/vc_crc.h"
+#include "../src/controller/vc_image_store.h"
 #include "targets.h"
 
 enum { PIECE_BYTES = 256, SLOT_BYTES = 2048, FLASH_BYTES = 2 * PIECE_BYTES + 2 * SLOT_BYTES };

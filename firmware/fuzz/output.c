@@ -2,9 +2,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "actuator_tables.h"
-#include "fields.h"
-#include "output.h"
+#include "vibrocast/actuator_tables.h"
+#include "../src/core/vc_fields.h"
+#include "vibrocast/output.h"
 #include "targets.h"
 
 enum { SAMPLES, WAVE, GAIN, JOIN, RAMP, RESTART, KINDS };

@@ -2,8 +2,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "fields.h"
-#include "profile.h"
+#include "../src/core/vc_fields.h"
+#include "vibrocast/profile.h"
 #include "targets.h"
 
 enum { RENDER, POSITION, BEGIN, KINDS };

@@ -9,7 +9,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "codec.h"
+#include "../src/core/vc_codec.h"
 
 typedef void (*vc_fuzz_target)(const uint8_t *data, size_t length);
 

@@ -2,11 +2,11 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "crc.h"
-#include "decoders.h"
-#include "messages.h"
-#include "model_image.h"
-#include "stream_header.h"
+#include "../src/core/vc_crc.h"
+#include "../src/controller/vc_decoders.h"
+#include "../src/controller/vc_messages.h"
+#include "../src/core/vc_model_image.h"
+#include "../src/core/vc_stream_header.h"
 #include "targets.h"
 
 static volatile uint8_t seen;

@@ -1,6 +1,6 @@
 /* The loop that runs a controller on any port. */
-#include "port.h"
-#include "controller_memory.h"
+#include "vibrocast/port.h"
+#include "../src/controller/vc_controller_memory.h"
 
 #define VC_PIECE_BYTES 256 /* in one read or write */
 

@@ -24,7 +24,7 @@ b0 = 0, the threshold itself, was noticed. The strictest of the three values hol
 PASS_BAND = 0.91
 """Part of half the stream's rate in which textures.resample keeps the level."""
 PROFILE_PASS_BAND = 0.68
-"""Part of half the rate of a profile over position that controllers render (firmware/core/profile.h)."""
+"""Part of half the rate of a profile over position that controllers render (vibrocast/profile.h)."""
 RATE_STEP = MIN_RATE_HZ = 100
 """Step between rates of streams, and the lowest rate that controllers play."""
 SPEEDS = 5

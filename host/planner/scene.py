@@ -46,7 +46,7 @@ HAND_SPEEDS_MM_S = (1.0, 2000.0)
 """Hands explore surfaces at some 10 to 300 mm/s. The range is wider, but rejects metres given as millimetres."""
 
 MAX_TRACKED_MM_S = 300.0
-"""Highest hand speed at which controllers render profiles by position (firmware/core/profile.h)."""
+"""Highest hand speed at which controllers render profiles by position (vibrocast/profile.h)."""
 
 
 class SceneError(InputFileError):

@@ -13,13 +13,14 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "dct.h"
-#include "eva.h"
-#include "lapped.h"
-#include "output.h"
-#include "parametric.h"
-#include "slp.h"
-#include "vibrocast_core.h"
+#include "core/vc_dct.h"
+#include "core/vc_eva.h"
+#include "core/vc_lapped.h"
+#include "vibrocast/output.h"
+#include "vibrocast/status.h"
+#include "core/vc_parametric.h"
+#include "core/vc_slp.h"
+#include "core/vc_mdct.h"
 
 #define SLP_MAX_ORDER 16
 

@@ -30,10 +30,19 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if compiler is None:
         pytest.skip("no clang or gcc, whose sanitisers this needs")
     built = tmp_path_factory.mktemp("sanitised") / "core"
-    core = ROOT / "firmware" / "core"
-    sources = [*sorted(core.glob("*.c")), Path(__file__).with_name("sanitised_core.c")]
+    firmware = ROOT / "firmware"
+    sources = [*sorted((firmware / "src" / "core").glob("*.c")), Path(__file__).with_name("sanitised_core.c")]
     flags = ["-std=c99", "-g", "-O1", "-Wall", "-Wextra", "-Werror", "-fsanitize=address,undefined"]
-    command = [compiler, *flags, "-fno-sanitize-recover=all", f"-I{core}", *map(str, sources), "-o", str(built)]
+    command = [
+        compiler,
+        *flags,
+        "-fno-sanitize-recover=all",
+        f"-I{firmware / 'include'}",
+        f"-I{firmware / 'src'}",
+        *map(str, sources),
+        "-o",
+        str(built),
+    ]
     done = subprocess.run(command, capture_output=True, text=True)
     if "libasan" in done.stderr or "libclang_rt" in done.stderr:
         pytest.skip(f"{compiler} has no sanitiser runtime")

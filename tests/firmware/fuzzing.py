@@ -24,7 +24,7 @@ FLAGS = ["-std=c99", "-g", "-O1", "-Wall", "-Wextra", "-Werror", "-fno-sanitize-
 COUNTING = "-fsanitize-coverage=inline-8bit-counters"
 """The option of Clang by which the engine sees which code an input reaches."""
 
-_FOLDERS = [*(FIRMWARE / name for name in ("core", "monocypher", "controller")), FUZZ]
+_FOLDERS = [*(FIRMWARE / "src" / name for name in ("core", "monocypher", "controller")), FUZZ]
 # A small controller, which is quick to reset for each input.
 _SIZES = {
     "VC_CHANNELS": 2,
@@ -58,7 +58,7 @@ def build(compiler: list[str], sanitisers: str, program: Path, *options: str) ->
     if "fuzzer" in sanitisers:
         sources.remove(ENGINE)
     sizes = [f"-D{name}={value}" for name, value in _SIZES.items()]
-    includes = [f"-I{folder}" for folder in _FOLDERS]
+    includes = [f"-I{FIRMWARE / 'include'}"]
     command = [*compiler, *FLAGS, f"-fsanitize={sanitisers}", *options, *sizes, *includes, *map(str, sources)]
     return subprocess.run([*command, "-o", str(program)], capture_output=True, text=True)
 

@@ -11,7 +11,7 @@ from vibrocast.firmware.build import build
 
 @cache
 def load(**sizes: int) -> tuple[Any, Any]:
-    """Return a build with sizes of firmware/controller/sizes.h: its declarations (FFI), and its functions."""
+    """Return a build with sizes of firmware/include/vibrocast/sizes.h: its declarations (FFI), and its functions."""
     library = build("native", sizes)
     declarations = FFI()
     declarations.cdef(library.with_suffix(".cdef").read_text(), override=True)

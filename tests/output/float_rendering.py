@@ -1,4 +1,4 @@
-"""The output in floating point, a whole recording at a time: what firmware/core/output.h computes in integers."""
+"""The output in floating point, a whole recording at a time: what vibrocast/output.h computes in integers."""
 
 import math
 

@@ -14,7 +14,7 @@ from vibrocast.output.actuator import (
     Actuator,
     Filter,
 )
-from vibrocast.output.actuator_constants import TABLES, constants, source
+from vibrocast.output.actuator_constants import HEADER, TABLES, constants, source
 
 DESCRIBED = [
     PIEZO_STACK,
@@ -83,7 +83,7 @@ def test_values_that_do_not_fit_are_rejected(actuator: Actuator, reason: str) ->
 def test_tables_are_what_their_command_writes() -> None:
     tables, header = source()
     assert TABLES.read_text() == tables
-    assert TABLES.with_suffix(".h").read_text() == header
+    assert HEADER.read_text() == header
 
 
 def test_every_actuator_ships() -> None:

@@ -17,7 +17,7 @@ OLD = ModelImage(1, "old", "1", HARDWARE, bytes(range(100))).pack()
 NEW = ModelImage(1, "new", "2", "", b"\xff\x00" * 300 + b"\xff" * 40).pack()
 
 
-ENTRY_BYTES = 92  # firmware/controller/slot_record.h
+ENTRY_BYTES = 92  # firmware/src/controller/vc_slot_record.h
 PRIVATE_KEY = bytes(range(32))
 KEY = public_key(PRIVATE_KEY)
 

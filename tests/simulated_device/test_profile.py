@@ -63,7 +63,7 @@ def loaded(profile: NDArray[np.int16], dac_rate_hz: int = RATE_HZ) -> Profile:
 
 
 def periodic(profile: NDArray[np.int16], dac_rate_hz: int) -> NDArray[np.float64]:
-    """Return one period of the repeated profile, as firmware/core/profile.h defines it."""
+    """Return one period of the repeated profile, as vibrocast/profile.h defines it."""
     step = octaves_step(SAMPLES_PER_METRE, dac_rate_hz)
     period = (len(profile) - len(profile) // 16) // step * step
     faded = min(len(profile) - period, period)

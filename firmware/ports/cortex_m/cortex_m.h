@@ -5,7 +5,13 @@
 #ifndef VIBROCAST_CORTEX_M_H
 #define VIBROCAST_CORTEX_M_H
 
+#include <stddef.h>
 #include <stdint.h>
+
+/* All of libc that compilers and the firmware call; memory.c. */
+void *memcpy(void *destination, const void *source, size_t length);
+void *memset(void *destination, int value, size_t length);
+int memcmp(const void *one, const void *other, size_t length);
 
 #define VC_REGISTER(address) (*(volatile uint32_t *)(address))
 

@@ -1,10 +1,5 @@
 /* The three functions of libc that compilers and the core call. */
-#include <stddef.h>
-#include <stdint.h>
-
-void *memcpy(void *destination, const void *source, size_t length);
-void *memset(void *destination, int value, size_t length);
-int memcmp(const void *one, const void *other, size_t length);
+#include "cortex_m.h"
 
 /* Copies words if both ends are aligned to words, or can be after the same few bytes. */
 void *memcpy(void *destination, const void *source, size_t length)

@@ -23,9 +23,9 @@
 #include <time.h>
 #include <unistd.h>
 
-#include "actuator_tables.h"
-#include "port.h"
-#include "sizes.h"
+#include "vibrocast/actuator_tables.h"
+#include "vibrocast/port.h"
+#include "vibrocast/sizes.h"
 
 #define RECORD_BYTES 4096u
 #define SLOT_BYTES (1u << 20)

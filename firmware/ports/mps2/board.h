@@ -24,7 +24,7 @@
 #define VC_UART_LINES 2
 #endif
 
-#include "controller.h"
+#include "vibrocast/controller.h"
 #include "cortex_m.h"
 
 #define VC_UART_DATA VC_REGISTER(VC_UART)

@@ -1,6 +1,5 @@
 /* Flash in the board's memory: it behaves like NOR flash, and keeps its content until power-off. */
 #include "board.h"
-#include "common.h"
 
 #define VC_RECORD_BYTES 4096u
 #define VC_SLOT_BYTES (1u << 20)

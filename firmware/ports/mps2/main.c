@@ -1,8 +1,8 @@
 /* A controller on an MPS2 board. */
-#include "actuator_tables.h"
+#include "vibrocast/actuator_tables.h"
 #include "board.h"
-#include "port.h"
-#include "sizes.h"
+#include "vibrocast/port.h"
+#include "vibrocast/sizes.h"
 
 static int64_t profile[VC_PROFILE_WORDS];
 
@@ -24,7 +24,7 @@ int main(void)
         .actuator = &vc_piezo_stack,
         .public_key = (const uint8_t *)VC_PUBLIC_KEY,
         .watchdog_ms = 2000,
-        .profile = (vc_profile *)profile,
+        .profile = VC_PROFILE_SAMPLES > 0 ? (vc_profile *)profile : NULL,
     };
     static const vc_dac_port dac = {.play = play};
     vc_board_start();

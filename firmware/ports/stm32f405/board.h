@@ -6,7 +6,7 @@
 #ifndef VIBROCAST_STM32F405_BOARD_H
 #define VIBROCAST_STM32F405_BOARD_H
 
-#include "controller.h"
+#include "vibrocast/controller.h"
 #include "registers.h"
 
 #define VC_PROCESSOR_HZ 168000000u

@@ -6,8 +6,7 @@
  * stream, and sets the lag again. A Stop empties the ring, so the lag does not delay it.
  */
 #include "board.h"
-#include "common.h"
-#include "port.h"
+#include "vibrocast/port.h"
 
 #define CHANNELS 2
 #define REST 2048

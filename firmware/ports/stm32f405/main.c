@@ -1,9 +1,8 @@
 /* A controller on an Adafruit Feather STM32F405 Express. */
-#include "actuator_tables.h"
+#include "vibrocast/actuator_tables.h"
 #include "board.h"
-#include "common.h"
-#include "port.h"
-#include "sizes.h"
+#include "vibrocast/port.h"
+#include "vibrocast/sizes.h"
 #include "systick.h"
 
 #define ACTUATOR vc_piezo_stack_12_bits

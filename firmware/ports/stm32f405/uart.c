@@ -1,7 +1,7 @@
 /* The serial port by interrupts. RM0090: 30.3 (USART), 8.3 (pins). */
 #include "board.h"
-#include "port.h"
-#include "ring.h"
+#include "vibrocast/port.h"
+#include "vibrocast/ring.h"
 
 #define BAUD 921600u
 

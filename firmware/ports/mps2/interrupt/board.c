@@ -1,7 +1,7 @@
 /* UART and clock by interrupts; the processor sleeps between them. */
 #include "board.h"
-#include "port.h"
-#include "ring.h"
+#include "vibrocast/port.h"
+#include "vibrocast/ring.h"
 #include "systick.h"
 
 static uint8_t received_bytes[1 << 14], sending_bytes[1 << 10];

@@ -1,7 +1,7 @@
 /* UART and clock without interrupts: runs on processor emulators that have none. */
 #include "board.h"
 #include "cortex_m.h"
-#include "port.h"
+#include "vibrocast/port.h"
 
 void vc_board_start(void)
 {

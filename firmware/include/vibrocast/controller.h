@@ -1,0 +1,46 @@
+/* A controller without any input or output of its own: bytes and time in, bytes and DAC codes out.
+ *
+ * C99, no allocation, no recursion, no libc but memcpy and memset. The whole controller is one vc_controller that the
+ * port owns. docs/reference/protocol.md says how it behaves, docs/how-to/port_the_firmware.md how to port it.
+ */
+#ifndef VIBROCAST_CONTROLLER_H
+#define VIBROCAST_CONTROLLER_H
+
+#include "settings.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* cffi: begin */
+typedef struct vc_controller vc_controller;
+
+/* Returns the bytes of memory, aligned for int64_t, of a vc_controller. */
+size_t vc_controller_size(void);
+
+/* Returns the bytes of memory, aligned for int64_t, of its vc_profile. */
+size_t vc_controller_profile_size(void);
+
+/* Boots: reads the flash, and starts the image on trial or the confirmed one. The caller owns `controller`, and
+ * `settings`, `flash` and `dac`, which must stay valid. `now_us`: the controller's clock in microseconds, which never
+ * goes back. */
+void vc_controller_init(vc_controller *controller, const vc_controller_settings *settings, const vc_flash *flash,
+                        const vc_dac_port *dac, uint64_t now_us);
+
+/* Takes `length` bytes from the host, at the time `now_us`. Any bytes are safe. Returns as vc_controller_advance. */
+int vc_controller_receive(vc_controller *controller, const uint8_t *data, size_t length, uint64_t now_us);
+
+/* Plays what is due up to `now_us`, and checks the watchdog. A call decodes one block at most, so bytes from the host
+ * never wait longer than for one. Returns 1 if work is left: call it again at once, after vc_controller_receive where
+ * bytes have come. Else call it every few milliseconds. */
+int vc_controller_advance(vc_controller *controller, uint64_t now_us);
+
+/* Moves up to `capacity` bytes for the host into `data`. Returns how many bytes. */
+size_t vc_controller_transmit(vc_controller *controller, uint8_t *data, size_t capacity);
+/* cffi: end */
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

@@ -1,0 +1,44 @@
+/* The three functions of a port, and the loop that runs a controller on them.
+ *
+ * The port's main() sets up its hardware and calls vc_loop_start() once. It then calls vc_loop_turn() for ever, at
+ * least every few milliseconds. docs/how-to/port_the_firmware.md walks through a port.
+ */
+#ifndef VIBROCAST_PORT_H
+#define VIBROCAST_PORT_H
+
+#include "controller.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define VC_BUILD "vibrocast firmware 0.1.0"
+/* The 32 bytes of the key that signs model images: `python -m vibrocast.firmware.build --public-key`. */
+#ifndef VC_PUBLIC_KEY
+#define VC_PUBLIC_KEY NULL
+#endif
+
+/* Starts the controller. The port owns `settings`, `flash` and `dac`, which must stay valid. A turn hands codes to the
+ * DAC after it has decoded a block for them, so they come late by that time. The ramp to rest after a Stop comes at
+ * once, about 5 ms ahead of time. */
+void vc_loop_start(const vc_controller_settings *settings, const vc_flash *flash, const vc_dac_port *dac);
+
+/* Takes bytes from the host, plays the samples that are due, and hands on bytes for the host; a turn decodes one block
+ * at most. Returns 0 if no byte moved and no work is left: the port may then wait for the next byte, or for a few
+ * milliseconds. */
+int vc_loop_turn(void);
+
+/* Copies up to `capacity` bytes from the host into `data`. Returns how many bytes there were. Never waits. */
+size_t vc_port_read(uint8_t *data, size_t capacity);
+
+/* Takes up to `length` bytes for the host from `data`. Returns how many it took. Never waits. */
+size_t vc_port_write(const uint8_t *data, size_t length);
+
+/* Returns a clock in microseconds, from any start. It never goes back, and the same oscillator drives the DAC. */
+uint64_t vc_port_now_us(void);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

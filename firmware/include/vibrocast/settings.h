@@ -1,0 +1,87 @@
+/* The settings of a controller: flash, DAC, perhaps a sensor, and the description that HelloResponse gives. */
+#ifndef VIBROCAST_SETTINGS_H
+#define VIBROCAST_SETTINGS_H
+
+#include "output.h"
+#include "profile.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* cffi: begin */
+/* Decoders that are not in C; only the simulated controller has them. */
+struct vc_decoder_callbacks;
+
+/* Flash memory for model images: NOR flash in the address space, read in place.
+ *
+ * `record`, `slot`: offsets from `base` of two pieces of record_bytes and of two pieces of slot_bytes. Each piece is a
+ * whole number of sectors.
+ * `erase` sets bytes to 0xFF; it gets one of these pieces, or several sectors of it. `program` only clears bits; it
+ * gets any bytes. Both return 0, or another number if the flash failed. They may take as long as the hardware needs. */
+typedef struct {
+    const uint8_t *base;
+    uint32_t record[2], record_bytes;
+    uint32_t slot[2], slot_bytes;
+    int (*erase)(void *context, uint32_t offset, uint32_t length);
+    int (*program)(void *context, uint32_t offset, const uint8_t *data, uint32_t length);
+    void *context;
+} vc_flash;
+
+/* Returns the position of the hand, in nanometres from any origin: a sensor on the board. Called some hundred times a
+ * second, before rendering. `now_us`: the controller's clock in microseconds. */
+typedef int64_t (*vc_position_sensor)(void *context, uint64_t now_us);
+
+/* Limits that HelloResponse names. */
+typedef struct {
+    uint8_t channels;
+    uint32_t buffer_samples, capture_samples; /* per channel */
+    uint32_t profile_samples;                 /* of all channels together */
+} vc_sizes;
+
+/* The kind of controller. It belongs to the port and must stay valid. Texts end with a zero byte and have at most 63
+ * bytes before it. HelloResponse's other limits are compiled in: sizes.h. */
+typedef struct {
+    const char *build, *hardware;
+    const vc_actuator *actuator;
+    const uint8_t *public_key;   /* 32 bytes of Ed25519: images need its signature; NULL: they need none */
+    uint16_t watchdog_ms;        /* longest silence of the host in ms; at least 50 */
+    vc_profile *profile;         /* VC_PROFILE_WORDS of int64_t (sizes.h) for height profiles; NULL: no profiles */
+    vc_position_sensor position; /* NULL: the host sends the position */
+    void *position_context;
+    const vc_sizes *sizes;                        /* smaller limits than sizes.h; NULL: those of sizes.h */
+    const struct vc_decoder_callbacks *callbacks; /* NULL: none */
+    /* Thousands of Cortex-M4 cycles that decoding a second of a stream may take; heavier streams are rejected. 0: any
+     * stream is decoded in time. */
+    uint32_t decoding_kilocycles_per_s;
+    const char *serial_number; /* of this board, at most 31 bytes; NULL: it has none */
+} vc_controller_settings;
+
+/* Gaps of the output since the port was started: how often the DAC had no sample while it was away from rest, and for
+ * how many of its samples. */
+typedef struct {
+    uint32_t gaps, late_samples;
+} vc_output_counts;
+
+/* The way to the DAC. It plays a sample every 1 / dac_rate_hz seconds. Without codes it holds the last one, which is
+ * rest.
+ *
+ * `play` takes codes, in their order: samples x channels, interleaved, signed, 0 = rest. `codes` belong to the
+ * controller and are valid during the call. `due_us`: the controller's time at which the first of them was due; a port
+ * that plays them some time later never runs out of codes while the next ones are being decoded.
+ * `drop` throws away the codes that wait to be played, at a Stop: those that follow begin at another level, to which
+ * the port fades from that of its output. NULL: none ever wait.
+ * `count` fills in the counts. NULL: they stay 0. */
+typedef struct {
+    void (*play)(void *context, const int16_t *codes, uint32_t samples, unsigned channels, uint64_t due_us);
+    void (*drop)(void *context);
+    void (*count)(void *context, vc_output_counts *counts);
+    void *context;
+} vc_dac_port;
+/* cffi: end */
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif
