@@ -7,7 +7,7 @@ import platform
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -16,6 +16,7 @@ import click
 
 from vibrocast import extras
 from vibrocast.files import InputFileError
+from vibrocast.firmware import rp2040
 from vibrocast.firmware.declarations import cffi_declarations
 from vibrocast.firmware.elf import Elf
 from vibrocast.firmware.keys import read_public_key
@@ -42,6 +43,8 @@ CORTEX_M_FLAGS = (
 )
 M4F, M7, M33 = "cortex_m4+vfp4d16sp", "cortex_m7+fp_armv8d16", "cortex_m33+fp_armv8d16sp+dsp"
 """The compiler's names of processors with an FPU and DSP instructions."""
+M0_PLUS = "cortex_m0plus"
+"""And of one with neither."""
 _IN_RAM = (".stack", ".core", ".data", ".bss")
 _LIBRARY_SUFFIX = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
 
@@ -55,7 +58,7 @@ class Target:
     """One build of the firmware.
 
     `folders`: of its port, below firmware/, whose C sources are compiled with those of `shared`. `defines`: sizes of
-    vibrocast/sizes.h, and settings of its port.
+    vibrocast/sizes.h, and settings of its port. `finish`: called with the linked image.
     """
 
     summary: str
@@ -64,6 +67,7 @@ class Target:
     folders: tuple[str, ...] = ()
     shared: tuple[str, ...] = SHARED
     defines: Mapping[str, int | str] = field(default_factory=dict)
+    finish: Callable[[Path], None] | None = None
 
     def sources(self) -> list[Path]:
         """Return its C sources, from ROOT on; a controller has no use for the core's encoders."""
@@ -80,9 +84,10 @@ class Target:
 
 
 def _cortex_m(summary: str, processor: str, script: str, folders: tuple[str, ...], **defines: int | str) -> Target:
-    """Return the target of a Cortex-M with an FPU. `script`: its linker script, in the first of `folders`."""
+    """Return the target of a Cortex-M. `script`: its linker script, in the first of `folders`."""
     layout = ("-T", f"{folders[0]}/{script}", "-Wl,-e,Reset_Handler")
-    flags = (*CORTEX_M_FLAGS, f"-mcpu={processor}", *layout)
+    general = [flag.removesuffix("hf") if processor == M0_PLUS else flag for flag in CORTEX_M_FLAGS]
+    flags = (*general, f"-mcpu={processor}", *layout)
     return Target(summary, ".elf", flags, ("ports", "ports/cortex_m", *folders), defines=defines)
 
 
@@ -132,6 +137,13 @@ _STM32F405 = {
     "VC_RATE_RATIO": 4,
 }
 
+
+
+def _rp2040(summary: str, hardware: str) -> Target:
+    target = _cortex_m(summary, M0_PLUS, "board.ld", ("ports/rp2040",), VC_HARDWARE=hardware, **_STM32F405)
+    return replace(target, finish=rp2040.finish)
+
+
 TARGETS: Mapping[str, Target] = {
     "native": Target(
         "shared library of core and controller, for cffi",
@@ -153,6 +165,7 @@ TARGETS: Mapping[str, Target] = {
     **_mps2("cortex-m33", M33, "an505", "an505.ld", VC_AN505=1),
     "stm32f405": _stm32f405("Adafruit Feather STM32F405 Express", "board.ld"),
     "stm32f405-qemu": _stm32f405("the same for QEMU, which lacks a memory", "qemu.ld"),
+    "rp2040": _rp2040("board with an RP2040, such as a Raspberry Pi Pico; output by PWM", "rp2040-pwm"),
 }
 
 
@@ -176,6 +189,8 @@ def build(name: str, sizes: Mapping[str, int] | None = None, public_key: bytes |
             made = Path(temporary) / "made"
             made.mkdir()
             _compile(target, made / built.name)
+            if target.finish is not None:
+                target.finish(made / built.name)
             if target.suffix == _LIBRARY_SUFFIX:
                 parts = [cffi_declarations(ROOT / folder) for folder in target.shared]
                 (made / built.with_suffix(".cdef").name).write_text("\n".join(parts))
