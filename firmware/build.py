@@ -139,8 +139,10 @@ _STM32F405 = {
 
 
 
-def _rp2040(summary: str, hardware: str) -> Target:
-    target = _cortex_m(summary, M0_PLUS, "board.ld", ("ports/rp2040",), VC_HARDWARE=hardware, **_STM32F405)
+def _rp2040(summary: str, output: str, channels: int, *drivers: str) -> Target:
+    folders = ("ports/rp2040", f"ports/rp2040/{output}", *drivers)
+    sizes = {**_STM32F405, "VC_CHANNELS": channels, "VC_MAX_CHANNELS": channels}
+    target = _cortex_m(summary, M0_PLUS, "board.ld", folders, VC_HARDWARE=f"rp2040-{output}", **sizes)
     return replace(target, finish=rp2040.finish)
 
 
@@ -165,7 +167,8 @@ TARGETS: Mapping[str, Target] = {
     **_mps2("cortex-m33", M33, "an505", "an505.ld", VC_AN505=1),
     "stm32f405": _stm32f405("Adafruit Feather STM32F405 Express", "board.ld"),
     "stm32f405-qemu": _stm32f405("the same for QEMU, which lacks a memory", "qemu.ld"),
-    "rp2040": _rp2040("board with an RP2040, such as a Raspberry Pi Pico; output by PWM", "rp2040-pwm"),
+    "rp2040": _rp2040("board with an RP2040, such as a Raspberry Pi Pico; output by PWM", "pwm", 2),
+    "rp2040-drv260x": _rp2040("the same with a haptic driver DRV260x on I2C", "haptic", 1, "ports/drv260x"),
 }
 
 
@@ -218,6 +221,8 @@ def _build_folder() -> Path:
 def _fingerprint(target: Target) -> str:
     """Return a hash of the sources, the flags, the machine and the compiler."""
     digest = hashlib.sha256(repr((target.command(), sys.platform, platform.machine(), version("ziglang"))).encode())
+    if target.finish is not None:
+        digest.update(Path(rp2040.__file__).read_bytes())
     for folder in (*target.shared, *target.folders):
         for path in sorted((ROOT / folder).iterdir()):
             if path.suffix in (".c", ".h", ".ld"):

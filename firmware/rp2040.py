@@ -24,8 +24,7 @@ def checksum(code: bytes) -> int:
     for byte in code:
         register ^= byte << 24
         for _ in range(8):
-            register = register << 1 ^ (0x04C1_1DB7 if register >> 31 else 0)
-        register &= 0xFFFF_FFFF
+            register = (register << 1 ^ (0x04C1_1DB7 if register >> 31 else 0)) & 0xFFFF_FFFF
     return register
 
 

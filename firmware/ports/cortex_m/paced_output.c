@@ -1,7 +1,7 @@
 /* Samples that wait for the interrupt of a board's sample clock: paced_output.h says how the output lags. */
 #include "paced_output.h"
 #include "cortex_m.h"
-#include "port.h"
+#include "vibrocast/port.h"
 
 #define CHANNELS VC_PACED_CHANNELS
 #define LEAST_LAG_MS 4

@@ -8,7 +8,7 @@
 #ifndef VIBROCAST_PACED_OUTPUT_H
 #define VIBROCAST_PACED_OUTPUT_H
 
-#include "settings.h"
+#include "vibrocast/settings.h"
 
 #define VC_PACED_CHANNELS 2
 

@@ -9,7 +9,7 @@
 #ifndef VIBROCAST_RP2040_BOARD_H
 #define VIBROCAST_RP2040_BOARD_H
 
-#include "controller.h"
+#include "vibrocast/controller.h"
 #include "registers.h"
 
 #define VC_CRYSTAL_HZ 12000000u
@@ -37,7 +37,7 @@ static inline void vc_sample_clock_clear(void)
     VC_PWM_INTR = 1;
 }
 
-/* The output: pwm.c or haptic.c. Start brings it to rest; then it plays the samples of vc_paced_dac. */
+/* The output: pwm/output.c or haptic/output.c. Start brings it to rest; then it plays the samples of vc_paced_dac. */
 extern const vc_actuator *const vc_output_actuator;
 void vc_output_start(void);
 void PWM_IRQ_WRAP_Handler(void);

@@ -26,7 +26,7 @@ __attribute__((always_inline)) static inline void set_up_reads(void)
 /* As the ROM enters it: sets up reads, then starts the program by its vector table. */
 __attribute__((section(".boot2"), used, noreturn)) void vc_boot2(void)
 {
-    const uint32_t *vectors = (const uint32_t *)VC_FLASH_VECTORS;
+    const volatile uint32_t *vectors = (const volatile uint32_t *)VC_FLASH_VECTORS; /* read behind the set-up */
     set_up_reads();
     VC_VECTOR_TABLE = VC_FLASH_VECTORS;
     __asm volatile("msr msp, %0\nbx %1" ::"r"(vectors[0]), "r"(vectors[1]));

@@ -4,7 +4,6 @@
  */
 #include "board.h"
 #include "boot2.h"
-#include "common.h"
 
 #define PAGE 256u
 #define SECTOR 4096u

@@ -1,8 +1,8 @@
 /* A controller on a board with an RP2040. */
 #include "board.h"
 #include "paced_output.h"
-#include "port.h"
-#include "sizes.h"
+#include "vibrocast/port.h"
+#include "vibrocast/sizes.h"
 
 /* In cycles of a Cortex-M4, of which this processor needs four times as many: it has no long multiplication. Decoding
  * may take 7 parts in 10 of its time. */

@@ -92,13 +92,12 @@ enum {
 #define VC_I2C_INTR_MASK VC_REGISTER(VC_I2C0 + 0x30)
 #define VC_I2C_CLR_TX_ABRT VC_REGISTER(VC_I2C0 + 0x54)
 #define VC_I2C_ENABLE VC_REGISTER(VC_I2C0 + 0x6C)
-#define VC_I2C_STATUS VC_REGISTER(VC_I2C0 + 0x70)
+#define VC_I2C_TXFLR VC_REGISTER(VC_I2C0 + 0x74) /* entries that wait to be sent */
 #define VC_I2C_SDA_HOLD VC_REGISTER(VC_I2C0 + 0x7C)
 #define VC_I2C_FS_SPKLEN VC_REGISTER(VC_I2C0 + 0xA0)
 enum {
     VC_I2C_MASTER_FAST = 0x65, /* of CON: master, fast mode, restart, no slave; an empty FIFO does not stop */
-    VC_I2C_STOP = 1 << 9,      /* of DATA_CMD */
-    VC_I2C_TX_EMPTY = 1 << 2   /* of STATUS */
+    VC_I2C_STOP = 1 << 9       /* of DATA_CMD */
 };
 
 /* PWM, 4.5.3 */

@@ -1,7 +1,7 @@
 /* The serial port by interrupts. RP2040 datasheet: 4.2. */
 #include "board.h"
-#include "port.h"
-#include "ring.h"
+#include "vibrocast/port.h"
+#include "vibrocast/ring.h"
 
 #define BAUD 921600u
 #define TX_PIN 0u

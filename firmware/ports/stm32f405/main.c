@@ -2,8 +2,8 @@
 #include "vibrocast/actuator_tables.h"
 #include "board.h"
 #include "paced_output.h"
-#include "port.h"
-#include "sizes.h"
+#include "vibrocast/port.h"
+#include "vibrocast/sizes.h"
 #include "systick.h"
 
 #define ACTUATOR vc_piezo_stack_12_bits

@@ -3,7 +3,7 @@
  * The signal has 5000 steps at 24 kHz, eight periods a sample at 3000 Hz. Both slices started at the same cycle, so a
  * level that the interrupt writes takes effect when the next period begins: the clock of the samples is the hardware's.
  */
-#include "actuator_tables.h"
+#include "vibrocast/actuator_tables.h"
 #include "board.h"
 #include "paced_output.h"
 
