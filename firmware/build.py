@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 import platform
+import re
 import subprocess
 import sys
 import tempfile
@@ -146,6 +147,16 @@ def _rp2040(summary: str, output: str, channels: int, *drivers: str) -> Target:
     return replace(target, finish=rp2040.finish)
 
 
+TEMPLATE = _cortex_m(
+    "a port to begin with, whose functions are missing",
+    M4F,
+    "board.ld",
+    ("ports/template",),
+    VC_HARDWARE="my-board",
+    **_STM32F405,
+)
+"""Built as `template`; not in TARGETS, because it cannot be linked."""
+
 TARGETS: Mapping[str, Target] = {
     "native": Target(
         "shared library of core and controller, for cffi",
@@ -173,14 +184,14 @@ TARGETS: Mapping[str, Target] = {
 
 
 def build(name: str, sizes: Mapping[str, int] | None = None, public_key: bytes | None = None) -> Path:
-    """Build a target of TARGETS, unless it is there already, and return its file.
+    """Build a target of TARGETS, or `template`, unless it is there already, and return its file.
 
     `sizes`: of vibrocast/sizes.h, in place of the target's. `public_key`: 32 bytes, of Ed25519; model images need its
     signature, None = they need none. A library's declarations for cffi lie next to it, with the suffix ".cdef". Builds
     are kept in firmware/build, or in the user's cache where that cannot be written, by a hash of all that they are made
     from. Raises BuildError and MissingExtraError.
     """
-    target = TARGETS[name]
+    target = TEMPLATE if name == "template" else TARGETS[name]
     key = {} if public_key is None else {"VC_PUBLIC_KEY": "".join(f"\\x{byte:02x}" for byte in public_key)}
     target = replace(target, defines={**target.defines, **(sizes or {}), **key})
     extras.require("firmware", "ziglang")
@@ -234,7 +245,19 @@ def _compile(target: Target, output: Path) -> None:
     command = [sys.executable, "-m", "ziglang", "cc", *target.command(), "-o", str(output)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     if done.returncode != 0:
+        if missing := _missing_functions(done.stderr):
+            raise BuildError(
+                f"the port lacks {', '.join(missing)}; write what is missing as docs/how-to/port_the_firmware.md says"
+            )
         raise BuildError(f"the firmware cannot be compiled:\n{done.stderr}")
+
+
+def _missing_functions(errors: str) -> list[str]:
+    """Return the functions of a port that the linker lacks: all of port.h, and those that the template marks."""
+    undefined = re.findall(r"undefined symbol: (\w+)", errors)
+    parts = {name.removeprefix("vc_missing_") for name in undefined if name.startswith(("vc_missing_", "vc_port_"))}
+    parts |= {name for name in undefined if name == "main"}
+    return sorted(parts) if len(parts) == len(set(undefined)) else []
 
 
 @dataclass(frozen=True)
@@ -254,7 +277,7 @@ def size(name: str, sizes: Mapping[str, int] | None = None) -> Size:
 
 
 @click.command()
-@click.argument("names", metavar="[TARGET]...", nargs=-1, type=click.Choice(list(TARGETS)))
+@click.argument("names", metavar="[TARGET]...", nargs=-1, type=click.Choice([*TARGETS, "template"]))
 @click.option("--sizes", "with_sizes", is_flag=True, help="Print the bytes of each image instead.")
 @click.option(
     "--json",

@@ -88,7 +88,7 @@ class Rp2040(Board):
         self._add_rom()
         self._registers = defaultdict(int, {_RESETS: _ALL_RESETS})
         self._failure = ""
-        self._next_wrap = NEVER
+        self._next_wrap, self._wrapped_at = NEVER, 0
         self.latest_level_ticks = 0
         """The longest time from the sample clock's tick to the level that it asked for."""
         self.haptic_writes: list[tuple[int, ...]] = []
@@ -172,7 +172,8 @@ class Rp2040(Board):
         if offset == _TIMER_HIGH:
             return self._time() // _TICKS_PER_US >> 32
         if offset == _I2C_TXFLR:
-            return -(-max(0, self._i2c_free_at - self._time()) // _I2C_BYTE_TICKS)
+            # Two of three bytes on the bus, because the driver's address is none of them.
+            return -(-2 * max(0, self._i2c_free_at - self._time()) // (3 * _I2C_BYTE_TICKS))
         answers = {
             _RESETS_DONE: ~self._registers[_RESETS] & _ALL_RESETS,
             _CLK_REF_SELECTED: 1 << (self._registers[_CLK_REF] & 3),

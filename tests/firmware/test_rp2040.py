@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from unicorn import arm_const
+from unicorn import UC_HOOK_CODE, arm_const
 
 from tests.firmware.test_emulated import LEARNED, MODELS, between_rests, coded
 from tests.firmware.test_targets import functions
@@ -161,8 +161,11 @@ def test_the_second_stage_of_the_boot_sets_up_flash_and_starts_the_program() -> 
     device.processor.add_registers(0x1800_0000, lambda offset: 0, lambda offset, value: written.append((offset, value)))
     unicorn.mem_write(BOOT_RAM, stage)
     unicorn.reg_write(arm_const.UC_ARM_REG_SP, BOOT_RAM)
-    device.processor.unicorn.emu_start(BOOT_RAM | 1, image.symbols["Reset_Handler"] & ~1)
-    assert unicorn.reg_read(arm_const.UC_ARM_REG_PC) == image.symbols["Reset_Handler"] & ~1
+    reset = image.symbols["Reset_Handler"] & ~1
+    unicorn.hook_add(UC_HOOK_CODE, lambda *_: unicorn.emu_stop(), None, reset, reset)
+    unicorn.ctl_flush_tb()
+    unicorn.emu_start(BOOT_RAM | 1, 0)
+    assert unicorn.reg_read(arm_const.UC_ARM_REG_PC) == reset
     assert unicorn.reg_read(arm_const.UC_ARM_REG_SP) == image.symbols["vc_stack_top"]
     assert device._system[0xD08] == image.sections[".vectors"].address
     # RP2040 datasheet, 4.10.13: off, half of the clock, words on two wires, fast read dual output, on.
