@@ -43,7 +43,7 @@ def test_the_command_names_every_function_that_is_missing() -> None:
     assert done.exit_code == 1
     assert set(re.findall(r"\w+", done.output.split("lacks")[1].split(";")[0])) == FUNCTIONS
     assert PAGE in done.output
-    assert (building.ROOT.parent / PAGE).exists()
+    assert (building.ROOT.resolve().parent / PAGE).exists()
 
 
 def test_a_port_without_a_function_of_the_loop_is_told_which(rebuilt: Callable[[Callable[[str], str]], Path]) -> None:
@@ -54,6 +54,7 @@ def test_a_port_without_a_function_of_the_loop_is_told_which(rebuilt: Callable[[
         rebuilt(without_write)
 
 
+@pytest.mark.slow
 def test_a_port_that_calls_another_unknown_function_gets_the_linkers_words(
     rebuilt: Callable[[Callable[[str], str]], Path],
 ) -> None:
@@ -61,6 +62,7 @@ def test_a_port_that_calls_another_unknown_function_gets_the_linkers_words(
         rebuilt(lambda source: without_marks(source).replace("board_start();", "clock_start();"))
 
 
+@pytest.mark.slow
 def test_a_port_with_all_functions_is_linked(rebuilt: Callable[[Callable[[str], str]], Path]) -> None:
     image = Elf(rebuilt(without_marks))
     assert {"main", "vc_port_read", "vc_loop_turn"} <= set(image.functions.values())
