@@ -12,9 +12,9 @@ __attribute__((always_inline)) static inline void set_up_reads(void)
 {
     VC_PAD_QSPI_SCLK = 2 << 4 | 1; /* 8 mA, fast edges */
     VC_SSI_ENR = 0;
-    VC_SSI_BAUDR = 2;          /* of the processor's clock */
-    VC_SSI_RX_SAMPLE_DLY = 1;  /* the answer of the chip takes longer than half a clock */
-    VC_SSI_CTRLR0 = 1u << 21 | /* SPI_FRF: data on two wires */
+    VC_SSI_BAUDR = 2;           /* of the processor's clock */
+    VC_SSI_RX_SAMPLE_DLY = 1;   /* the answer of the chip takes longer than half a clock */
+    VC_SSI_CTRLR0 = 1u << 21 |  /* SPI_FRF: data on two wires */
                     31u << 16 | /* DFS_32: words of 32 bits */
                     3u << 8;    /* TMOD: send command and address, then receive */
     VC_SSI_CTRLR1 = 0;          /* one word each */

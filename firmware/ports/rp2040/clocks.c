@@ -1,4 +1,5 @@
-/* Clocks, subsystems, interrupts and the watchdog. RP2040 datasheet: 2.14 to 2.18, 4.7; Armv6-M ARM (DDI 0419), B3.4. */
+/* Clocks, subsystems, interrupts and the watchdog. RP2040 datasheet: 2.14 to 2.18, 4.7; Armv6-M ARM (DDI 0419), B3.4.
+ */
 #include "board.h"
 
 #define WATCHDOG_US 4000000u

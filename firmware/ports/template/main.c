@@ -3,11 +3,11 @@
  * Each says by VC_MISSING that it is to be written; delete this line then. The build names those that are left.
  * docs/how-to/port_the_firmware.md takes you through them in this order.
  */
-#include "actuator_tables.h"
+#include "vibrocast/actuator_tables.h"
 #include "cortex_m.h"
 #include "missing.h"
-#include "port.h"
-#include "sizes.h"
+#include "vibrocast/port.h"
+#include "vibrocast/sizes.h"
 
 /* The vector table: for interrupts of your board, append their handlers, as ports/stm32f405/main.c does. */
 static void on_fault(void);
