@@ -1,6 +1,8 @@
 /* A haptic driver of the DRV260x family as the output: real-time playback (RTP), 8 bits over I2C. */
 #include "drv260x.h"
-#include "cortex_m.h"
+
+/* An interrupt calls it, perhaps while flash cannot be read. */
+#define IN_RAM __attribute__((section(".ramfunc"), noinline))
 
 /* DRV2605 datasheet (SLOS825), 8.6. Both modes take signed input: 127 is full drive. Below zero, the open loop drives
  * the other way, and the closed loop brakes. */
@@ -52,7 +54,7 @@ static inline int32_t envelope(int32_t sample)
     return value;
 }
 
-VC_IN_RAM void vc_drv260x_sample(int32_t sample)
+IN_RAM void vc_drv260x_sample(int32_t sample)
 {
     int32_t value = sample < -HIGHEST ? -HIGHEST : sample;
     if (follows_envelope)
