@@ -305,7 +305,7 @@ def main(names: tuple[str, ...], with_sizes: bool, json_path: Path | None, key_p
             return
         sizes = {name: asdict(size(name)) for name in wanted if TARGETS[name].suffix == ".elf"}
     except (BuildError, CoreError, InputFileError, OSError, extras.MissingExtraError) as error:
-        raise click.ClickException(str(error)) from error
+        sys.exit(f"error: {error}")
     click.echo(f"{'image':<24}{'flash':>10}{'RAM':>10}{'of it stack':>13}")
     for name, of in sizes.items():
         click.echo(f"{name:<24}{of['flash']:>10}{of['ram']:>10}{of['stack']:>13}")
