@@ -139,7 +139,6 @@ _STM32F405 = {
 }
 
 
-
 def _rp2040(summary: str, output: str, channels: int, *drivers: str) -> Target:
     folders = ("ports/rp2040", f"ports/rp2040/{output}", *drivers)
     sizes = {**_STM32F405, "VC_CHANNELS": channels, "VC_MAX_CHANNELS": channels}

@@ -29,9 +29,14 @@ def checksum(code: bytes) -> int:
 
 
 def finish(image: Path) -> None:
-    """Write the checksum into a linked image, and next to it the file that a board takes over USB, suffix ".uf2"."""
+    """Write the checksum into a linked image, and next to it the file that a board takes over USB, suffix ".uf2".
+
+    Raises ValueError if the image has no second boot stage.
+    """
     with image.open("r+b") as file:
         section = ELFFile(file).get_section_by_name(".boot2")
+        if section is None:
+            raise ValueError(f"{image}: no section .boot2; take the linker script of ports/rp2040")
         code = section.data()[: BOOT_BYTES - 4]
         file.seek(section["sh_offset"] + BOOT_BYTES - 4)
         file.write(struct.pack("<I", checksum(code)))

@@ -29,8 +29,8 @@ from vibrocast.host.tracing import TappedTransport
 if TYPE_CHECKING:
     from vibrocast.output.actuator import Actuator
     from vibrocast.output.sound_card import Card
-    from vibrocast.simulated_device.controller import Controller as SimulatedController
     from vibrocast.simulated_device.board import Board
+    from vibrocast.simulated_device.controller import Controller as SimulatedController
     from vibrocast.simulated_device.cortex_m import CortexM
 
 FIRMWARE = {

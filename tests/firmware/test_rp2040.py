@@ -116,9 +116,9 @@ def test_images_outlive_a_restart_and_a_stream_of_bytes_goes_on_meanwhile() -> N
     codes: list[Codes] = []
     device = Rp2040(flash, codes.append)
     link, host = session(device)
-    firmware = bytes(flash.contents[: 0xF_8000])
+    firmware = bytes(flash.contents[:0xF_8000])
     kept = uploader.flash(host, models.find(LEARNED).image)
-    assert bytes(flash.contents[: 0xF_8000]) == firmware
+    assert bytes(flash.contents[:0xF_8000]) == firmware
     assert bytes(flash.contents[0xF_8000:]).strip(b"\xff")
     # The sample clock went on while flash could not be read.
     assert len(np.concatenate(codes)) == pytest.approx(link.now_us * 3000 / 1e6, rel=0.01)

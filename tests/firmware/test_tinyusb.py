@@ -1,4 +1,4 @@
-"""The glue to TinyUSB against a stand-in of its interface: bytes go both ways, and descriptors are as a host reads them.
+"""The glue to TinyUSB against a stand-in of its interface: bytes both ways, and descriptors as a host reads them.
 
 The real stack is not there, so nothing here links with it.
 """
