@@ -14,11 +14,14 @@ from vibrocast.simulated_device.flash import FlashMemory
 
 FLASH_BYTES = 2 << 20
 """All of the board's flash: firmware, records and model images."""
+UNIQUE_NUMBER = b"emulated"
+"""Of the emulated flash chip; HelloResponse states it in hexadecimal."""
 
 _FLASH, _ROM, _RAM = 0x1000_0000, 0, 0x2000_0000
 _ROM_BYTES, _RAM_BYTES = 16 << 10, 264 << 10
 _PERIPHERALS, _PERIPHERALS_BYTES = 0x4000_0000, 0x7_0000
-_SSI = 0x1800_0000
+_SSI, _SSI_SR, _SSI_DR0 = 0x1800_0000, 0x28, 0x60
+_CHIP_SELECT, _SELECTED, _READ_UNIQUE = 0x1_800C, 2 << 8, 0x4B
 # Time is counted in cycles of the processor, 120 MHz.
 _TICKS_PER_US = 120
 _WATCHDOG_US = 4_000_000
@@ -83,7 +86,7 @@ class Rp2040(Board):
         )
         super().__init__(processor, _TICKS_PER_US, 1, _WATCHDOG_US, on_dac, drift_ppm)
         processor.add_registers(_PERIPHERALS, self._read, self._write, _PERIPHERALS_BYTES)
-        processor.add_registers(_SSI, lambda offset: 0, lambda offset, value: None)
+        processor.add_registers(_SSI, self._read_flash_interface, self._write_flash_interface)
         processor.add_registers(SYSTEM_SPACE, self._read_system, self._write_system)
         self._add_rom()
         self._registers = defaultdict(int, {_RESETS: _ALL_RESETS})
@@ -95,6 +98,8 @@ class Rp2040(Board):
         """Of the image `rp2040-drv260x`: register and value of each write to the haptic driver."""
         self._i2c_bytes: tuple[int, ...] = ()
         self._i2c_free_at = 0
+        self._to_chip = bytearray()  # since it was selected
+        self._from_chip: deque[int] = deque()
         self._arrived: deque[int] = deque()
         self._next_arrival = 0
         self._sent_at = 0  # when the last byte will have left
@@ -205,11 +210,24 @@ class Rp2040(Board):
             self._feed_watchdog()
         else:
             self._registers[offset] = value
+            if offset == _CHIP_SELECT:
+                self._to_chip.clear()
             if offset == _PWM_EN and value & 1:
                 self._next_wrap = self._time() + self._registers[_PWM_TOP] + 1
             elif offset == _PWM_CC and self._registers[_PWM_EN] & 2:
                 self.latest_level_ticks = max(self.latest_level_ticks, self._time() - self._wrapped_at)
                 self._codes.append(((value & 0xFFFF) - _REST, (value >> 16) - _REST))
+
+    def _read_flash_interface(self, offset: int) -> int:
+        if offset == _SSI_SR:
+            return 8 if self._from_chip else 0
+        return self._from_chip.popleft() if offset == _SSI_DR0 and self._from_chip else 0
+
+    def _write_flash_interface(self, offset: int, value: int) -> None:
+        if offset == _SSI_DR0 and self._registers[_CHIP_SELECT] == _SELECTED:
+            self._to_chip.append(value & 0xFF)
+            answers = bytes(5) + UNIQUE_NUMBER if self._to_chip[0] == _READ_UNIQUE else b""
+            self._from_chip.append(answers[len(self._to_chip) - 1] if len(self._to_chip) <= len(answers) else 0xFF)
 
     def _add_rom(self) -> None:
         """Put the boot ROM's table and stand-ins for its functions in place."""

@@ -25,7 +25,7 @@ from vibrocast.output.rendering import render
 from vibrocast.simulated_device.emulator import EmulationError
 from vibrocast.simulated_device.faulty_link import MemoryLink
 from vibrocast.simulated_device.flash import FlashMemory
-from vibrocast.simulated_device.rp2040 import FLASH_BYTES, Rp2040
+from vibrocast.simulated_device.rp2040 import FLASH_BYTES, UNIQUE_NUMBER, Rp2040
 
 FLASH, BOOT_RAM, STEPS = 0x1000_0000, 0x2004_1F00, 5000
 
@@ -59,6 +59,11 @@ def test_streams_reach_the_pwm_register_as_computed_within_the_stack(codec_name:
     np.testing.assert_array_equal(between_rests(np.concatenate(codes)), between_rests(expected))
     assert 500 < device.processor.stack_bytes() < 6144
     assert 0 < device.latest_level_ticks < STEPS, "each level is there before the next period of the PWM"
+
+
+def test_the_board_states_the_unique_number_of_its_flash() -> None:
+    _, host = session(Rp2040())
+    assert bytes.fromhex(host.description.serial_number) == UNIQUE_NUMBER
 
 
 def test_a_haptic_driver_gets_the_upper_bits_of_each_sample() -> None:

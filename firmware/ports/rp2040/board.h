@@ -48,6 +48,10 @@ void vc_output_rest(void);
 void vc_uart_start(void);
 void UART0_IRQ_Handler(void);
 
+/* Reads the unique number of the flash chip, VC_UNIQUE_BYTES. Call it before interrupts are on. */
+enum { VC_UNIQUE_BYTES = 8 };
+void vc_flash_read_unique(uint8_t *unique);
+
 /* Model images: the second MiB, and 32 KiB of records before it. */
 extern const vc_flash vc_board_flash;
 

@@ -40,6 +40,26 @@ static void end_change(void)
     vc_flash_reads_start();
 }
 
+/* Read unique ID, 4Bh: four bytes later come eight (W25Q16JV datasheet, 8.2.30). The ROM has left the interface at
+ * bytes on one wire. */
+void vc_flash_read_unique(uint8_t *unique)
+{
+    unsigned place;
+    begin_change();
+    VC_QSPI_SS_CTRL = VC_QSPI_SS_LOW;
+    for (place = 0; place < 5 + VC_UNIQUE_BYTES; place++) {
+        uint8_t byte;
+        VC_SSI_DR0 = place == 0 ? 0x4B : 0;
+        while (!(VC_SSI_SR & VC_SSI_RECEIVED)) {
+        }
+        byte = (uint8_t)VC_SSI_DR0;
+        if (place >= 5)
+            unique[place - 5] = byte;
+    }
+    VC_QSPI_SS_CTRL = VC_QSPI_SS_HIGH;
+    end_change();
+}
+
 /* `data`: in RAM. */
 static void program_page(uint32_t offset, const uint8_t *data)
 {

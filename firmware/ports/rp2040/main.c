@@ -19,6 +19,18 @@ static const vc_core_vectors boot_vectors __attribute__((section(".vectors"), us
 
 static int64_t profile[VC_PROFILE_WORDS] VC_CORE_MEMORY;
 
+/* Writes the flash chip's unique number as hexadecimal digits. */
+static const char *serial_number(void)
+{
+    static char text[2 * VC_UNIQUE_BYTES + 1];
+    uint8_t unique[VC_UNIQUE_BYTES];
+    unsigned digit;
+    vc_flash_read_unique(unique);
+    for (digit = 0; digit < 2 * VC_UNIQUE_BYTES; digit++)
+        text[digit] = "0123456789abcdef"[unique[digit / 2] >> (digit % 2 ? 0 : 4) & 0xF];
+    return text;
+}
+
 int main(void)
 {
     static vc_controller_settings settings = {.build = VC_BUILD,
@@ -37,6 +49,7 @@ int main(void)
     vc_clocks_start();
     vc_watchdog_start();
     settings.actuator = vc_output_actuator;
+    settings.serial_number = serial_number();
     vc_output_start();
     vc_uart_start();
     vc_loop_start(&settings, &vc_board_flash, &vc_paced_dac);

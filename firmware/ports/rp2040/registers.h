@@ -126,9 +126,17 @@ enum { VC_WATCHDOG_ENABLE = 1 << 30, VC_WATCHDOG_TICK_ENABLE = 1 << 9 };
 #define VC_SSI_CTRLR1 VC_REGISTER(VC_SSI + 0x04)
 #define VC_SSI_ENR VC_REGISTER(VC_SSI + 0x08)
 #define VC_SSI_BAUDR VC_REGISTER(VC_SSI + 0x14)
+#define VC_SSI_SR VC_REGISTER(VC_SSI + 0x28)
+#define VC_SSI_DR0 VC_REGISTER(VC_SSI + 0x60)
 #define VC_SSI_RX_SAMPLE_DLY VC_REGISTER(VC_SSI + 0xF0)
 #define VC_SSI_SPI_CTRLR0 VC_REGISTER(VC_SSI + 0xF4)
 #define VC_PAD_QSPI_SCLK VC_REGISTER(0x40020004u)
+#define VC_QSPI_SS_CTRL VC_REGISTER(0x4001800Cu) /* chip select: 2.19.6.2 */
+enum {
+    VC_SSI_RECEIVED = 1 << 3, /* of SR: RFNE */
+    VC_QSPI_SS_LOW = 2 << 8,  /* OUTOVER */
+    VC_QSPI_SS_HIGH = 3 << 8
+};
 
 /* Lines of the interrupt controller, 2.3.2 */
 enum { VC_PWM_LINE = 4, VC_UART0_LINE = 20, VC_LINES = 26 };
