@@ -1,4 +1,4 @@
-"""What an image for the RP2040 needs beyond linking: the checksum of its second boot stage, and a file in UF2."""
+"""Finishes an image for the RP2040: writes the checksum of its second boot stage, and a file in UF2."""
 
 import struct
 from pathlib import Path

@@ -1,4 +1,4 @@
-/* What the board tells a host about itself. USB 2.0, 9.6; CDC 1.2 and PSTN 1.2; Microsoft OS 2.0 Descriptors, 2018. */
+/* The USB descriptors of a controller. USB 2.0, 9.6; CDC 1.2 and PSTN 1.2; Microsoft OS 2.0 Descriptors, 2018. */
 #include "usb.h"
 #include "tusb.h"
 
