@@ -138,6 +138,38 @@ _STM32F405 = {
     "VC_RATE_RATIO": 4,
 }
 
+# One channel as it comes from a host: some 0.3 s at 2800 Hz, in packets of at most 128 samples.
+_SMALL = {
+    "VC_CHANNELS": 1,
+    "VC_MAX_CHANNELS": 1,
+    "VC_BUFFER_SAMPLES": 1024,
+    "VC_BUFFER_PACKETS": 16,
+    "VC_BUFFER_BYTES": 4 * 628,
+    "VC_PACKET_SAMPLES": 128,
+    "VC_PROFILE_SAMPLES": 0,
+    "VC_CAPTURE_SAMPLES": 0,
+    "VC_MAX_PAYLOAD_BYTES": 640,
+    "VC_OUTGOING_BYTES": 2 * 640,
+    "VC_RATE_RATIO": 1,
+}
+_CODECS = ("MDCT", "DCT", "SLP", "EVA", "LAPPED", "PARAMETRIC")
+
+
+def _small(codec: str) -> Target:
+    """Return a controller with one codec for small processors, on an emulated board."""
+    only = {f"VC_WITH_{name}": int(name == codec) for name in _CODECS}
+    target = _cortex_m(
+        f"one channel of {codec.lower()} for small processors, on an MPS2 board (an386)",
+        M4F,
+        "small.ld",
+        ("ports/mps2", "ports/mps2/polled"),
+        VC_HARDWARE="mps2-an386",
+        **_SMALL,
+        **only,
+    )
+    # At -Os, zig drops the names of functions, except with -g1.
+    return replace(target, flags=(*target.flags, "-Os", "-g1"))
+
 
 def _rp2040(summary: str, output: str, channels: int, *drivers: str) -> Target:
     folders = ("ports/rp2040", f"ports/rp2040/{output}", *drivers)
@@ -155,6 +187,7 @@ TEMPLATE = _cortex_m(
     **_STM32F405,
 )
 """Built as `template`; not in TARGETS, because it cannot be linked."""
+
 
 TARGETS: Mapping[str, Target] = {
     "native": Target(
@@ -175,6 +208,8 @@ TARGETS: Mapping[str, Target] = {
     **_mps2("cortex-m4", M4F, "an386"),
     **_mps2("cortex-m7", M7, "an500"),
     **_mps2("cortex-m33", M33, "an505", "an505.ld", VC_AN505=1),
+    "small-slp": _small("SLP"),
+    "small-mdct": _small("MDCT"),
     "stm32f405": _stm32f405("Adafruit Feather STM32F405 Express", "board.ld"),
     "stm32f405-qemu": _stm32f405("the same for QEMU, which lacks a memory", "qemu.ld"),
     "rp2040": _rp2040("board with an RP2040, such as a Raspberry Pi Pico; output by PWM", "pwm", 2),

@@ -32,7 +32,7 @@
 #define VC_PACKET_SAMPLES VC_BUFFER_SAMPLES
 #endif
 
-/* Samples of a height profile, all channels together. */
+/* Samples of a height profile, all channels together; 0: leave `profile` out of the settings. */
 #ifndef VC_PROFILE_SAMPLES
 #define VC_PROFILE_SAMPLES 65536
 #endif

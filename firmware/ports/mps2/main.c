@@ -24,7 +24,7 @@ int main(void)
         .actuator = &vc_piezo_stack,
         .public_key = (const uint8_t *)VC_PUBLIC_KEY,
         .watchdog_ms = 2000,
-        .profile = (vc_profile *)profile,
+        .profile = VC_PROFILE_SAMPLES > 0 ? (vc_profile *)profile : NULL,
     };
     static const vc_dac_port dac = {.play = play};
     vc_board_start();

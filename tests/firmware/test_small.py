@@ -1,0 +1,48 @@
+"""Controllers with one codec: they fit small processors, offer that codec alone, and play it to the same bits."""
+
+import numpy as np
+import pytest
+
+from tests.firmware.test_emulated import between_rests, session
+from vibrocast import textures
+from vibrocast.codec.encoding import encode_recording
+from vibrocast.codec.stream import Stream
+from vibrocast.device_protocol.messages import State
+from vibrocast.firmware.build import build, size
+from vibrocast.host.controller import ControllerError
+from vibrocast.host.player import play
+from vibrocast.output.actuator import PIEZO_STACK, Codes
+from vibrocast.output.rendering import render
+from vibrocast.simulated_device import cortex_m
+from vibrocast.simulated_device.cortex_m import CortexM
+
+
+def coded(codec_name: str) -> Stream:
+    return encode_recording(textures.GENERATORS["rough"](3, 0.2), codec_name=codec_name, snr_db=12, live=True).stream
+
+
+@pytest.mark.parametrize(("name", "flash_bytes", "ram_bytes"), [("slp", 1 << 16, 1 << 14), ("mdct", None, 1 << 15)])
+def test_a_controller_with_one_codec_fits(name: str, flash_bytes: int | None, ram_bytes: int) -> None:
+    of = size(f"small-{name}")
+    assert of.ram <= ram_bytes
+    assert flash_bytes is None or of.flash <= flash_bytes
+
+
+@pytest.mark.parametrize(("name", "other"), [("slp", "mdct"), ("mdct", "slp")])
+def test_it_plays_its_codec_and_rejects_another(name: str, other: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cortex_m, "build", lambda core: build(f"small-{name}"))
+    codes: list[Codes] = []
+    device = CortexM("cortex-m4", on_dac=codes.append)
+    link, host = session(device)
+    assert [codec.name for codec in host.description.codecs] == [name]
+    stream = coded(other)
+    with pytest.raises(ControllerError, match="is needed, which this controller does not have"):
+        play(host, stream.header, stream.packets, stream.decoder().packet_samples)
+    stream = coded(name)
+    result = play(host, stream.header, stream.packets, stream.decoder().packet_samples)
+    link.sleep(0.2)
+    assert (result.state, result.underruns, result.lost_packets) == (State.FINISHED, 0, 0)
+    decoder = stream.decoder()
+    expected, _ = render(stream.header, stream.decode_integers(), decoder.delay_samples, PIEZO_STACK)
+    np.testing.assert_array_equal(between_rests(np.concatenate(codes)), between_rests(expected))
+    assert device.processor.stack_bytes() < size(f"small-{name}").stack
