@@ -4,10 +4,11 @@ import hashlib
 import json
 import os
 import platform
+import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -16,6 +17,7 @@ import click
 
 from vibrocast import extras
 from vibrocast.files import InputFileError
+from vibrocast.firmware import rp2040
 from vibrocast.firmware.declarations import cffi_declarations
 from vibrocast.firmware.elf import Elf
 from vibrocast.firmware.keys import read_public_key
@@ -42,6 +44,8 @@ CORTEX_M_FLAGS = (
 )
 M4F, M7, M33 = "cortex_m4+vfp4d16sp", "cortex_m7+fp_armv8d16", "cortex_m33+fp_armv8d16sp+dsp"
 """The compiler's names of processors with an FPU and DSP instructions."""
+M0_PLUS = "cortex_m0plus"
+"""And of one with neither."""
 _IN_RAM = (".stack", ".core", ".data", ".bss")
 _LIBRARY_SUFFIX = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
 
@@ -55,7 +59,7 @@ class Target:
     """One build of the firmware.
 
     `folders`: of its port, below firmware/, whose C sources are compiled with those of `shared`. `defines`: sizes of
-    vibrocast/sizes.h, and settings of its port.
+    vibrocast/sizes.h, and settings of its port. `finish`: called with the linked image.
     """
 
     summary: str
@@ -64,6 +68,7 @@ class Target:
     folders: tuple[str, ...] = ()
     shared: tuple[str, ...] = SHARED
     defines: Mapping[str, int | str] = field(default_factory=dict)
+    finish: Callable[[Path], None] | None = None
 
     def sources(self) -> list[Path]:
         """Return its C sources, from ROOT on; a controller has no use for the core's encoders."""
@@ -80,9 +85,10 @@ class Target:
 
 
 def _cortex_m(summary: str, processor: str, script: str, folders: tuple[str, ...], **defines: int | str) -> Target:
-    """Return the target of a Cortex-M with an FPU. `script`: its linker script, in the first of `folders`."""
+    """Return the target of a Cortex-M. `script`: its linker script, in the first of `folders`."""
     layout = ("-T", f"{folders[0]}/{script}", "-Wl,-e,Reset_Handler")
-    flags = (*CORTEX_M_FLAGS, f"-mcpu={processor}", *layout)
+    general = [flag.removesuffix("hf") if processor == M0_PLUS else flag for flag in CORTEX_M_FLAGS]
+    flags = (*general, f"-mcpu={processor}", *layout)
     return Target(summary, ".elf", flags, ("ports", "ports/cortex_m", *folders), defines=defines)
 
 
@@ -165,6 +171,24 @@ def _small(codec: str) -> Target:
     return replace(target, flags=(*target.flags, "-Os", "-g1"))
 
 
+def _rp2040(summary: str, output: str, channels: int, *drivers: str) -> Target:
+    folders = ("ports/rp2040", f"ports/rp2040/{output}", *drivers)
+    sizes = {**_STM32F405, "VC_CHANNELS": channels, "VC_MAX_CHANNELS": channels}
+    target = _cortex_m(summary, M0_PLUS, "board.ld", folders, VC_HARDWARE=f"rp2040-{output}", **sizes)
+    return replace(target, finish=rp2040.finish)
+
+
+TEMPLATE = _cortex_m(
+    "a port to begin with, whose functions are missing",
+    M4F,
+    "board.ld",
+    ("ports/template",),
+    VC_HARDWARE="my-board",
+    **_STM32F405,
+)
+"""Built as `template`; not in TARGETS, because it cannot be linked."""
+
+
 TARGETS: Mapping[str, Target] = {
     "native": Target(
         "shared library of core and controller, for cffi",
@@ -188,18 +212,20 @@ TARGETS: Mapping[str, Target] = {
     "small-mdct": _small("MDCT"),
     "stm32f405": _stm32f405("Adafruit Feather STM32F405 Express", "board.ld"),
     "stm32f405-qemu": _stm32f405("the same for QEMU, which lacks a memory", "qemu.ld"),
+    "rp2040": _rp2040("board with an RP2040, such as a Raspberry Pi Pico; output by PWM", "pwm", 2),
+    "rp2040-drv260x": _rp2040("the same with a haptic driver DRV260x on I2C", "haptic", 1, "ports/drv260x"),
 }
 
 
 def build(name: str, sizes: Mapping[str, int] | None = None, public_key: bytes | None = None) -> Path:
-    """Build a target of TARGETS, unless it is there already, and return its file.
+    """Build a target of TARGETS, or `template`, unless it is there already, and return its file.
 
     `sizes`: of vibrocast/sizes.h, in place of the target's. `public_key`: 32 bytes, of Ed25519; model images need its
     signature, None = they need none. A library's declarations for cffi lie next to it, with the suffix ".cdef". Builds
     are kept in firmware/build, or in the user's cache where that cannot be written, by a hash of all that they are made
     from. Raises BuildError and MissingExtraError.
     """
-    target = TARGETS[name]
+    target = TEMPLATE if name == "template" else TARGETS[name]
     key = {} if public_key is None else {"VC_PUBLIC_KEY": "".join(f"\\x{byte:02x}" for byte in public_key)}
     target = replace(target, defines={**target.defines, **(sizes or {}), **key})
     extras.require("firmware", "ziglang")
@@ -211,6 +237,8 @@ def build(name: str, sizes: Mapping[str, int] | None = None, public_key: bytes |
             made = Path(temporary) / "made"
             made.mkdir()
             _compile(target, made / built.name)
+            if target.finish is not None:
+                target.finish(made / built.name)
             if target.suffix == _LIBRARY_SUFFIX:
                 parts = [cffi_declarations(ROOT / folder) for folder in target.shared]
                 (made / built.with_suffix(".cdef").name).write_text("\n".join(parts))
@@ -238,6 +266,8 @@ def _build_folder() -> Path:
 def _fingerprint(target: Target) -> str:
     """Return a hash of the sources, the flags, the machine and the compiler."""
     digest = hashlib.sha256(repr((target.command(), sys.platform, platform.machine(), version("ziglang"))).encode())
+    if target.finish is not None:
+        digest.update(Path(rp2040.__file__).read_bytes())
     for folder in (*target.shared, *target.folders):
         for path in sorted((ROOT / folder).iterdir()):
             if path.suffix in (".c", ".h", ".ld"):
@@ -249,7 +279,19 @@ def _compile(target: Target, output: Path) -> None:
     command = [sys.executable, "-m", "ziglang", "cc", *target.command(), "-o", str(output)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     if done.returncode != 0:
+        if missing := _missing_functions(done.stderr):
+            raise BuildError(
+                f"the port lacks {', '.join(missing)}; write what is missing as docs/how-to/port_the_firmware.md says"
+            )
         raise BuildError(f"the firmware cannot be compiled:\n{done.stderr}")
+
+
+def _missing_functions(errors: str) -> list[str]:
+    """Return the functions of a port that the linker lacks: all of port.h, and those that the template marks."""
+    undefined = re.findall(r"undefined symbol: (\w+)", errors)
+    parts = {name.removeprefix("vc_missing_") for name in undefined if name.startswith(("vc_missing_", "vc_port_"))}
+    parts |= {name for name in undefined if name == "main"}
+    return sorted(parts) if len(parts) == len(set(undefined)) else []
 
 
 @dataclass(frozen=True)
@@ -269,7 +311,7 @@ def size(name: str, sizes: Mapping[str, int] | None = None) -> Size:
 
 
 @click.command()
-@click.argument("names", metavar="[TARGET]...", nargs=-1, type=click.Choice(list(TARGETS)))
+@click.argument("names", metavar="[TARGET]...", nargs=-1, type=click.Choice([*TARGETS, "template"]))
 @click.option("--sizes", "with_sizes", is_flag=True, help="Print the bytes of each image instead.")
 @click.option(
     "--json",
@@ -297,7 +339,7 @@ def main(names: tuple[str, ...], with_sizes: bool, json_path: Path | None, key_p
             return
         sizes = {name: asdict(size(name)) for name in wanted if TARGETS[name].suffix == ".elf"}
     except (BuildError, CoreError, InputFileError, OSError, extras.MissingExtraError) as error:
-        raise click.ClickException(str(error)) from error
+        sys.exit(f"error: {error}")
     click.echo(f"{'image':<24}{'flash':>10}{'RAM':>10}{'of it stack':>13}")
     for name, of in sizes.items():
         click.echo(f"{name:<24}{of['flash']:>10}{of['ram']:>10}{of['stack']:>13}")

@@ -4,7 +4,7 @@ import contextlib
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
@@ -32,9 +32,9 @@ from vibrocast.host.tracing import TappedTransport
 if TYPE_CHECKING:
     from vibrocast.output.actuator import Actuator
     from vibrocast.output.sound_card import Card
+    from vibrocast.simulated_device.board import Board
     from vibrocast.simulated_device.controller import Controller as SimulatedController
     from vibrocast.simulated_device.cortex_m import CortexM
-    from vibrocast.simulated_device.stm32f405 import Stm32F405
 
 FIRMWARE = {
     "host": "the firmware as a process of this machine",
@@ -42,6 +42,7 @@ FIRMWARE = {
     "cortex-m7": "the firmware on an emulated Cortex-M7",
     "cortex-m33": "the firmware on an emulated Cortex-M33",
     "stm32f405": "the firmware of the Feather STM32F405 board, emulated",
+    "rp2040": "the firmware of a board with an RP2040, emulated",
 }
 """Controllers made of the C firmware; they last as long as a session, and have their actuator compiled in."""
 EMULATED = tuple(name for name in FIRMWARE if name != "host")
@@ -262,18 +263,18 @@ def _firmware(address: str) -> Iterator[str]:
         yield port.name
 
 
-def emulated(address: str) -> "CortexM | Stm32F405":
+def emulated(address: str) -> "CortexM | Board":
     """Return one of EMULATED. Raises TransportError."""
     from vibrocast.firmware.build import BuildError
 
     extras.require("firmware", "unicorn", "ziglang")
     from vibrocast.simulated_device.cortex_m import CortexM
+    from vibrocast.simulated_device.rp2040 import Rp2040
     from vibrocast.simulated_device.stm32f405 import Stm32F405
 
+    boards: dict[str, Callable[[], Board]] = {"stm32f405": Stm32F405, "rp2040": Rp2040}
     try:
-        if address == "stm32f405":
-            return Stm32F405()
-        return CortexM(address)
+        return boards[address]() if address in boards else CortexM(address)
     except BuildError as error:
         raise TransportError(str(error)) from error
 

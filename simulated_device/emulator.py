@@ -65,7 +65,7 @@ class Processor:
         self.unicorn.hook_add(unicorn.UC_HOOK_INTR, self._stop_at_exception)
         self.unicorn.hook_add(unicorn.UC_HOOK_MEM_UNMAPPED, self._stop_at_no_memory)
         self.counter = CycleCounter(self.unicorn)
-        vectors = image.segments[0].load_address
+        vectors = image.sections.get(".vectors", image.segments[0]).address
         self._return_address = vectors  # there is no instruction
         stack_top, reset = (int.from_bytes(self.unicorn.mem_read(vectors + 4 * index, 4), "little") for index in (0, 1))
         self.unicorn.reg_write(arm_const.UC_ARM_REG_SP, stack_top)

@@ -1,15 +1,15 @@
 """The firmware of the Feather STM32F405 on an emulated board: the same image as for the board, with interrupts."""
 
-from collections import defaultdict, deque
+from collections import defaultdict
 from collections.abc import Callable
 
-import numpy as np
 from unicorn import arm_const
 
 from vibrocast.firmware.build import build
 from vibrocast.firmware.elf import Elf
 from vibrocast.output.actuator import Codes
-from vibrocast.simulated_device.emulator import SYSTEM_SPACE, EmulationError, Processor
+from vibrocast.simulated_device.board import FIRST_LINE, NEVER, Board
+from vibrocast.simulated_device.emulator import SYSTEM_SPACE, Processor
 from vibrocast.simulated_device.flash import FlashMemory
 
 FLASH_BYTES = 1 << 20
@@ -28,10 +28,8 @@ _MIDDLE = 2048  # of the DAC's range
 _TICKS_PER_US = 84
 _TICKS_PER_MS = 1000 * _TICKS_PER_US
 _CYCLES_PER_TICK = 2
-# While interrupts are switched off, the processor runs in steps of this length.
-_MASKED_TICKS = 50
 # The least time after which the chip's independent watchdog resets it (board.h).
-_WATCHDOG_TICKS = 2700 * _TICKS_PER_MS
+_WATCHDOG_US = 2_700_000
 
 # Registers, by their offset from _PERIPHERALS; names and bits as in firmware/ports/stm32f405/registers.h.
 _TIM6_CR1, _TIM6_ARR = 0x1000, 0x102C
@@ -45,9 +43,9 @@ _KEYS = (0x4567_0123, 0xCDEF_89AB)
 _PG, _SER, _STRT, _LOCK = 1, 1 << 1, 1 << 16, 1 << 31
 _PGPERR, _PGSERR = 1 << 6, 1 << 7
 
-# Registers of the system space, and numbers of exceptions: an interrupt's line + 16.
-_SYSTICK_VALUE, _ENABLE, _VECTOR_TABLE = 0x18, 0x100, 0xD08
-_SYSTICK, _USART3, _TIM6 = 15, 16 + 39, 16 + 54
+# A register of the system space, and numbers of exceptions.
+_SYSTICK_VALUE = 0x18
+_SYSTICK, _USART3, _TIM6 = 15, FIRST_LINE + 39, FIRST_LINE + 54
 
 _LINE_BYTES = 65_536
 # Bytes from the host come together, as an adapter on USB has them: each takes ten bits of 921 600 baud.
@@ -55,7 +53,7 @@ _TOGETHER_BYTES = 64
 _TOGETHER_TICKS = _TOGETHER_BYTES * 1000 * _TICKS_PER_MS * 10 // 921_600
 
 
-class Stm32F405:
+class Stm32F405(Board):
     """A controller (simulated_device.device.Device): the firmware built for `stm32f405` on an emulated board.
 
     `flash`: FLASH_BYTES bytes, in which images outlive this object; None = a blank one. A file behind it is not
@@ -74,109 +72,36 @@ class Stm32F405:
         drift_ppm: int = 0,
     ) -> None:
         self._flash = flash or FlashMemory(FLASH_BYTES, sector_bytes=1 << 14)
-        self.processor = Processor(
+        processor = Processor(
             Elf(build("stm32f405")),
             arm_const.UC_CPU_ARM_CORTEX_M4,
             _MEMORIES,
             (_FLASH, self._flash),
             self._write_flash,
         )
-        self.processor.add_registers(_PERIPHERALS, self._read, self._write, _PERIPHERALS_BYTES)
-        self.processor.add_registers(SYSTEM_SPACE, self._read_system, self._write_system)
-        self._on_dac = on_dac
-        self._drift_ppm = drift_ppm
+        super().__init__(processor, _TICKS_PER_US, _CYCLES_PER_TICK, _WATCHDOG_US, on_dac, drift_ppm)
+        processor.add_registers(_PERIPHERALS, self._read, self._write, _PERIPHERALS_BYTES)
+        processor.add_registers(SYSTEM_SPACE, self._read_system, self._write_system)
         self._registers = defaultdict(int, {_FLASH_CR: _LOCK})
-        self._system: defaultdict[int, int] = defaultdict(int)
-        self._enabled: set[int] = set()
         self._keys: tuple[int, ...] = ()
         self._programmed: list[tuple[int, int]] = []  # offset and byte of unfinished writes
-        self._origin_us: int | None = None
-        self._now = self._next_conversion = self._next_bytes = self._ready_bytes = 0
+        self._next_conversion = self._next_bytes = self._ready_bytes = 0
         self._next_millisecond = _TICKS_PER_MS
-        self._incoming: deque[int] = deque()
-        self._outgoing = bytearray()
-        self._codes: list[tuple[int, int]] = []
-        self._fed_at = self._fed_cycles = self._longest_turn_cycles = 0
-        self._ran_from = 0, 0  # the time, and the cycles, at which the processor was last started
-        self.processor.unicorn.mem_write(_UNIQUE, UNIQUE_NUMBER)
-        self.processor.run()  # until it first waits for an interrupt: starting takes no time
-        self._sleeping = True
-        self._ran_from = 0, self.processor.counter.cycles
-        self._now = 0
+        processor.unicorn.mem_write(_UNIQUE, UNIQUE_NUMBER)
+        self.boot()
 
-    def receive(self, data: bytes, now_us: int) -> None:
-        """Take bytes from the host."""
-        self.advance(now_us)
-        self._incoming.extend(data)
+    def _due(self) -> int | None:
+        if self._next_conversion <= self._now:
+            self._next_conversion += self._registers[_TIM6_ARR] + 1
+            return _TIM6
+        if self._next_millisecond <= self._now:
+            self._next_millisecond += _TICKS_PER_MS
+            return _SYSTICK
+        return _USART3 if self._receives() or self._sends() else None
 
-    def advance(self, now_us: int) -> None:
-        """Let the board's time pass; call it every few milliseconds."""
-        if self._origin_us is None:
-            self._origin_us = now_us
-        true_us = now_us - self._origin_us
-        end = (true_us + true_us * self._drift_ppm // 1_000_000) * _TICKS_PER_US
-        while True:
-            self._take_interrupts()
-            if self._now >= end:
-                break
-            event = min(self._next_millisecond, self._next_conversion, end)
-            if self._incoming and self._registers[_USART_CR1] & _RXNEIE:
-                event = min(event, max(self._next_bytes, self._now))
-            if self._sleeping:
-                self._now = event
-            else:
-                self._run(max(event, self._now + _MASKED_TICKS))
-        if self._now - self._fed_at > _WATCHDOG_TICKS:
-            raise EmulationError("the watchdog has reset the board: its loop stood still for 2.7 s")
-        codes, self._codes = self._codes, []
-        if codes and self._on_dac is not None:
-            self._on_dac(np.array(codes, np.int16))
-
-    def longest_turn_us(self) -> float:
-        """Return the longest time that the processor worked between two turns of the loop, and begin again.
-
-        Each turn feeds the watchdog. Interrupts are part of the time, waiting for them is not.
-        """
-        longest, self._longest_turn_cycles = self._longest_turn_cycles, 0
-        return longest / (_CYCLES_PER_TICK * _TICKS_PER_US)
-
-    @property
-    def now_us(self) -> float:
-        """The time since the board's start, also while it works."""
-        return self._time() / _TICKS_PER_US
-
-    def _run(self, until: int) -> None:
-        """Run the processor up to a time, or until it waits for an interrupt."""
-        deadline = self.processor.counter.cycles + _CYCLES_PER_TICK * (until - self._now)
-        self._ran_from = self._now, self.processor.counter.cycles
-        self.processor.run(deadline)
-        self._sleeping = self.processor.counter.cycles < deadline
-        self._now = self._time()
-
-    def _time(self) -> int:
-        """Return the time, also while the processor runs."""
-        at, cycles = self._ran_from
-        return max(self._now, at + (self.processor.counter.cycles - cycles) // _CYCLES_PER_TICK)
-
-    def _take_interrupts(self) -> None:
-        """Run the handlers of all that is due, unless the image has switched interrupts off."""
-        while self._sleeping or not self.processor.masks_interrupts:
-            if self._next_conversion <= self._now:
-                self._next_conversion += self._registers[_TIM6_ARR] + 1
-                self._interrupt(_TIM6)
-            elif self._next_millisecond <= self._now:
-                self._next_millisecond += _TICKS_PER_MS
-                self._interrupt(_SYSTICK)
-            elif self._receives() or self._sends():
-                self._interrupt(_USART3)
-            else:
-                return
-
-    def transmit(self) -> bytes:
-        """Return the bytes to send to the host, once."""
-        data = bytes(self._outgoing)
-        self._outgoing.clear()
-        return data
+    def _next_event(self) -> int:
+        receiving = self._incoming and self._registers[_USART_CR1] & _RXNEIE
+        return min(self._next_millisecond, self._next_conversion, self._next_bytes if receiving else NEVER)
 
     def _receives(self) -> bool:
         return self._has_byte() and bool(self._registers[_USART_CR1] & _RXNEIE)
@@ -196,14 +121,6 @@ class Stm32F405:
     def _sends(self) -> bool:
         return len(self._outgoing) < _LINE_BYTES and bool(self._registers[_USART_CR1] & _TXEIE)
 
-    def _interrupt(self, exception: int) -> None:
-        if exception == _SYSTICK or exception - 16 in self._enabled:
-            entry = self._system[_VECTOR_TABLE] + 4 * exception
-            self._ran_from = self._now, self.processor.counter.cycles
-            self.processor.interrupt(int.from_bytes(self.processor.unicorn.mem_read(entry, 4), "little"))
-            self._now = self._time()
-            self._sleeping = False
-
     def _read(self, offset: int) -> int:
         if offset == _USART_SR:
             return (_RXNE if self._has_byte() else 0) | (_TXE if len(self._outgoing) < _LINE_BYTES else 0)
@@ -222,9 +139,7 @@ class Stm32F405:
         if offset == _USART_DR:
             self._outgoing.append(value & 0xFF)
         elif offset == _IWDG_KR:
-            cycles = self.processor.counter.cycles
-            self._longest_turn_cycles = max(self._longest_turn_cycles, cycles - self._fed_cycles)
-            self._fed_cycles, self._fed_at = cycles, self._time()
+            self._feed_watchdog()
         elif offset == _FLASH_KEYR:
             self._keys = (*self._keys, value)[-2:]
             if self._keys == _KEYS:
@@ -266,9 +181,4 @@ class Stm32F405:
         if offset == _SYSTICK_VALUE:
             left = self._next_millisecond - self._time()
             return (_CYCLES_PER_TICK * left - 1) % (_CYCLES_PER_TICK * _TICKS_PER_MS)
-        return self._system[offset]
-
-    def _write_system(self, offset: int, value: int) -> None:
-        self._system[offset] = value
-        if _ENABLE <= offset < _ENABLE + 32:
-            self._enabled |= {8 * (offset - _ENABLE) + bit for bit in range(32) if value >> bit & 1}
+        return super()._read_system(offset)

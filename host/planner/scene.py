@@ -237,6 +237,7 @@ _KNOWN: Mapping[str, dict[str, Any]] = {
     "cortex-m7": {"core": "M7", "clock_hz": 480e6, "channels": 4},
     "cortex-m33": {"core": "M33", "clock_hz": 150e6, "channels": 4},
     "stm32f405": {"core": "M4F", "clock_hz": 168e6, "flash_bytes": 2**20, "ram_bytes": 192 * 1024, "channels": 2},
+    "rp2040": {"channels": 2},
 }
 
 

@@ -55,7 +55,7 @@ def test_the_readmes_stream_plays(address: str) -> None:
     recording = vibrocast.load(OAK)
     stream = vibrocast.encode(recording.samples, rate_hz=recording.rate_hz, unit=recording.unit, snr_db=15)
     assert re.search(rf"^{stream.size_bytes} \({stream.samples}, 1\) True$", text, re.MULTILINE)
-    assert (check_plays(address, stream).stream != stream) == (address == "stm32f405")
+    assert (check_plays(address, stream).stream != stream) == (address in ("stm32f405", "rp2040"))
 
 
 @pytest.mark.slow
@@ -66,7 +66,7 @@ def test_the_readmes_recording_plays_as_play_codes_it(address: str) -> None:
 
 
 @pytest.mark.slow
-@every_controller
+@pytest.mark.parametrize("address", [name for name in CONTROLLERS if name != "rp2040"])  # it is too slow for 7000 Hz
 @pytest.mark.parametrize("codec_name", ["mdct", "lapped"])
 def test_files_of_any_rate_and_quality_play(address: str, codec_name: str) -> None:
     """At 7000 Hz packets are longer, and at 50 dB they have more bytes, than the smallest board takes."""

@@ -10,7 +10,7 @@ from vibrocast.host import devices
 from vibrocast.simulated_device.stm32f405 import UNIQUE_NUMBER
 
 
-@pytest.mark.parametrize("address", ["host", "cortex-m4", "cortex-m7", "cortex-m33", "stm32f405"])
+@pytest.mark.parametrize("address", ["host", "cortex-m4", "cortex-m7", "cortex-m33", "stm32f405", "rp2040"])
 def test_firmware_is_greeted_at_its_address(address: str) -> None:
     assert address in devices.available()
     with devices.connect(address) as controller:

@@ -25,6 +25,9 @@ int memcmp(const void *one, const void *other, size_t length);
 /* Code that runs while flash, which holds all other code, is being erased. */
 #define VC_IN_RAM __attribute__((section(".ramfunc"), noinline))
 
+/* Memory for the rings between interrupts and the loop and for height profiles. It is not cleared at a start. */
+#define VC_CORE_MEMORY __attribute__((section(".core")))
+
 typedef void (*vc_handler)(void); /* of an exception, in a vector table */
 
 extern const uint32_t vc_stack_top[]; /* set by the linker script */

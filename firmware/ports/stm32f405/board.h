@@ -13,10 +13,6 @@
 #define VC_APB1_HZ (VC_PROCESSOR_HZ / 4)
 #define VC_APB1_TIMERS_HZ (VC_PROCESSOR_HZ / 2) /* 7.2: twice APB1's clock where that is divided */
 
-/* Memory that only the processor reaches, for the rings between interrupts and the loop and for height profiles. It is
- * not cleared at a start. */
-#define VC_CORE_MEMORY __attribute__((section(".core")))
-
 /* Runs the processor at VC_PROCESSOR_HZ, from the crystal or, if that does not start, from the internal oscillator. */
 void vc_clocks_start(void);
 
@@ -28,12 +24,10 @@ static inline void vc_watchdog_feed(void)
     VC_IWDG_KR = VC_IWDG_FEED;
 }
 
-/* Turns both outputs on at rest, where a divider at each holds it until then. They play the codes that vc_board_dac
+/* Turns both outputs on at rest, where a divider at each holds it until then. They play the codes that vc_paced_dac
  * takes. `dac_bits`: of the codes. */
 void vc_dac_output_start(uint32_t dac_rate_hz, unsigned dac_bits);
 void TIM6_DAC_IRQHandler(void);
-
-extern const vc_dac_port vc_board_dac;
 
 /* For a fault: brings both outputs to rest, without interrupts. Does not return; the watchdog resets the board. */
 void vc_dac_output_rest(void);

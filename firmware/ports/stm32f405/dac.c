@@ -1,60 +1,23 @@
-/* The DAC: one sample of both channels at each interrupt of TIM6. RM0090: 14.3 (DAC), 20.3 (timer), 8.3 (pins).
- *
- * The samples wait in a ring, because the loop hands on none while it decodes a block. So the output lags the
- * controller's clock: by LEAST_LAG_MS plus twice the time by which the stream's first sample came late, as far as the
- * ring has room. If samples come later than that, the ring is empty: the output goes to rest, fades back into the
- * stream, and sets the lag again. A Stop empties the ring, so the lag does not delay it.
- */
+/* The DAC: one sample of both channels at each interrupt of TIM6. RM0090: 14.3 (DAC), 20.3 (timer), 8.3 (pins). */
 #include "board.h"
-#include "vibrocast/port.h"
+#include "paced_output.h"
 
-#define CHANNELS 2
 #define REST 2048
-#define LEAST_LAG_MS 4
-#define CAPACITY 4096u /* samples; a power of two */
-#define SPARE 64u      /* samples beyond the lag: the ramp to rest comes at once, in one piece */
-#define FADE_MS 50     /* to rest, and back, where samples are missing or dropped */
 
-/* Written by the loop. */
-static int16_t ring[CAPACITY][CHANNELS] VC_CORE_MEMORY;
-static volatile uint32_t put;
-static uint32_t rate_hz, least_lag_samples, lag_samples;
-static unsigned shift;
-
-/* Written by the interrupt; by the loop as well where the ring is empty, or with interrupts off. */
-static volatile uint32_t taken;
-static volatile uint32_t waiting; /* samples to wait before the next is taken */
-static volatile int broken;       /* the next sample does not follow the last output */
-static volatile int missing;      /* the stream goes on, but the ring is empty */
-static vc_output_counts counts;
-
-/* Of the interrupt. */
-static int playing;                                   /* the last sample came from the ring */
-static int away;                                      /* the last one that did was not rest */
-static int32_t level[CHANNELS], faded_from[CHANNELS]; /* codes of 12 bits, 0 = rest; `level`: at the output */
-static int32_t fade_samples, fade_left;
-
-static uint32_t samples_in(uint64_t us)
-{
-    return (uint32_t)(us * rate_hz / 1000000);
-}
-
-static inline void write_levels(void)
+static inline void write_levels(const int32_t *level)
 {
     VC_DAC_DHR12RD = (uint32_t)(level[0] + REST) | (uint32_t)(level[1] + REST) << 16;
 }
 
 void vc_dac_output_start(uint32_t dac_rate_hz, unsigned dac_bits)
 {
-    shift = dac_bits - 12;
-    rate_hz = dac_rate_hz;
-    lag_samples = least_lag_samples = samples_in(LEAST_LAG_MS * 1000);
-    fade_samples = (int32_t)samples_in(FADE_MS * 1000) + 1;
+    static const int32_t rest[VC_PACED_CHANNELS];
+    vc_paced_start(dac_rate_hz, dac_bits - 12);
     VC_RCC_AHB1ENR |= VC_RCC_GPIOA;
     VC_RCC_APB1ENR |= VC_RCC_DAC | VC_RCC_TIM6;
     (void)VC_RCC_APB1ENR;                 /* as in uart.c */
     VC_GPIO_MODER(VC_GPIOA) |= 0xFu << 8; /* PA4 and PA5: analogue */
-    write_levels();                       /* before the outputs are on: dividers hold rest until then */
+    write_levels(rest);                   /* before the outputs are on: dividers hold rest until then */
     VC_DAC_CR = VC_DAC_EN1 | VC_DAC_EN2;
     VC_TIM6_ARR = VC_APB1_TIMERS_HZ / dac_rate_hz - 1;
     VC_TIM6_DIER = 1;
@@ -64,121 +27,15 @@ void vc_dac_output_start(uint32_t dac_rate_hz, unsigned dac_bits)
 
 VC_IN_RAM void TIM6_DAC_IRQHandler(void)
 {
-    int32_t target[CHANNELS] = {0};
-    const uint32_t next = taken;
-    const int taking = next != put && waiting == 0;
-    const int stopping = playing && !taking && (level[0] != 0 || level[1] != 0);
-    unsigned channel;
     VC_TIM6_SR = 0;
-    if (stopping || (taking && broken)) {
-        for (channel = 0; channel < CHANNELS; channel++)
-            faded_from[channel] = level[channel];
-        fade_left = fade_samples;
-        broken = stopping;
-    }
-    if (stopping && away && !missing) {
-        missing = 1;
-        counts.gaps++;
-    }
-    counts.late_samples += missing && !taking;
-    if (taking) {
-        for (channel = 0; channel < CHANNELS; channel++)
-            target[channel] = ring[next & (CAPACITY - 1)][channel];
-        away = target[0] != 0 || target[1] != 0;
-        taken = next + 1;
-        missing = 0;
-    } else if (waiting > 0) {
-        waiting--;
-    }
-    playing = taking;
-    if (fade_left > 0)
-        fade_left--;
-    for (channel = 0; channel < CHANNELS; channel++)
-        level[channel] = target[channel] + (faded_from[channel] - target[channel]) * fade_left / fade_samples;
-    write_levels();
+    write_levels(vc_paced_next());
 }
-
-static void put_sample(const int16_t *codes, unsigned channels)
-{
-    unsigned channel;
-    for (channel = 0; channel < CHANNELS; channel++)
-        ring[put & (CAPACITY - 1)][channel] = channel < channels ? (int16_t)(codes[channel] >> shift) : 0;
-    __asm volatile("" ::: "memory"); /* the sample is stored before the count says so */
-    put++;
-}
-
-/* The ring was empty: sets the lag, during which its samples wait. It grows only, until the stream is dropped. */
-static void begin_lag(uint64_t due_us)
-{
-    const uint32_t late = samples_in(vc_port_now_us() - due_us), needed = least_lag_samples + 2 * late;
-    if (lag_samples < needed)
-        lag_samples = needed < CAPACITY - 2 * SPARE ? needed : CAPACITY - 2 * SPARE;
-    waiting = late < lag_samples ? lag_samples - late : 0;
-}
-
-/* Lets no sample wait longer than the lag; part of it has passed already if many samples come at once. If something
- * else stopped the loop for long, drops the oldest samples. */
-static void keep_lag(void)
-{
-    uint32_t held;
-    __asm volatile("cpsid i" ::: "memory");
-    held = put - taken;
-    if (waiting + held > lag_samples)
-        waiting = held < lag_samples ? lag_samples - held : 0;
-    if (held > lag_samples + SPARE) {
-        taken = put - lag_samples;
-        broken = 1;
-    }
-    __asm volatile("cpsie i" ::: "memory");
-}
-
-static void play(void *context, const int16_t *codes, uint32_t samples, unsigned channels, uint64_t due_us)
-{
-    uint32_t sample;
-    (void)context;
-    if (put == taken)
-        begin_lag(due_us);
-    for (sample = 0; sample < samples; sample++)
-        put_sample(codes + sample * channels, channels);
-    keep_lag();
-}
-
-/* The output goes to rest from the next interrupt on. */
-static void drop(void *context)
-{
-    unsigned channel;
-    (void)context;
-    __asm volatile("cpsid i" ::: "memory");
-    taken = put;
-    waiting = 0;
-    lag_samples = least_lag_samples;
-    missing = playing = 0;
-    broken = 1;
-    for (channel = 0; channel < CHANNELS; channel++)
-        faded_from[channel] = level[channel];
-    fade_left = fade_samples;
-    __asm volatile("cpsie i" ::: "memory");
-}
-
-static void count(void *context, vc_output_counts *filled)
-{
-    (void)context;
-    __asm volatile("cpsid i" ::: "memory");
-    *filled = counts;
-    __asm volatile("cpsie i" ::: "memory");
-}
-
-const vc_dac_port vc_board_dac = {play, drop, count, NULL};
 
 void vc_dac_output_rest(void)
 {
-    __asm volatile("cpsid i" ::: "memory");
     for (;;) {
-        unsigned channel;
         volatile uint32_t turns;
-        for (channel = 0; channel < CHANNELS; channel++)
-            level[channel] += level[channel] < 0 ? 1 : level[channel] > 0 ? -1 : 0;
-        write_levels();
+        write_levels(vc_paced_rest());
         for (turns = 0; turns < 1000; turns++) {
         }
     }

@@ -1,6 +1,7 @@
 /* A controller on an Adafruit Feather STM32F405 Express. */
 #include "vibrocast/actuator_tables.h"
 #include "board.h"
+#include "paced_output.h"
 #include "vibrocast/port.h"
 #include "vibrocast/sizes.h"
 #include "systick.h"
@@ -52,7 +53,7 @@ int main(void)
     vc_systick_start(VC_PROCESSOR_HZ / 1000000);
     vc_dac_output_start(ACTUATOR.dac_rate_hz, ACTUATOR.dac_bits);
     vc_uart_start();
-    vc_loop_start(&settings, &vc_board_flash, &vc_board_dac);
+    vc_loop_start(&settings, &vc_board_flash, &vc_paced_dac);
     for (;;) {
         vc_watchdog_feed();
         if (!vc_loop_turn())

@@ -1,0 +1,68 @@
+"""The template of a port: the build names the functions that are missing, and links when none is."""
+
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from vibrocast.firmware import build as building
+from vibrocast.firmware.build import BuildError, build
+from vibrocast.firmware.elf import Elf
+
+FUNCTIONS = {
+    *("board_start", "watchdog_feed", "on_fault", "vc_port_read", "vc_port_write", "vc_port_now_us"),
+    *("flash_erase", "flash_program", "dac_play"),
+}
+PAGE = "docs/how-to/port_the_firmware.md"
+
+
+@pytest.fixture
+def rebuilt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[str], str]], Path]:
+    """Return a function that builds the template after a change of its main.c."""
+    root = tmp_path / "firmware"
+    shutil.copytree(building.ROOT, root, ignore=shutil.ignore_patterns("build", "__pycache__", "fuzz"))
+    monkeypatch.setattr(building, "ROOT", root)
+
+    def changed(change: Callable[[str], str]) -> Path:
+        source = root / "ports" / "template" / "main.c"
+        source.write_text(change(source.read_text()))
+        return build("template")
+
+    return changed
+
+
+def without_marks(source: str) -> str:
+    return re.sub(r"\n    VC_MISSING\(\w+\);", "", source)
+
+
+def test_the_command_names_every_function_that_is_missing() -> None:
+    done = CliRunner().invoke(building.main, ["template"])
+    assert done.exit_code == 1
+    assert set(re.findall(r"\w+", done.output.split("lacks")[1].split(";")[0])) == FUNCTIONS
+    assert PAGE in done.output
+    assert (building.ROOT.resolve().parent / PAGE).exists()
+
+
+def test_a_port_without_a_function_of_the_loop_is_told_which(rebuilt: Callable[[Callable[[str], str]], Path]) -> None:
+    def without_write(source: str) -> str:
+        return re.sub(r"size_t vc_port_write\(.*?\n}\n", "", without_marks(source), flags=re.DOTALL)
+
+    with pytest.raises(BuildError, match=rf"the port lacks vc_port_write; write what is missing as {PAGE} says"):
+        rebuilt(without_write)
+
+
+@pytest.mark.slow
+def test_a_port_that_calls_another_unknown_function_gets_the_linkers_words(
+    rebuilt: Callable[[Callable[[str], str]], Path],
+) -> None:
+    with pytest.raises(BuildError, match=r"cannot be compiled(.|\n)*clock_start"):
+        rebuilt(lambda source: without_marks(source).replace("board_start();", "clock_start();"))
+
+
+@pytest.mark.slow
+def test_a_port_with_all_functions_is_linked(rebuilt: Callable[[Callable[[str], str]], Path]) -> None:
+    image = Elf(rebuilt(without_marks))
+    assert {"main", "vc_port_read", "vc_loop_turn"} <= set(image.functions.values())
