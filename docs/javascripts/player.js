@@ -98,9 +98,9 @@ function short(value) {
  * @param {Curve[]} curves
  * @param {[number, number]} xs - Ends of the axis.
  * @param {[number, number]} ys
- * @param {[string, string]} units - Of the axes.
+ * @param {string} unit - Of the horizontal axis.
  */
-function draw(place, curves, xs, ys, units) {
+function draw(place, curves, xs, ys, unit) {
     const [width, height, left, bottom] = [Math.max(240, place.clientWidth), 170, 46, 26];
     /** @param {number} value */
     const x = (value) => left + ((value - xs[0]) / (xs[1] - xs[0])) * (width - left - 8);
@@ -113,10 +113,9 @@ function draw(place, curves, xs, ys, units) {
             svg("line", { class: "vc-grid", x1: left, x2: width - 8, y1: y(row), y2: y(row) }),
             svg("text", { x: left - 6, y: y(row) + 4, "text-anchor": "end" }, short(row)),
             svg("text", { x: x(column), y: height - 6, "text-anchor": ["start", "middle", "end"][2 * part] },
-                part === 1 ? `${short(column)} ${units[0]}` : short(column)),
+                part === 1 ? `${short(column)} ${unit}` : short(column)),
         );
     }
-    picture.append(svg("text", { x: left + 4, y: 18 }, units[1]));
     for (const { name, points } of curves)
         picture.append(svg("polyline", { class: `vc-curve vc-${name}`, points: points.map(([a, b]) => `${x(a).toFixed(1)},${y(Math.min(ys[1], Math.max(ys[0], b))).toFixed(1)}`).join(" ") }));
     place.replaceChildren(picture);
@@ -126,18 +125,16 @@ function draw(place, curves, xs, ys, units) {
  * Returns the points of samples: all, or the least and the greatest of each of many stretches.
  * @param {ArrayLike<number>} samples
  * @param {number} rateHz
- * @param {number} start
- * @param {number} end
  * @returns {[number, number][]}
  */
-function points(samples, rateHz, start, end) {
-    const stretch = Math.max(1, Math.floor((end - start) / 600));
+function points(samples, rateHz) {
+    const stretch = Math.max(1, Math.floor(samples.length / 600));
     /** @type {[number, number][]} */
     const found = [];
-    for (let at = start; at < end; at += stretch) {
+    for (let at = 0; at < samples.length; at += stretch) {
         let low = samples[at];
         let high = samples[at];
-        for (let index = at; index < Math.min(end, at + stretch); index++) {
+        for (let index = at; index < Math.min(samples.length, at + stretch); index++) {
             low = Math.min(low, samples[index]);
             high = Math.max(high, samples[index]);
         }
@@ -301,11 +298,12 @@ class Player {
         const width = Math.min(decoded.length, Math.ceil(STRONGEST_S * rateHz));
         const start = Math.max(0, Math.min(decoded.length - width, strongest - Math.floor(width / 2)));
         const [along, across] = stream.unit === PROFILE_UNIT ? ["m", "1/m"] : ["s", "Hz"];
-        const unit = UNITS[stream.unit].split(" over")[0];
-        const parts = /** @type {const} */ ([["wave", 0, decoded.length], ["strongest", start, start + width]]);
-        for (const [place, from, to] of parts) {
-            const curves = sources.map(([name, samples]) => ({ name, points: points(samples, rateHz, from, to) }));
-            draw(this.get(place), curves, [from / rateHz, to / rateHz], [-peak, peak], [along, unit]);
+        this.say("unit", UNITS[stream.unit].split(" over")[0]);
+        for (const [place, from, to] of /** @type {const} */ ([["wave", 0, decoded.length], ["strongest", start, start + width]])) {
+            const curves = sources.map(([name, samples]) => ({ name, points: points(samples.subarray(from, to), rateHz) }));
+            const scale = place === "wave" ? 1 : 1000; // m or s, mm or ms
+            for (const curve of curves) for (const point of curve.points) point[0] *= scale;
+            draw(this.get(place), curves, [0, (scale * (to - from)) / rateHz], [-peak, peak], scale === 1 ? along : `m${along}`);
         }
         const powers = sources.map(([name, samples]) => /** @type {const} */ ([name, spectrum(samples)]));
         const most = Math.max(...powers.map(([, power]) => peakOf(power))) || 1;
@@ -313,7 +311,7 @@ class Player {
             name,
             points: Array.from(power, (value, bin) => /** @type {[number, number]} */ ([(bin * rateHz) / SPECTRUM_FRAME, 10 * Math.log10(value / most + 1e-12)])),
         }));
-        draw(this.get("spectrum"), spectra, [0, rateHz / 2], [-SPECTRUM_RANGE_DB, 0], [across, "dB"]);
+        draw(this.get("spectrum"), spectra, [0, rateHz / 2], [-SPECTRUM_RANGE_DB, 0], across);
     }
 
     // ---- sound card ----
@@ -423,7 +421,7 @@ class Player {
             });
             if (last.state === STATES.STOPPED) return this.say("device", "Stopped.");
             const there = await controller.decodedSamples(stream.channels);
-            const here = decoded.integers.subarray(0, (decoded.delaySamples + decoded.samples) * stream.channels);
+            const here = decoded.integers;
             const compared = there === null
                 ? "It does not keep the samples, so nothing was compared."
                 : there.length === here.length && there.every((value, index) => value === here[index])

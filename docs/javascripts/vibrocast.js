@@ -593,7 +593,7 @@ class Controller {
         const { packetSamples } = decoded;
         const longest = packets.reduce((most, packet) => Math.max(most, packet.length), 0);
         if (longest > Math.min(limits.max_packet_bytes, limits.max_payload_bytes - PACKET_OVERHEAD_BYTES))
-            throw new Problem(`A packet has ${longest} bytes, which the controller cannot hold. \`vibrocast play\` splits it, and \`vibrocast encode --live\` makes short ones.`);
+            throw new Problem(`A packet has ${longest} bytes, which the controller cannot hold. Use \`vibrocast play\`, which splits it.`);
         const before = await this.request("StatusRequest", {}, "Status");
         const number = (before.stream + 1) % 256;
         const room = Math.floor(limits.buffer_samples / packetSamples);
