@@ -54,7 +54,9 @@ function resampled(samples, fromHz, toHz) {
  */
 function spectrum(samples) {
     const bins = SPECTRUM_FRAME / 2;
-    const cosine = Float64Array.from({ length: SPECTRUM_FRAME }, (_, n) => Math.cos((2 * Math.PI * n) / SPECTRUM_FRAME));
+    const cosine = Float64Array.from({ length: SPECTRUM_FRAME }, (_, n) =>
+        Math.cos((2 * Math.PI * n) / SPECTRUM_FRAME),
+    );
     const power = new Float64Array(bins);
     const hop = Math.max(bins, Math.floor((samples.length - SPECTRUM_FRAME) / SPECTRUM_FRAMES));
     for (let start = 0; start === 0 || start + SPECTRUM_FRAME <= samples.length; start += hop)
@@ -112,12 +114,22 @@ function draw(place, curves, xs, ys, unit) {
         picture.append(
             svg("line", { class: "vc-grid", x1: left, x2: width - 8, y1: y(row), y2: y(row) }),
             svg("text", { x: left - 6, y: y(row) + 4, "text-anchor": "end" }, short(row)),
-            svg("text", { x: x(column), y: height - 6, "text-anchor": ["start", "middle", "end"][2 * part] },
-                part === 1 ? `${short(column)} ${unit}` : short(column)),
+            svg(
+                "text",
+                { x: x(column), y: height - 6, "text-anchor": ["start", "middle", "end"][2 * part] },
+                part === 1 ? `${short(column)} ${unit}` : short(column),
+            ),
         );
     }
     for (const { name, points } of curves)
-        picture.append(svg("polyline", { class: `vc-curve vc-${name}`, points: points.map(([a, b]) => `${x(a).toFixed(1)},${y(Math.min(ys[1], Math.max(ys[0], b))).toFixed(1)}`).join(" ") }));
+        picture.append(
+            svg("polyline", {
+                class: `vc-curve vc-${name}`,
+                points: points
+                    .map(([a, b]) => `${x(a).toFixed(1)},${y(Math.min(ys[1], Math.max(ys[0], b))).toFixed(1)}`)
+                    .join(" "),
+            }),
+        );
     place.replaceChildren(picture);
 }
 
@@ -209,7 +221,8 @@ class Player {
         try {
             await action();
         } catch (error) {
-            const text = error instanceof Problem ? error.message : `The page failed: ${error}. Load it again, and report this.`;
+            const text =
+                error instanceof Problem ? error.message : `The page failed: ${error}. Load it again, and report this.`;
             this.get("problem").textContent = text;
         }
         this.enable();
@@ -250,9 +263,14 @@ class Player {
         const streams = files.filter(({ name }) => !name.endsWith(".vcmi"));
         const images = files.filter(({ name }) => name.endsWith(".vcmi"));
         if (streams.length !== 1 || images.length > 1)
-            throw new Problem("The choice is not clear: it needs one .vct file, and at most one .vcmi file with its model. Choose again.");
-        if (streams[0].size > MAX_FILE_BYTES) throw new Problem("The file is too large for this page. Use `vibrocast decode`.");
-        const [file, image] = await Promise.all([streams[0], ...images].map(async (each) => new Uint8Array(await each.arrayBuffer())));
+            throw new Problem(
+                "The choice is not clear: it needs one .vct file, and at most one .vcmi file with its model. Choose again.",
+            );
+        if (streams[0].size > MAX_FILE_BYTES)
+            throw new Problem("The file is too large for this page. Use `vibrocast decode`.");
+        const [file, image] = await Promise.all(
+            [streams[0], ...images].map(async (each) => new Uint8Array(await each.arrayBuffer())),
+        );
         this.show(file, image);
         this.example.value = "file";
         this.file.value = ""; // so that the same file can be chosen again
@@ -268,20 +286,39 @@ class Player {
         const stream = this.core.read(file);
         const decoded = this.core.decode(stream, image);
         const channels = channelsOf(stream, decoded);
-        const split = original && channels.map((_, channel) =>
-            Float64Array.from({ length: decoded.samples }, (__, index) => original[index * channels.length + channel]));
+        const split =
+            original &&
+            channels.map((_, channel) =>
+                Float64Array.from(
+                    { length: decoded.samples },
+                    (__, index) => original[index * channels.length + channel],
+                ),
+            );
         this.shown = { stream, decoded, channels, original: split ?? null };
         const seconds = decoded.samples / stream.rateHz;
         const ratio = split ? snrDb(split, channels) : null;
         const spatial = stream.unit === PROFILE_UNIT;
         const bits = (8 * stream.fileBytes) / seconds;
         this.say("bits", spatial ? `${(bits / 1000).toFixed(1)} bit/mm` : `${bits.toFixed(0)} bit/s`);
-        this.say("snr", split === undefined ? "unknown: no original here" : ratio === null ? "none: silence" : `${ratio.toFixed(2)} dB`);
-        this.say("size", `${stream.fileBytes} bytes in ${stream.packets.length} packet(s), 1/${((2 * channels.length * decoded.samples) / stream.fileBytes).toFixed(0)} of 16-bit samples`);
+        this.say(
+            "snr",
+            split === undefined
+                ? "unknown: no original here"
+                : ratio === null
+                  ? "none: silence"
+                  : `${ratio.toFixed(2)} dB`,
+        );
+        this.say(
+            "size",
+            `${stream.fileBytes} bytes in ${stream.packets.length} packet(s), 1/${((2 * channels.length * decoded.samples) / stream.fileBytes).toFixed(0)} of 16-bit samples`,
+        );
         this.say("codec", this.data.codecs[stream.codec]);
-        this.say("signal", spatial
-            ? `${(1000 * seconds).toFixed(2)} mm, ${channels.length} channel(s): a height profile, which a hand plays by \`vibrocast play\``
-            : `${seconds.toFixed(2)} s, ${channels.length} channel(s) at ${stream.rateHz} Hz, unit ${UNITS[stream.unit]}`);
+        this.say(
+            "signal",
+            spatial
+                ? `${(1000 * seconds).toFixed(2)} mm, ${channels.length} channel(s): a height profile, which a hand plays by \`vibrocast play\``
+                : `${seconds.toFixed(2)} s, ${channels.length} channel(s) at ${stream.rateHz} Hz, unit ${UNITS[stream.unit]}`,
+        );
         this.drawAll();
         this.enable();
     }
@@ -290,7 +327,10 @@ class Player {
         if (this.shown === null) return;
         const { stream, channels, original } = this.shown;
         const { rateHz } = stream;
-        const sources = /** @type {[string, Float64Array][]} */ ([["original", original?.[0]], ["decoded", channels[0]]]).filter(([, samples]) => samples);
+        const sources = /** @type {[string, Float64Array][]} */ ([
+            ["original", original?.[0]],
+            ["decoded", channels[0]],
+        ]).filter(([, samples]) => samples);
         const peak = Math.max(...sources.map(([, samples]) => peakOf(samples))) || 1;
         const [decoded] = channels;
         const highest = peakOf(decoded);
@@ -299,17 +339,36 @@ class Player {
         const start = Math.max(0, Math.min(decoded.length - width, strongest - Math.floor(width / 2)));
         const [along, across] = stream.unit === PROFILE_UNIT ? ["m", "1/m"] : ["s", "Hz"];
         this.say("unit", UNITS[stream.unit].split(" over")[0]);
-        for (const [place, from, to] of /** @type {const} */ ([["wave", 0, decoded.length], ["strongest", start, start + width]])) {
-            const curves = sources.map(([name, samples]) => ({ name, points: points(samples.subarray(from, to), rateHz) }));
+        for (const [place, from, to] of /** @type {const} */ ([
+            ["wave", 0, decoded.length],
+            ["strongest", start, start + width],
+        ])) {
+            const curves = sources.map(([name, samples]) => ({
+                name,
+                points: points(samples.subarray(from, to), rateHz),
+            }));
             const scale = place === "wave" ? 1 : 1000; // m or s, mm or ms
             for (const curve of curves) for (const point of curve.points) point[0] *= scale;
-            draw(this.get(place), curves, [0, (scale * (to - from)) / rateHz], [-peak, peak], scale === 1 ? along : `m${along}`);
+            draw(
+                this.get(place),
+                curves,
+                [0, (scale * (to - from)) / rateHz],
+                [-peak, peak],
+                scale === 1 ? along : `m${along}`,
+            );
         }
         const powers = sources.map(([name, samples]) => /** @type {const} */ ([name, spectrum(samples)]));
         const most = Math.max(...powers.map(([, power]) => peakOf(power))) || 1;
         const spectra = powers.map(([name, power]) => ({
             name,
-            points: Array.from(power, (value, bin) => /** @type {[number, number]} */ ([(bin * rateHz) / SPECTRUM_FRAME, 10 * Math.log10(value / most + 1e-12)])),
+            points: Array.from(
+                power,
+                (value, bin) =>
+                    /** @type {[number, number]} */ ([
+                        (bin * rateHz) / SPECTRUM_FRAME,
+                        10 * Math.log10(value / most + 1e-12),
+                    ]),
+            ),
         }));
         draw(this.get("spectrum"), spectra, [0, rateHz / 2], [-SPECTRUM_RANGE_DB, 0], across);
     }
@@ -329,17 +388,31 @@ class Player {
 
     async playSound() {
         if (this.shown === null || this.sound !== null) return;
-        if (!("AudioContext" in window)) throw new Problem("This browser has no WebAudio, so it cannot play. Use a current browser.");
+        if (!("AudioContext" in window))
+            throw new Problem("This browser has no WebAudio, so it cannot play. Use a current browser.");
         const { stream, channels } = this.shown;
         const context = new AudioContext();
-        const buffer = context.createBuffer(Math.min(channels.length, CARD_CHANNELS), Math.ceil((channels[0].length * context.sampleRate) / stream.rateHz), context.sampleRate);
+        const buffer = context.createBuffer(
+            Math.min(channels.length, CARD_CHANNELS),
+            Math.ceil((channels[0].length * context.sampleRate) / stream.rateHz),
+            context.sampleRate,
+        );
         // Full scale of the loudest channel is full scale of the card at 0 dB.
         const fullScale = Math.max(...stream.gains);
         for (let channel = 0; channel < buffer.numberOfChannels; channel++)
-            buffer.getChannelData(channel).set(resampled(channels[channel].map((value) => value / fullScale), stream.rateHz, context.sampleRate));
+            buffer.getChannelData(channel).set(
+                resampled(
+                    channels[channel].map((value) => value / fullScale),
+                    stream.rateHz,
+                    context.sampleRate,
+                ),
+            );
         const [source, fade, level] = [context.createBufferSource(), context.createGain(), context.createGain()];
         source.buffer = buffer;
-        context.destination.channelCount = Math.max(1, Math.min(context.destination.maxChannelCount, Math.max(2, buffer.numberOfChannels)));
+        context.destination.channelCount = Math.max(
+            1,
+            Math.min(context.destination.maxChannelCount, Math.max(2, buffer.numberOfChannels)),
+        );
         level.gain.value = this.gain();
         source.connect(fade).connect(level).connect(context.destination);
         this.sound = { context, source, fade, level };
@@ -373,9 +446,13 @@ class Player {
     // ---- controller ----
 
     async connect() {
-        const { serial } = /** @type {{ serial?: { requestPort(): Promise<Port> } }} */ (/** @type {unknown} */ (navigator));
+        const { serial } = /** @type {{ serial?: { requestPort(): Promise<Port> } }} */ (
+            /** @type {unknown} */ (navigator)
+        );
         if (serial === undefined)
-            throw new Problem("This browser has no WebSerial, so it cannot reach a controller. Use Chromium, Chrome or Edge on a computer, or `vibrocast play`.");
+            throw new Problem(
+                "This browser has no WebSerial, so it cannot reach a controller. Use Chromium, Chrome or Edge on a computer, or `vibrocast play`.",
+            );
         /** @type {Port} */
         let port;
         try {
@@ -393,7 +470,10 @@ class Player {
             throw error;
         }
         const description = /** @type {HelloResponseMessage} */ (this.controller.description);
-        this.say("device", `Connected to ${description.hardware}, ${description.build}, with ${description.actuator.name}.`);
+        this.say(
+            "device",
+            `Connected to ${description.hardware}, ${description.build}, with ${description.actuator.name}.`,
+        );
         this.controller.receiving.then(() => this.run(() => this.disconnect()));
     }
 
@@ -416,18 +496,27 @@ class Player {
             const { stream, decoded } = shown;
             const names = Object.keys(STATES);
             const last = await controller.play(stream, decoded, (status) => {
-                const [played, buffered] = [status.position, status.buffered_samples].map((count) => (count / stream.rateHz).toFixed(2));
-                this.say("device", `${names[status.state].toLowerCase()}: ${played} s, ${buffered} s buffered, ${status.underruns} underrun(s), ${status.lost_packets} lost packet(s)`);
+                const [played, buffered] = [status.position, status.buffered_samples].map((count) =>
+                    (count / stream.rateHz).toFixed(2),
+                );
+                this.say(
+                    "device",
+                    `${names[status.state].toLowerCase()}: ${played} s, ${buffered} s buffered, ${status.underruns} underrun(s), ${status.lost_packets} lost packet(s)`,
+                );
             });
             if (last.state === STATES.STOPPED) return this.say("device", "Stopped.");
             const there = await controller.decodedSamples(stream.channels);
             const here = decoded.integers;
-            const compared = there === null
-                ? "It does not keep the samples, so nothing was compared."
-                : there.length === here.length && there.every((value, index) => value === here[index])
-                  ? `All ${there.length} samples are equal to those decoded here.`
-                  : "Its samples differ from those decoded here: report this, with the stream and the firmware.";
-            this.say("device", `Played, ${last.underruns} underrun(s), ${last.lost_packets} lost packet(s). ${compared}`);
+            const compared =
+                there === null
+                    ? "It does not keep the samples, so nothing was compared."
+                    : there.length === here.length && there.every((value, index) => value === here[index])
+                      ? `All ${there.length} samples are equal to those decoded here.`
+                      : "Its samples differ from those decoded here: report this, with the stream and the firmware.";
+            this.say(
+                "device",
+                `Played, ${last.underruns} underrun(s), ${last.lost_packets} lost packet(s). ${compared}`,
+            );
         } finally {
             this.sending = false;
         }

@@ -54,8 +54,16 @@ const FORMATS = {
     u8: [1, (view, at) => view.getUint8(at), (view, value) => view.setUint8(0, value)],
     u16: [2, (view, at) => view.getUint16(at, true), (view, value) => view.setUint16(0, value, true)],
     u32: [4, (view, at) => view.getUint32(at, true), (view, value) => view.setUint32(0, value, true)],
-    u64: [8, (view, at) => Number(view.getBigUint64(at, true)), (view, value) => view.setBigUint64(0, BigInt(value), true)],
-    i64: [8, (view, at) => Number(view.getBigInt64(at, true)), (view, value) => view.setBigInt64(0, BigInt(value), true)],
+    u64: [
+        8,
+        (view, at) => Number(view.getBigUint64(at, true)),
+        (view, value) => view.setBigUint64(0, BigInt(value), true),
+    ],
+    i64: [
+        8,
+        (view, at) => Number(view.getBigInt64(at, true)),
+        (view, value) => view.setBigInt64(0, BigInt(value), true),
+    ],
     f32: [4, (view, at) => view.getFloat32(at, true), (view, value) => view.setFloat32(0, value, true)],
 };
 
@@ -96,7 +104,8 @@ function fieldBytes(kind, value) {
     if (kind in FORMATS) return numberBytes(kind, value);
     if (kind === "varint") return varintBytes(value);
     if (kind === "text") return new TextEncoder().encode(value);
-    if (kind === "items") return joined(value.flatMap((/** @type {Uint8Array} */ item) => [varintBytes(item.length), item]));
+    if (kind === "items")
+        return joined(value.flatMap((/** @type {Uint8Array} */ item) => [varintBytes(item.length), item]));
     if (kind === "counted") {
         const text = new TextEncoder().encode(value);
         return joined([Uint8Array.of(text.length), text]);
@@ -274,9 +283,13 @@ class Core {
     read(file) {
         const reader = new Reader(file, () => new Problem("The file is damaged: it ends too early. Copy it again."));
         if (file.length < 2 || file[0] >> 4 !== STREAM_FORMAT >> 4)
-            throw new Problem("This is no coded stream: it does not begin as one. Choose a .vct file, which `vibrocast encode` writes.");
+            throw new Problem(
+                "This is no coded stream: it does not begin as one. Choose a .vct file, which `vibrocast encode` writes.",
+            );
         if (reader.number("u8") !== STREAM_FORMAT)
-            throw new Problem(`The stream has format ${file[0] & 15}, and this page reads format ${STREAM_FORMAT & 15}. Encode the recording again.`);
+            throw new Problem(
+                `The stream has format ${file[0] & 15}, and this page reads format ${STREAM_FORMAT & 15}. Encode the recording again.`,
+            );
         const codecAndLength = reader.number("u8");
         const flags = reader.number("u8");
         const channels = (flags >> 4) + 1;
@@ -304,9 +317,16 @@ class Core {
             packets.push(joined([varintBytes(2 * packets.length + (head % 2)), payload]));
         }
         return {
-            header, codec: codecAndLength >> 4, channels, rateHz: rate % 2 ? (rate - 1) / 2 : 50 * rate,
-            samples: samples < 0 ? null : samples, unit: flags & 3, gains, needsImage: (flags & HAS_IMAGE_HASH) !== 0,
-            packets, fileBytes: file.length,
+            header,
+            codec: codecAndLength >> 4,
+            channels,
+            rateHz: rate % 2 ? (rate - 1) / 2 : 50 * rate,
+            samples: samples < 0 ? null : samples,
+            unit: flags & 3,
+            gains,
+            needsImage: (flags & HAS_IMAGE_HASH) !== 0,
+            packets,
+            fileBytes: file.length,
         };
     }
 
@@ -318,12 +338,18 @@ class Core {
      */
     decode(stream, image = new Uint8Array()) {
         if (stream.needsImage && image.length === 0)
-            throw new Problem("The stream needs the model that it was coded for. Choose the stream and its .vcmi file together.");
+            throw new Problem(
+                "The stream needs the model that it was coded for. Choose the stream and its .vcmi file together.",
+            );
         const [header, model, room] = this.place([stream.header, image], 0);
         if (this.functions.open_stream(header, stream.header.length, model, image.length) !== 0) {
             const text = this.functions.rejection_text();
-            const reason = new TextDecoder().decode(this.memory().slice(text, text + this.functions.rejection_length()));
-            throw new Problem(`The stream cannot be decoded here: ${reason}. Try \`vibrocast decode\`, which has more codecs.`);
+            const reason = new TextDecoder().decode(
+                this.memory().slice(text, text + this.functions.rejection_length()),
+            );
+            throw new Problem(
+                `The stream cannot be decoded here: ${reason}. Try \`vibrocast decode\`, which has more codecs.`,
+            );
         }
         const packetSamples = this.functions.packet_samples();
         const delaySamples = this.functions.delay_samples();
@@ -358,8 +384,11 @@ class Core {
  */
 function channelsOf(stream, decoded) {
     return stream.gains.map((gain, channel) =>
-        Float64Array.from({ length: decoded.samples }, (_, index) =>
-            decoded.integers[(decoded.delaySamples + index) * stream.channels + channel] * (gain / 32768)));
+        Float64Array.from(
+            { length: decoded.samples },
+            (_, index) => decoded.integers[(decoded.delaySamples + index) * stream.channels + channel] * (gain / 32768),
+        ),
+    );
 }
 
 /**
@@ -413,7 +442,9 @@ class Controller {
         try {
             await port.open({ baudRate: BAUD, bufferSize: 65536 });
         } catch (error) {
-            throw new Problem(`The port cannot be opened: ${error instanceof Error ? error.message : error} Close other programs that use it, and connect again.`);
+            throw new Problem(
+                `The port cannot be opened: ${error instanceof Error ? error.message : error} Close other programs that use it, and connect again.`,
+            );
         }
         const controller = new Controller(port, core);
         try {
@@ -554,13 +585,16 @@ class Controller {
         for (let tried = 0; tried < tries; tried++) {
             await this.write(frame);
             const until = performance.now() + ANSWER_TIMEOUT_MS;
-            for (let left = ANSWER_TIMEOUT_MS; left > 0 && !this.answer; left = until - performance.now()) await this.news(left);
+            for (let left = ANSWER_TIMEOUT_MS; left > 0 && !this.answer; left = until - performance.now())
+                await this.news(left);
             const found = /** @type {{ name: string, values: any } | null} */ (this.answer);
             if (found?.name === "Error") throw rejection(found.values);
             if (found?.name === answer) return found.values;
             if (found) throw new Problem(`The controller answers ${name} with ${found.name}. Update its firmware.`);
         }
-        throw new Problem("The controller does not answer: it has no power, or this is another device. Check it, and choose its port again.");
+        throw new Problem(
+            "The controller does not answer: it has no power, or this is another device. Check it, and choose its port again.",
+        );
     }
 
     /** Opens a session, and sets `description`. */
@@ -577,7 +611,9 @@ class Controller {
         }
         const { major, minor } = this.description;
         if (major !== PROTOCOL_MAJOR)
-            throw new Problem(`The controller speaks protocol ${major}.${minor}, and this page ${PROTOCOL_MAJOR}.${PROTOCOL_MINOR}. Update the older one.`);
+            throw new Problem(
+                `The controller speaks protocol ${major}.${minor}, and this page ${PROTOCOL_MAJOR}.${PROTOCOL_MINOR}. Update the older one.`,
+            );
     }
 
     /**
@@ -593,32 +629,50 @@ class Controller {
         const { packetSamples } = decoded;
         const longest = packets.reduce((most, packet) => Math.max(most, packet.length), 0);
         if (longest > Math.min(limits.max_packet_bytes, limits.max_payload_bytes - PACKET_OVERHEAD_BYTES))
-            throw new Problem(`A packet has ${longest} bytes, which the controller cannot hold. Use \`vibrocast play\`, which splits it.`);
+            throw new Problem(
+                `A packet has ${longest} bytes, which the controller cannot hold. Use \`vibrocast play\`, which splits it.`,
+            );
         const before = await this.request("StatusRequest", {}, "Status");
         const number = (before.stream + 1) % 256;
         const room = Math.floor(limits.buffer_samples / packetSamples);
         const ahead = Math.max(2, Math.ceil((PREBUFFER_S * stream.rateHz) / packetSamples));
         this.complaint = null;
-        let status = await this.request("Configure", {
-            stream: number, compensation: 1, header: stream.header, gain: 1, loops: 1, first_packet: 0,
-            packets: packets.length, prebuffer_samples: Math.min(room, ahead) * packetSamples,
-        }, "Status");
+        let status = await this.request(
+            "Configure",
+            {
+                stream: number,
+                compensation: 1,
+                header: stream.header,
+                gain: 1,
+                loops: 1,
+                first_packet: 0,
+                packets: packets.length,
+                prebuffer_samples: Math.min(room, ahead) * packetSamples,
+            },
+            "Status",
+        );
         let credit = status.credit_until;
         status = await this.request("Start", { device_time_us: 0 }, "Status");
-        for (let next = 0; ; ) {
+        for (let next = 0; ;) {
             if (this.complaint) throw this.complaint;
             if (this.status && this.status.stream === number) status = this.status;
             credit = Math.max(credit, status.credit_until);
             tell(status);
             if (status.state === STATES.FINISHED || status.state === STATES.STOPPED) return status;
             if (status.state === STATES.WATCHDOG)
-                throw new Problem(`The controller stopped, because it heard nothing for ${limits.watchdog_ms} ms. Keep this page in view, and play again.`);
+                throw new Problem(
+                    `The controller stopped, because it heard nothing for ${limits.watchdog_ms} ms. Keep this page in view, and play again.`,
+                );
             if (status.state === STATES.FAULT)
-                throw new Problem("The controller reports a fault of its hardware, and has stopped. Switch it off and on.");
+                throw new Problem(
+                    "The controller reports a fault of its hardware, and has stopped. Switch it off and on.",
+                );
             const granted = Math.min(packets.length, Math.floor(credit / packetSamples));
             while (next < granted) {
                 const chosen = this.fitting(packets.slice(next, granted), limits.max_payload_bytes);
-                await this.write(this.core.frame(packMessage("StreamData", { stream: number, iteration: 0, packets: chosen })));
+                await this.write(
+                    this.core.frame(packMessage("StreamData", { stream: number, iteration: 0, packets: chosen })),
+                );
                 next += chosen.length;
             }
             const silence = limits.watchdog_ms / 4 - (performance.now() - this.sentMs);
@@ -630,7 +684,9 @@ class Controller {
     /** @param {Uint8Array[]} packets @param {number} payloadBytes @returns {Uint8Array[]} as many as one frame holds */
     fitting(packets, payloadBytes) {
         let left = payloadBytes - STREAM_DATA_HEAD_BYTES;
-        const surplus = packets.findIndex((packet) => (left -= packet.length + PACKET_OVERHEAD_BYTES - STREAM_DATA_HEAD_BYTES) < 0);
+        const surplus = packets.findIndex(
+            (packet) => (left -= packet.length + PACKET_OVERHEAD_BYTES - STREAM_DATA_HEAD_BYTES) < 0,
+        );
         return surplus < 0 ? packets : packets.slice(0, surplus);
     }
 
@@ -652,7 +708,7 @@ class Controller {
         const until = performance.now() + READ_BACK_MS;
         /** @type {number[]} */
         const samples = [];
-        for (let end = 1; limits.capture_samples > 0 && samples.length < end * channels; ) {
+        for (let end = 1; limits.capture_samples > 0 && samples.length < end * channels;) {
             const offset = samples.length / channels;
             const answer = await this.request("CaptureRead", { tap: TAPS.DECODED, offset, count }, "CaptureData");
             if (answer.offset !== offset || performance.now() > until) return null;
@@ -667,6 +723,7 @@ class Controller {
 
 /** @param {ErrorMessage} error @returns {Problem} */
 function rejection({ code, text }) {
-    if (code === ERROR_CODES.HELLO_FIRST) return new Problem("The controller has restarted, which ends the session. Connect again.");
+    if (code === ERROR_CODES.HELLO_FIRST)
+        return new Problem("The controller has restarted, which ends the session. Connect again.");
     return new Problem(`The controller rejects the request: ${text || `error ${code}`}.`);
 }

@@ -51,9 +51,12 @@ const port = {
         this.readable = new ReadableStream({
             pull: async (stream) => {
                 for (;;) {
-                    if (this.pulled) { this.readable = null; stream.error(new DOMException("lost", "NetworkError")); return; }
+                    if (this.pulled) {
+                        this.readable = null;
+                        return stream.error(new DOMException("lost", "NetworkError"));
+                    }
                     const data = await readWire();
-                    if (data) { stream.enqueue(Uint8Array.from(atob(data), (each) => each.charCodeAt(0))); return; }
+                    if (data) return stream.enqueue(Uint8Array.from(atob(data), (each) => each.charCodeAt(0)));
                 }
             },
         }, { highWaterMark: 0 });
@@ -105,7 +108,7 @@ def browser() -> Iterator[Browser]:
 
 
 @contextmanager
-def opened(browser: Browser, site: Path, prepare: Callable[[Page], None] | None = None) -> Iterator[Page]:
+def opened(browser: Browser, site: Path, prepare: Callable[[Page], object] | None = None) -> Iterator[Page]:
     """Open the page from the disk; no script in it may fail."""
     page = browser.new_page()
     page.set_default_timeout(60_000)
@@ -219,7 +222,8 @@ def test_frames_are_those_of_the_host(page: Page) -> None:
                 const frame = core.frame(Uint8Array.from(payload));
                 const damaged = frame.slice(0, -1);
                 damaged[damaged.length - 1] ^= 1;
-                return [frame, core.payload(frame.subarray(0, -1)), core.payload(damaged) ?? []].map((each) => Array.from(each));
+                const found = [frame, core.payload(frame.subarray(0, -1)), core.payload(damaged) ?? []];
+                return found.map((each) => Array.from(each));
             });
         }""",
         [list(payload) for payload in payloads],
@@ -408,7 +412,9 @@ def test_a_pulled_controller(browser: Browser, site: Path) -> None:
 def test_a_device_that_does_not_answer(browser: Browser, site: Path) -> None:
     with opened(browser, site, lambda page: bridge(page, lambda data: None, lambda: b"")) as page:
         part(page, "connect").click()
-        expect(part(page, "problem")).to_have_text(re.compile("The controller does not answer: .* choose its port again"))
+        expect(part(page, "problem")).to_have_text(
+            re.compile("The controller does not answer: .* choose its port again")
+        )
         expect(part(page, "device")).to_have_text("Not connected.")
 
 
@@ -425,7 +431,10 @@ def test_a_controller_that_rejects_a_stream(browser: Browser, site: Path) -> Non
     [
         ("undefined", "This browser has no WebSerial, .* Use Chromium"),
         ("{ requestPort() { throw new DOMException('', 'NotFoundError'); } }", "No port was chosen. Plug"),
-        ("{ requestPort: () => ({ open() { throw Error('Busy.'); } }) }", "cannot be opened: Busy. Close other programs"),
+        (
+            "{ requestPort: () => ({ open() { throw Error('Busy.'); } }) }",
+            "cannot be opened: Busy. Close other programs",
+        ),
     ],
 )
 def test_a_browser_without_a_port(browser: Browser, site: Path, serial: str, text: str) -> None:
