@@ -73,6 +73,16 @@ function spectrum(samples) {
     return power;
 }
 
+/** @param {Element} place @param {string} text - With names between backticks, which become code. */
+function showText(place, text) {
+    const parts = text.split("`").map((part, index) => {
+        const node = index % 2 ? document.createElement("code") : document.createElement("span");
+        node.textContent = part;
+        return node;
+    });
+    place.replaceChildren(...parts);
+}
+
 // ---- charts ----
 
 /** @typedef {{ name: string, points: [number, number][] }} Curve - Names "original" and "decoded" have their looks. */
@@ -186,10 +196,14 @@ class Player {
         this.file = this.get("file");
         /** @type {HTMLInputElement} */
         this.level = this.get("level");
-        this.example.append(...data.examples.map(({ title }) => new Option(title)), new Option("Your file", "file"));
+        this.example.append(...data.examples.map(({ title }) => new Option(title)));
         this.level.min = String(SILENT_LEVEL_DB);
         this.level.value = String(START_LEVEL_DB);
-        this.on("example", "change", () => (this.example.value === "file" ? this.file.click() : this.showExample()));
+        this.own = new Option("Your file", "file");
+        this.own.disabled = true; // shown, not chosen
+        this.example.append(this.own);
+        this.on("example", "change", () => this.showExample());
+        this.on("file", "click", () => (this.file.value = "")); // so that the same file can be chosen again
         this.on("rate", "input", () => this.showExample());
         this.on("file", "change", () => this.showFiles());
         this.on("level", "input", () => this.setLevel());
@@ -217,20 +231,20 @@ class Player {
 
     /** Carries out an action; shows what went wrong. @param {() => unknown} action */
     async run(action) {
-        this.get("problem").textContent = "";
+        this.get("problem").replaceChildren();
         try {
             await action();
         } catch (error) {
             const text =
                 error instanceof Problem ? error.message : `The page failed: ${error}. Load it again, and report this.`;
-            this.get("problem").textContent = text;
+            showText(this.get("problem"), text);
         }
         this.enable();
     }
 
     /** @param {string} name @param {string} text */
     say(name, text) {
-        this.get(name).textContent = text;
+        showText(this.get(name), text);
     }
 
     /** Enables the buttons that can do something. */
@@ -250,7 +264,7 @@ class Player {
     // ---- what is shown ----
 
     showExample() {
-        if (this.example.value === "file") return;
+        this.file.value = "";
         const { original, streams } = this.data.examples[this.example.selectedIndex];
         this.rate.max = String(streams.length - 1);
         const floats = new Float32Array(fromBase64(original).buffer);
@@ -273,7 +287,6 @@ class Player {
         );
         this.show(file, image);
         this.example.value = "file";
-        this.file.value = ""; // so that the same file can be chosen again
     }
 
     /**
@@ -532,7 +545,10 @@ async function startPlayer() {
         return new Player(root, data, await Core.load(fromBase64(data.core)));
     } catch (error) {
         const problem = /** @type {Element} */ (root.querySelector("[data-vc=problem]"));
-        problem.textContent = `The page cannot start: ${error}. Build the site with \`make docs\`, and use a current browser.`;
+        showText(
+            problem,
+            `The page cannot start: ${error}. Build the site with \`make docs\`, and use a current browser.`,
+        );
         throw error;
     }
 }
