@@ -617,13 +617,29 @@ class Controller {
     }
 
     /**
-     * Plays a stream once, to its end or to a Stop.
+     * Plays a stream once, to its end or to a Stop. Stops the controller where it fails.
      * @param {Stream} stream
      * @param {Decoded} decoded
      * @param {(status: StatusMessage) => void} [tell] - Called with each Status.
      * @returns {Promise<StatusMessage>} the last one
      */
     async play(stream, decoded, tell = () => {}) {
+        try {
+            return await this.send(stream, decoded, tell);
+        } catch (error) {
+            if (!this.lost) await this.stop().catch(() => {});
+            throw error;
+        }
+    }
+
+    /**
+     * Configures the controller, and sends packets as far as it grants credit.
+     * @param {Stream} stream
+     * @param {Decoded} decoded
+     * @param {(status: StatusMessage) => void} tell
+     * @returns {Promise<StatusMessage>}
+     */
+    async send(stream, decoded, tell) {
         const { limits } = /** @type {HelloResponseMessage} */ (this.description);
         const { packets } = stream;
         const { packetSamples } = decoded;

@@ -8,19 +8,23 @@ import socket
 import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import vibrocast
 from tests.codec.core_digests import FOREIGN
 from tests.device_protocol.test_messages import GOLDEN
 from tests.host.study.stub_run import chromium
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol import messages
+from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
 from vibrocast.device_protocol.frames import write_frame
 from vibrocast.device_protocol.transports import open_transport
+from vibrocast.firmware.build import build
 from vibrocast.host.controller import Controller as Host
 from vibrocast.host.stream_session import read_capture
 from vibrocast.output.rendering import render
@@ -146,7 +150,18 @@ def choose(page: Page, *files: tuple[str, bytes]) -> None:
 
 @pytest.mark.parametrize("path", GOLDEN_STREAMS, ids=lambda path: path.stem)
 def test_golden_streams_decode_to_the_hosts_samples(page: Page, path: Path) -> None:
-    stream = Stream.from_bytes(path.read_bytes(), image_of(path))
+    assert_decodes(page, Stream.from_bytes(path.read_bytes(), image_of(path)))
+
+
+def test_a_file_of_one_packet_and_a_profile(page: Page) -> None:
+    oak = vibrocast.encode(vibrocast.load(ROOT / "examples" / "oak.wav"))
+    assert len(oak.packets) == 1
+    assert_decodes(page, oak)
+    assert_decodes(page, replace(oak, header=replace(oak.header, unit=PROFILE_UNIT, samples=None)))
+
+
+def assert_decodes(page: Page, stream: Stream) -> None:
+    """The browser reads and decodes a stream as the host does."""
     decoded = page.evaluate(
         """async ([file, image]) => {
             const { core } = await player;
@@ -155,7 +170,7 @@ def test_golden_streams_decode_to_the_hosts_samples(page: Page, path: Path) -> N
             return { integers: Array.from(integers), packetSamples, delaySamples, samples,
                 header: Array.from(stream.header), packets: stream.packets.map((each) => Array.from(each)) };
         }""",
-        [encoded(path.read_bytes()), encoded(stream.image or b"")],
+        [encoded(bytes(stream)), encoded(stream.image or b"")],
     )
     assert np.array_equal(decoded["integers"], stream.decode_integers().ravel())
     decoder = stream.decoder()
@@ -165,9 +180,12 @@ def test_golden_streams_decode_to_the_hosts_samples(page: Page, path: Path) -> N
     assert tuple(map(bytes, decoded["packets"])) == stream.packets
 
 
-def test_module_needs_nothing_from_the_page(page: Page) -> None:
+def test_module_is_as_large_as_the_page_says_and_imports_nothing(page: Page) -> None:
     imports = page.evaluate("WebAssembly.Module.imports(new WebAssembly.Module(fromBase64(PLAYER_DATA.core)))")
     assert imports == []
+    stated = re.search(r"module of the core, (\d+) kB", PAGE.read_text(encoding="utf-8"))
+    assert stated is not None
+    assert build("wasm").stat().st_size == pytest.approx(1000 * int(stated[1]), rel=0.02)
 
 
 def test_any_bytes_give_a_clear_error(page: Page) -> None:
@@ -386,15 +404,18 @@ def test_an_example_plays_on_the_simulated_controller(browser: Browser, site: Pa
         np.testing.assert_array_equal(samples, computed)
 
 
-def test_stop_and_a_second_playback(browser: Browser, site: Path) -> None:
-    with wired(browser, site, Controller()) as (page, _):
+@pytest.mark.slow
+def test_stop_and_a_second_playback_within_the_credit_of_a_small_buffer(browser: Browser, site: Path) -> None:
+    small = Settings(buffer_samples=2 * browser_page.PACKET_SAMPLES)
+    with wired(browser, site, Controller(small)) as (page, _):
         part(page, "connect").click()
         part(page, "send").click()
         expect(part(page, "device")).to_have_text(re.compile("^playing"))
         part(page, "halt").click()
         expect(part(page, "device")).to_have_text("Stopped.")
         part(page, "send").click()
-        expect(part(page, "device")).to_have_text(re.compile("samples are equal"), timeout=60_000)
+        played = re.compile(r"0 underrun\(s\), 0 lost packet\(s\)\. All \d+ samples are equal")
+        expect(part(page, "device")).to_have_text(played, timeout=60_000)
         expect(part(page, "problem")).to_have_text("")
 
 
