@@ -201,6 +201,8 @@ const ONE_PACKET = 8;
 const LONG_CONFIGURATION = 15;
 const MAX_SAMPLES = 2 ** 25;
 const CRC_START = 0xffff;
+const NO_CODEC = -7; // of vibrocast/status.h
+const TOO_SMALL = -9;
 
 /**
  * A coded stream. `header`: its bytes in Configure. `samples`: per channel, null where the file leaves it open.
@@ -241,10 +243,25 @@ class Core {
             addresses.push(end);
             end = (end + length + 7) & ~7;
         }
-        const { memory } = this.functions;
-        if (end > memory.buffer.byteLength) memory.grow(Math.ceil((end - memory.buffer.byteLength) / 65536));
+        this.grow(end);
         pieces.forEach((piece, index) => this.memory().set(piece, addresses[index]));
         return addresses;
+    }
+
+    /** Gives the core memory up to an address. @param {number} end */
+    grow(end) {
+        const { memory } = this.functions;
+        if (end > memory.buffer.byteLength) memory.grow(Math.ceil((end - memory.buffer.byteLength) / 65536));
+    }
+
+    /** Throws for a status that is an error. @param {number} status @param {number} [expected] - No error. */
+    check(status, expected = 0) {
+        if (status >= 0 || status === expected) return;
+        if (status === NO_CODEC) throw new Problem("This page lacks the stream's codec. Use `vibrocast decode`.");
+        const memory = this.memory();
+        const text = this.functions.status_text(status);
+        const reason = new TextDecoder().decode(memory.slice(text, memory.indexOf(0, text)));
+        throw new Problem(`The stream cannot be decoded: ${reason}.`);
     }
 
     /** @returns {Uint8Array} all memory; valid until the next call that grows it */
@@ -341,16 +358,13 @@ class Core {
             throw new Problem(
                 "The stream needs the model that it was coded for. Choose the stream and its .vcmi file together.",
             );
-        const [header, model, room] = this.place([stream.header, image], 0);
-        if (this.functions.open_stream(header, stream.header.length, model, image.length) !== 0) {
-            const text = this.functions.rejection_text();
-            const reason = new TextDecoder().decode(
-                this.memory().slice(text, text + this.functions.rejection_length()),
-            );
-            throw new Problem(
-                `The stream cannot be decoded here: ${reason}. Try \`vibrocast decode\`, which has more codecs.`,
-            );
-        }
+        // All that follows stays in place: the decoder reads the model, and keeps its state in its memory.
+        const [header, model, memory] = this.place([stream.header, image]);
+        const bytes = [header, stream.header.length, model, image.length, memory];
+        this.check(this.functions.open_stream(...bytes, 0), TOO_SMALL);
+        const packetAt = memory + this.functions.needed_bytes();
+        this.grow(packetAt);
+        this.check(this.functions.open_stream(...bytes, packetAt - memory));
         const packetSamples = this.functions.packet_samples();
         const delaySamples = this.functions.delay_samples();
         const samples = stream.samples ?? stream.packets.length * packetSamples - delaySamples;
@@ -362,14 +376,11 @@ class Core {
             throw new Problem("The stream is too long for this page. Use `vibrocast decode`.");
         const integers = new Int16Array(values * needed);
         const longest = stream.packets.reduce((most, packet) => Math.max(most, packet.length), 0);
-        // Header and model stay in place: the decoder reads the model's tables.
-        const packetAt = room;
         const samplesAt = (packetAt + longest + 7) & ~7;
-        this.place([], samplesAt + 2 * values - this.base);
+        this.grow(samplesAt + 2 * values);
         stream.packets.forEach((packet, index) => {
             this.memory().set(packet, packetAt);
-            if (this.functions.decode_packet(packetAt, packet.length, samplesAt) !== 0)
-                throw new Problem(`Packet ${index} of the stream is damaged. Encode the recording again.`);
+            this.check(this.functions.decode_packet(packetAt, packet.length, samplesAt));
             integers.set(new Int16Array(this.functions.memory.buffer, samplesAt, values), index * values);
         });
         return { integers, packetSamples, delaySamples, samples };

@@ -302,14 +302,14 @@ def test_files_of_the_reader(browser: Browser, site: Path) -> None:
         other = image_of(eva.with_name("golden_eva_adaptive.vct"))
         assert other is not None
         choose(page, ("stream.vct", eva.read_bytes()), ("model.vcmi", other))
-        expect(problem).to_have_text(re.compile("coded for another model image"))
+        expect(problem).to_have_text(re.compile("coded for a model image: give that image"))
         choose(page, ("oak.wav", (ROOT / "examples" / "oak.wav").read_bytes()))
         expect(problem).to_have_text(re.compile("This is no coded stream: .* Choose a .vct file"))
         choose(page, ("cut.vct", mdct.read_bytes()[:-3]))
         expect(problem).to_have_text(re.compile("The file is damaged: .* Copy it again."))
         opus = mdct.with_name("golden_opus.vct")
         choose(page, ("opus.vct", opus.read_bytes()))
-        expect(problem).to_have_text(re.compile("cannot be decoded here: .* Try vibrocast decode"))
+        expect(problem).to_have_text(re.compile("lacks the stream's codec. Use vibrocast decode"))
         choose(page, ("two.vct", b""), ("three.vct", b""))
         expect(problem).to_have_text(re.compile("needs one .vct file"))
         expect(part(page, "codec")).to_have_text("eva")  # the last one that could be decoded

@@ -3,85 +3,71 @@
  * The caller owns the memory from __heap_base on: it puts bytes there, and makes room there for results. The module
  * decodes one stream at a time. */
 #include "../../src/core/vc_cobs.h"
+#include "../../src/core/vc_common.h"
 #include "../../src/core/vc_crc.h"
-#include "../../src/controller/vc_decoders.h"
-#include "../../src/controller/vc_model_image.h"
-#include "../../src/core/vc_sha256.h"
-#include "../../src/controller/vc_stream_header.h"
+#include "vibrocast/decoder.h"
 
 #define EXPORT(name) __attribute__((export_name(#name), visibility("default"))) name
 
-static vc_stream_header header;
-static vc_coding coding;
-static vc_decoder decoder;
-static vc_rejection rejection;
+static vc_stream stream;
+static const uint8_t *unread; /* of the header */
+static size_t left;
 
-/* Compares an image with the one that the header names, and gives its tables to the coding. Returns 0, or the
- * rejection's code. */
-static int take_image(const uint8_t *image, size_t length)
+static size_t read_header(void *context, uint8_t *data, size_t length)
 {
-    vc_model_image model;
-    uint8_t digest[VC_SHA256_BYTES];
-    int rejected = vc_model_image_read(&model, image, length, &rejection);
-    if (rejected)
-        return rejected;
-    vc_sha256(image, vc_model_image_unsigned_bytes(image, length), digest);
-    if (!vc_same_bytes(digest, header.image_hash, VC_IMAGE_HASH_BYTES))
-        return vc_reject(&rejection, VC_UNKNOWN_IMAGE, "the stream was coded for another model image");
-    coding.tables = model.payload.bytes;
-    coding.tables_length = model.payload.length;
-    return 0;
+    const size_t taken = length < left ? length : left;
+    (void)context;
+    memcpy(data, unread, taken);
+    unread += taken;
+    left -= taken;
+    return taken;
 }
 
-/* Reads a stream's header, and prepares its decoder. `image`: the model image that the header names, which stays in
- * place while packets are decoded; a stream that names none ignores it. Returns 0, or the rejection's code. */
-int EXPORT(open_stream)(const uint8_t *data, size_t length, const uint8_t *image, size_t image_length)
+/* Reads a stream's header, and prepares its decoder in `memory`. `model`: the image that the header names; image and
+ * memory stay in place while packets are decoded. Returns as vc_stream_open. */
+int EXPORT(open_stream)(const uint8_t *header, size_t length, const uint8_t *model, size_t model_bytes, void *memory,
+                        size_t memory_bytes)
 {
-    int rejected = vc_stream_header_read(&header, data, length, &rejection);
-    memset(&coding, 0, sizeof coding);
-    coding.codec = header.codec;
-    coding.channels = header.output.channels;
-    coding.configuration = header.configuration;
-    coding.configuration_length = header.configuration_length;
-    if (!rejected && header.needs_image)
-        rejected = take_image(image, image_length);
-    if (!rejected)
-        rejected = vc_coding_check(&coding, NULL, &rejection);
-    if (!rejected)
-        vc_decoder_init(&decoder, &coding);
-    return rejected;
+    unread = header;
+    left = length;
+    stream.read = read_header;
+    stream.model = model;
+    stream.model_bytes = model_bytes;
+    stream.memory = memory;
+    stream.memory_bytes = memory_bytes;
+    return vc_stream_open(&stream);
+}
+
+/* The size of `memory` that the last stream needs. */
+size_t EXPORT(needed_bytes)(void)
+{
+    return stream.needed_bytes;
 }
 
 /* Samples per channel of each packet of the open stream, and of the codec's delay. */
 uint32_t EXPORT(packet_samples)(void)
 {
-    return coding.packet_samples;
+    return stream.packet_samples;
 }
 
 uint32_t EXPORT(delay_samples)(void)
 {
-    return coding.delay_samples;
+    return stream.delay_samples;
 }
 
-/* Decodes the next packet into packet_samples x channels interleaved samples. Returns 0, or -1 for a damaged one. */
+/* Decodes the next packet into packet_samples x channels interleaved samples. Returns as vc_stream_feed. */
 int EXPORT(decode_packet)(const uint8_t *packet, size_t length, int16_t *samples)
 {
-    if (!vc_decoder_feed(&decoder, packet, length))
-        return -1;
-    while (vc_decoder_poll(&decoder, samples) < coding.packet_samples) {
+    const int status = vc_stream_feed(&stream, packet, length);
+    while (status >= VC_OK && vc_stream_poll(&stream, samples) < stream.packet_samples) {
     }
-    return 0;
+    return status;
 }
 
-/* The text of the last rejection, without a zero behind it, and its length in bytes. */
-const char *EXPORT(rejection_text)(void)
+/* The sentence of a status, which a zero ends. */
+const char *EXPORT(status_text)(int status)
 {
-    return rejection.text;
-}
-
-uint32_t EXPORT(rejection_length)(void)
-{
-    return rejection.length;
+    return vc_status_text(status);
 }
 
 /* CRC-16 of bytes, going on from `start`. */
