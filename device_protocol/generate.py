@@ -1,4 +1,4 @@
-"""Writes the files that depend on the messages: C sources, Wireshark's dissector, tables of docs/reference/protocol.md.
+"""Writes the files that depend on the messages: C, JavaScript, Wireshark's dissector, tables of the protocol's page.
 
 Run it after a change: `python -m vibrocast.device_protocol.generate`.
 """
@@ -19,6 +19,7 @@ from vibrocast.device_protocol.messages import FROM_HOST, RESPONSES, Described, 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "reference" / "protocol.md"
 DISSECTOR = ROOT / "device_protocol" / "vibrocast.lua"
+SCRIPT = ROOT / "docs" / "javascripts" / "messages.js"
 FIRMWARE = ROOT / "firmware"
 _NUMBERS = {"uint8_t": 1, "uint16_t": 2, "uint32_t": 4, "uint64_t": 8, "int64_t": 8}
 _TYPES = {"u8": "uint8_t", "u16": "uint16_t", "u32": "uint32_t", "u64": "uint64_t", "i64": "int64_t", "f32": "uint32_t"}
@@ -34,6 +35,7 @@ def generated_files() -> dict[Path, str]:
         FIRMWARE / "src" / "controller" / "vc_messages.h": _in_c_file("messages.h"),
         FIRMWARE / "src" / "controller" / "vc_messages.c": _in_c_file("messages.c"),
         DISSECTOR: dissector(),
+        SCRIPT: script(),
         PAGE: page(PAGE.read_text(encoding="utf-8")),
     }
 
@@ -225,6 +227,40 @@ def _lua_fields(owner: type) -> list[tuple[str, str, str, str]]:
             case Part(name=kind):
                 found.append((field.name, kind, "uint32" if kind == "varint" else "string", values))
     return found
+
+
+# ---- JavaScript ----
+
+
+def script() -> str:
+    """Return the layouts of all messages for browsers, from the template next to this module."""
+    return pages.render(
+        Path(__file__).with_name("messages.js.jinja"),
+        messages=messages,
+        all_messages=messages.ALL,
+        nested=_NESTED,
+        fields=_lua_fields,
+        tags=lambda owner: [field for field in wire_fields(owner) if isinstance(field.wire, Tag)],
+        script_types=_script_types,
+    )
+
+
+_SCRIPT_TYPES = {"items": "Uint8Array[]", "bytes": "Uint8Array", "text": "string", "counted": "string"}
+
+
+def _script_types(owner: type) -> list[tuple[str, str]]:
+    """Return the name and the JSDoc type of each field."""
+    fixed = {
+        name: "Uint8Array" if kind.isdigit() else _SCRIPT_TYPES.get(kind, "number")
+        for name, kind, _, _ in _lua_fields(owner)
+    }
+    plain = {str: "string", bytes: "Uint8Array"}
+    tags = {
+        field.name: plain.get(field.item, field.item.__name__) + "[]" * field.is_tuple
+        for field in wire_fields(owner)
+        if isinstance(field.wire, Tag)
+    }
+    return [*fixed.items(), *tags.items()]
 
 
 # ---- docs/reference/protocol.md ----

@@ -42,6 +42,11 @@ CORTEX_M_FLAGS = (
     *("-target", "thumb-freestanding-eabihf", "-ffreestanding", "-fno-builtin", "-fno-unwind-tables"),
     *("-fomit-frame-pointer", "-g0", "-Wl,--gc-sections", "-Wvla", "-Wframe-larger-than=2560"),
 )
+# A module without imports: the compiler's runtime has memcpy and memset. ports/wasm/module.c says what it exports.
+WASM_FLAGS = (
+    *("-target", "wasm32-freestanding", "-g0"),
+    *("-Wl,--no-entry", "-Wl,--gc-sections", "-Wl,--export=__heap_base", "-Wl,--strip-all"),
+)
 M4F, M7, M33 = "cortex_m4+vfp4d16sp", "cortex_m7+fp_armv8d16", "cortex_m33+fp_armv8d16sp+dsp"
 """The compiler's names of processors with an FPU and DSP instructions."""
 M0_PLUS = "cortex_m0plus"
@@ -205,6 +210,7 @@ TARGETS: Mapping[str, Target] = {
         ("emulator",),
         (),
     ),
+    "wasm": Target("WebAssembly module of the decoders, for browsers", ".wasm", WASM_FLAGS, ("ports/wasm",)),
     **_mps2("cortex-m4", M4F, "an386"),
     **_mps2("cortex-m7", M7, "an500"),
     **_mps2("cortex-m33", M33, "an505", "an505.ld", VC_AN505=1),

@@ -1,0 +1,479 @@
+"""The page that plays in a browser, in a real Chromium: every golden stream to the bit, the wire, sound and errors."""
+
+import base64
+import json
+import re
+import shutil
+import socket
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import vibrocast
+from tests.codec.core_digests import FOREIGN
+from tests.device_protocol.test_messages import GOLDEN
+from tests.host.study.stub_run import chromium
+from vibrocast.codec.stream import Stream
+from vibrocast.device_protocol import messages
+from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
+from vibrocast.device_protocol.frames import write_frame
+from vibrocast.device_protocol.transports import open_transport
+from vibrocast.firmware.build import build
+from vibrocast.host.controller import Controller as Host
+from vibrocast.host.stream_session import read_capture
+from vibrocast.output.rendering import render
+from vibrocast.simulated_device.controller import Controller, Settings
+from vibrocast.simulated_device.socket_port import SocketPort
+
+pytest.importorskip("mkdocs", reason="needs the extra docs")
+if chromium() is None:
+    pytest.skip("needs Chromium: Debian's package chromium", allow_module_level=True)
+
+from playwright.sync_api import Browser, Page, expect, sync_playwright
+
+from studies import browser_page
+
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "tutorials" / "browser.md"
+SCRIPTS = ROOT / "docs" / "javascripts"
+# Only hosts decode these.
+OTHERS = (*FOREIGN, "dct_whole")
+GOLDEN_STREAMS = sorted(
+    path for path in (ROOT / "tests" / "codec").glob("golden_*.vct") if path.stem.removeprefix("golden_") not in OTHERS
+)
+# A port of WebSerial whose other end is in this process.
+PORT = """
+const port = {
+    readable: null, writable: null, pulled: false,
+    async open() {
+        this.readable = new ReadableStream({
+            pull: async (stream) => {
+                for (;;) {
+                    if (this.pulled) {
+                        this.readable = null;
+                        return stream.error(new DOMException("lost", "NetworkError"));
+                    }
+                    const data = await readWire();
+                    if (data) return stream.enqueue(Uint8Array.from(atob(data), (each) => each.charCodeAt(0)));
+                }
+            },
+        }, { highWaterMark: 0 });
+        this.writable = new WritableStream({
+            write: async (bytes) => {
+                if (this.pulled) throw new DOMException("lost", "NetworkError");
+                await writeWire(btoa(String.fromCharCode(...bytes)));
+            },
+        });
+    },
+    async close() {},
+};
+Object.defineProperty(navigator, "serial", { value: { requestPort: async () => port }, configurable: true });
+"""
+
+
+def encoded(data: bytes) -> str:
+    return base64.b64encode(data).decode()
+
+
+def image_of(path: Path) -> bytes | None:
+    name = path.stem.removesuffix("_steered")
+    image = path.with_name(f"{name}.vcmi")
+    return image.read_bytes() if image.exists() else None
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the page's address: the player as in the site, without the site's theme."""
+    folder = tmp_path_factory.mktemp("site")
+    for name in ("javascripts", "stylesheets"):
+        shutil.copytree(ROOT / "docs" / name, folder / name)
+    (folder / browser_page.SCRIPT).write_text(browser_page.script())
+    text = PAGE.read_text(encoding="utf-8")
+    player = text[text.index("<link") : text.rindex("</script>") + len("</script>")]
+    (folder / "tutorials").mkdir()
+    made = folder / "tutorials" / "browser.html"
+    made.write_text(f'<!doctype html><html lang="en"><meta charset="utf-8"><body>{player}</body></html>', "utf-8")
+    return made
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        # Chromium has no sandbox as root, which tests in a container are.
+        browser = playwright.chromium.launch(executable_path=chromium(), args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@contextmanager
+def opened(browser: Browser, site: Path, prepare: Callable[[Page], object] | None = None) -> Iterator[Page]:
+    """Open the page from the disk; no script in it may fail."""
+    page = browser.new_page()
+    page.set_default_timeout(60_000)
+    failures: list[str] = []
+    page.on("pageerror", lambda failure: failures.append(str(failure)))
+    if prepare is not None:
+        prepare(page)
+    page.goto(site.as_uri())
+    expect(part(page, "codec")).to_have_text("mdct")
+    try:
+        yield page
+    finally:
+        page.close()
+    assert failures == []
+
+
+@pytest.fixture(scope="module")
+def page(browser: Browser, site: Path) -> Iterator[Page]:
+    with opened(browser, site) as page:
+        yield page
+
+
+def part(page: Page, name: str) -> Any:
+    return page.locator(f"[data-vc={name}]")
+
+
+def choose(page: Page, *files: tuple[str, bytes]) -> None:
+    part(page, "file").set_input_files(
+        [{"name": name, "mimeType": "application/octet-stream", "buffer": data} for name, data in files]
+    )
+
+
+# ---- the core ----
+
+
+@pytest.mark.parametrize("path", GOLDEN_STREAMS, ids=lambda path: path.stem)
+def test_golden_streams_decode_to_the_hosts_samples(page: Page, path: Path) -> None:
+    assert_decodes(page, Stream.from_bytes(path.read_bytes(), image_of(path)))
+
+
+def test_a_file_of_one_packet_and_a_profile(page: Page) -> None:
+    oak = vibrocast.encode(vibrocast.load(ROOT / "examples" / "oak.wav"))
+    assert len(oak.packets) == 1
+    assert_decodes(page, oak)
+    assert_decodes(page, replace(oak, header=replace(oak.header, unit=PROFILE_UNIT, samples=None)))
+
+
+def assert_decodes(page: Page, stream: Stream) -> None:
+    """The browser reads and decodes a stream as the host does."""
+    decoded = page.evaluate(
+        """async ([file, image]) => {
+            const { core } = await player;
+            const stream = core.read(fromBase64(file));
+            const { integers, packetSamples, delaySamples, samples } = core.decode(stream, fromBase64(image));
+            return { integers: Array.from(integers), packetSamples, delaySamples, samples,
+                header: Array.from(stream.header), packets: stream.packets.map((each) => Array.from(each)) };
+        }""",
+        [encoded(bytes(stream)), encoded(stream.image or b"")],
+    )
+    assert np.array_equal(decoded["integers"], stream.decode_integers().ravel())
+    decoder = stream.decoder()
+    assert (decoded["packetSamples"], decoded["delaySamples"]) == (decoder.packet_samples, decoder.delay_samples)
+    assert decoded["samples"] == stream.samples
+    assert bytes(decoded["header"]) == stream.header.pack()
+    assert tuple(map(bytes, decoded["packets"])) == stream.packets
+
+
+def test_module_is_as_large_as_the_page_says_and_imports_nothing(page: Page) -> None:
+    imports = page.evaluate("WebAssembly.Module.imports(new WebAssembly.Module(fromBase64(PLAYER_DATA.core)))")
+    assert imports == []
+    stated = re.search(r"module of the core, (\d+) kB", PAGE.read_text(encoding="utf-8"))
+    assert stated is not None
+    assert build("wasm").stat().st_size == pytest.approx(1000 * int(stated[1]), rel=0.02)
+
+
+def test_any_bytes_give_a_clear_error(page: Page) -> None:
+    rng = np.random.default_rng(1)
+    whole = GOLDEN_STREAMS[0].read_bytes()
+    files = [rng.bytes(40) for _ in range(50)] + [whole[:length] for length in range(0, len(whole), 7)]
+    for _ in range(200):
+        damaged = bytearray((ROOT / "tests" / "codec" / "golden_mdct.vct").read_bytes())
+        damaged[rng.integers(len(damaged))] ^= 1 << int(rng.integers(8))
+        files.append(bytes(damaged))
+    others = page.evaluate(
+        """async (files) => {
+            const { core } = await player;
+            return files.map((file) => {
+                try {
+                    core.decode(core.read(fromBase64(file)));
+                    return "decoded";
+                } catch (error) {
+                    return error instanceof Problem ? "" : String(error);
+                }
+            }).filter((text) => text !== "");
+        }""",
+        [encoded(file) for file in files],
+    )
+    assert others == []
+
+
+# ---- messages and frames ----
+
+
+@pytest.mark.parametrize(("message", "packed"), GOLDEN, ids=lambda value: type(value).__name__)
+def test_messages_have_their_golden_bytes(page: Page, message: messages.Message, packed: str) -> None:
+    found = page.evaluate(
+        """(bytes) => {
+            const { name, values, sequence } = unpackMessage(Uint8Array.from(bytes));
+            return [name, Array.from(packMessage(name, values, sequence))];
+        }""",
+        list(bytes.fromhex(packed)),
+    )
+    assert found[0] == type(message).__name__
+    assert bytes(found[1]).hex() == packed
+
+
+def test_frames_are_those_of_the_host(page: Page) -> None:
+    rng = np.random.default_rng(2)
+    payloads = [rng.integers(0, 3, length).astype(np.uint8).tobytes() for length in (1, 2, 253, 254, 255, 256, 4096)]
+    payloads += [bytes(300), bytes(range(1, 255)) * 2]
+    frames = page.evaluate(
+        """async (payloads) => {
+            const { core } = await player;
+            return payloads.map((payload) => {
+                const frame = core.frame(Uint8Array.from(payload));
+                const damaged = frame.slice(0, -1);
+                damaged[damaged.length - 1] ^= 1;
+                const found = [frame, core.payload(frame.subarray(0, -1)), core.payload(damaged) ?? []];
+                return found.map((each) => Array.from(each));
+            });
+        }""",
+        [list(payload) for payload in payloads],
+    )
+    for payload, (frame, back, damaged) in zip(payloads, frames, strict=True):
+        assert bytes(frame) == write_frame(payload)
+        assert bytes(back) == payload
+        assert damaged == []
+
+
+# ---- the page ----
+
+
+def test_the_slider_changes_the_rate_and_the_page_states_rate_and_snr(browser: Browser, site: Path) -> None:
+    data = browser_page.example("sandpaper")
+    original = np.frombuffer(base64.b64decode(data["original"]), "<f4").reshape(-1, 1)
+    with opened(browser, site) as page:
+        part(page, "example").select_option(label="A probe over sandpaper")
+        for rate, coded in enumerate(data["streams"]):
+            part(page, "rate").fill(str(rate))
+            stream = Stream.from_bytes(base64.b64decode(coded))
+            error = original - stream.decode()
+            snr_db = 10 * np.log10(np.sum(original.astype(float) ** 2) / np.sum(error**2))
+            expect(part(page, "bits")).to_have_text(f"{stream.bits_per_second:.0f} bit/s")
+            expect(part(page, "snr")).to_have_text(f"{snr_db:.2f} dB")
+        for chart, curves in (("wave", 2), ("strongest", 2), ("spectrum", 2)):
+            expect(part(page, chart).locator("polyline")).to_have_count(curves)
+
+
+def test_keyboard_and_narrow_windows(browser: Browser, site: Path) -> None:
+    with opened(browser, site) as page:
+        page.set_viewport_size({"width": 400, "height": 800})
+        assert page.evaluate("document.scrollingElement.scrollWidth") <= 400
+        before = part(page, "bits").inner_text()
+        part(page, "example").focus()
+        page.keyboard.press("Tab")
+        page.keyboard.press("ArrowRight")
+        expect(part(page, "bits")).not_to_have_text(before)
+        unnamed = page.locator("button, input, select").evaluate_all(
+            "all => all.filter((each) => !each.textContent.trim() && !each.labels?.length).length"
+        )
+        assert unnamed == 0
+
+
+def test_files_of_the_reader(browser: Browser, site: Path) -> None:
+    eva = ROOT / "tests" / "codec" / "golden_eva_static.vct"
+    mdct = ROOT / "tests" / "codec" / "golden_mdct.vct"
+    with opened(browser, site) as page:
+        problem = part(page, "problem")
+        choose(page, ("golden_mdct.vct", mdct.read_bytes()))
+        expect(part(page, "snr")).to_have_text("unknown: no original here")
+        expect(part(page, "rate")).to_be_disabled()
+        image = eva.with_suffix(".vcmi").read_bytes()
+        choose(page, ("stream.vct", eva.read_bytes()), ("model.vcmi", image))
+        expect(part(page, "codec")).to_have_text("eva")
+        choose(page, ("stream.vct", eva.read_bytes()))
+        expect(problem).to_have_text(re.compile("needs the model .* Choose the stream and its .vcmi file together"))
+        other = image_of(eva.with_name("golden_eva_adaptive.vct"))
+        assert other is not None
+        choose(page, ("stream.vct", eva.read_bytes()), ("model.vcmi", other))
+        expect(problem).to_have_text(re.compile("coded for a model image: give that image"))
+        choose(page, ("oak.wav", (ROOT / "examples" / "oak.wav").read_bytes()))
+        expect(problem).to_have_text(re.compile("This is no coded stream: .* Choose a .vct file"))
+        choose(page, ("cut.vct", mdct.read_bytes()[:-3]))
+        expect(problem).to_have_text(re.compile("The file is damaged: .* Copy it again."))
+        opus = mdct.with_name("golden_opus.vct")
+        choose(page, ("opus.vct", opus.read_bytes()))
+        expect(problem).to_have_text(re.compile("lacks the stream's codec. Use vibrocast decode"))
+        choose(page, ("two.vct", b""), ("three.vct", b""))
+        expect(problem).to_have_text(re.compile("needs one .vct file"))
+        expect(part(page, "codec")).to_have_text("eva")  # the last one that could be decoded
+        part(page, "example").select_option(label="A stylus across oak")
+        expect(problem).to_have_text("")
+        expect(part(page, "codec")).to_have_text("mdct")
+
+
+def test_sound_starts_low_fades_and_stops(browser: Browser, site: Path) -> None:
+    with opened(browser, site) as page:
+        expect(part(page, "level-text")).to_have_text("-30 dB")
+        part(page, "play").click()
+        expect(part(page, "sound")).to_have_text("Playing.")
+        assert page.evaluate("player.then(({ sound }) => sound.level.gain.value)") == pytest.approx(10**-1.5, rel=1e-3)
+        assert page.evaluate("player.then(({ sound }) => sound.fade.gain.value)") <= 1
+        part(page, "level").fill("-60")
+        expect(part(page, "level-text")).to_have_text("silent")
+        part(page, "stop").click()
+        expect(part(page, "sound")).to_have_text("Played.")
+        expect(part(page, "play")).to_be_enabled()
+
+
+@pytest.mark.parametrize(("from_hz", "to_hz"), [(2800, 48_000), (48_000, 44_100)])
+def test_resampling_keeps_a_sine(page: Page, from_hz: int, to_hz: int) -> None:
+    time_s = np.arange(from_hz // 4) / from_hz
+    made = page.evaluate(
+        "([samples, from, to]) => Array.from(resampled(Float64Array.from(samples), from, to))",
+        [np.sin(2 * np.pi * 200 * time_s).tolist(), from_hz, to_hz],
+    )
+    required = np.sin(2 * np.pi * 200 * np.arange(len(made)) / to_hz)
+    inner = slice(len(made) // 4, -len(made) // 4)
+    assert np.max(np.abs(np.array(made)[inner] - required[inner])) < 0.005
+
+
+# ---- the controller ----
+
+
+@contextmanager
+def wired(browser: Browser, site: Path, controller: Controller) -> Iterator[tuple[Page, Callable[[], Host]]]:
+    """Open the page with a port that leads to a simulated controller.
+
+    Yield the page, and a function that takes the controller from it for a session of the host.
+    """
+    with SocketPort(controller) as port:
+        host, number = port.name.removeprefix("socket://").split(":")
+        wire = socket.create_connection((host, int(number)))
+        wire.settimeout(0.005)
+
+        def read() -> bytes:
+            try:
+                return wire.recv(65_536)
+            except OSError:  # nothing came, or the test has closed the wire
+                return b""
+
+        def take_over() -> Host:
+            wire.close()
+            return Host(open_transport(f"serial:{port.name}"))
+
+        with wire, opened(browser, site, lambda page: bridge(page, wire.sendall, read)) as page:
+            yield page, take_over
+
+
+def bridge(page: Page, write: Callable[[bytes], object], read: Callable[[], bytes]) -> None:
+    def write_wire(data: str) -> None:
+        write(base64.b64decode(data))
+
+    page.expose_function("writeWire", write_wire)
+    page.expose_function("readWire", lambda: encoded(read()))
+    page.add_init_script(PORT)
+
+
+def test_an_example_plays_on_the_simulated_controller(browser: Browser, site: Path) -> None:
+    settings = Settings()
+    example = browser_page.example("cloth_two_fingers")
+    stream = Stream.from_bytes(base64.b64decode(example["streams"][4]))
+    with wired(browser, site, Controller(settings)) as (page, take_over):
+        part(page, "example").select_option(label="Cloth under two fingers")
+        part(page, "connect").click()
+        expect(part(page, "device")).to_have_text(re.compile("Connected to simulated"))
+        part(page, "send").click()
+        expect(part(page, "device")).to_have_text(
+            re.compile(r"Played, 0 underrun\(s\), 0 lost packet\(s\)\. All \d+ samples are equal"), timeout=60_000
+        )
+        part(page, "disconnect").click()
+        expect(part(page, "device")).to_have_text("Not connected.")
+        with take_over() as host:
+            captured = [read_capture(host, tap, stream.header.channels) for tap in messages.Tap]
+    decoded = stream.decode_integers()
+    codes, _ = render(stream.header, decoded, stream.decoder().delay_samples, settings.actuator)
+    for (first, samples), computed in zip(captured, (decoded, codes), strict=True):
+        assert first == 0
+        np.testing.assert_array_equal(samples, computed)
+
+
+@pytest.mark.slow
+def test_stop_and_a_second_playback_within_the_credit_of_a_small_buffer(browser: Browser, site: Path) -> None:
+    small = Settings(buffer_samples=2 * browser_page.PACKET_SAMPLES)
+    with wired(browser, site, Controller(small)) as (page, _):
+        part(page, "connect").click()
+        part(page, "send").click()
+        expect(part(page, "device")).to_have_text(re.compile("^playing"))
+        part(page, "halt").click()
+        expect(part(page, "device")).to_have_text("Stopped.")
+        part(page, "send").click()
+        played = re.compile(r"0 underrun\(s\), 0 lost packet\(s\)\. All \d+ samples are equal")
+        expect(part(page, "device")).to_have_text(played, timeout=60_000)
+        expect(part(page, "problem")).to_have_text("")
+
+
+def test_a_pulled_controller(browser: Browser, site: Path) -> None:
+    with wired(browser, site, Controller()) as (page, _):
+        part(page, "connect").click()
+        part(page, "send").click()
+        expect(part(page, "device")).to_have_text(re.compile("^playing"))
+        page.evaluate("navigator.serial.requestPort().then((port) => { port.pulled = true; })")
+        expect(part(page, "problem")).to_have_text(re.compile("The controller is gone: .* connect again"))
+        expect(part(page, "device")).to_have_text("Not connected.")
+        expect(part(page, "connect")).to_be_enabled()
+
+
+def test_a_device_that_does_not_answer(browser: Browser, site: Path) -> None:
+    with opened(browser, site, lambda page: bridge(page, lambda data: None, lambda: b"")) as page:
+        part(page, "connect").click()
+        expect(part(page, "problem")).to_have_text(
+            re.compile("The controller does not answer: .* choose its port again")
+        )
+        expect(part(page, "device")).to_have_text("Not connected.")
+
+
+def test_a_controller_that_rejects_a_stream(browser: Browser, site: Path) -> None:
+    with wired(browser, site, Controller(Settings(channels=1))) as (page, _):
+        part(page, "example").select_option(label="Cloth under two fingers")
+        part(page, "connect").click()
+        part(page, "send").click()
+        expect(part(page, "problem")).to_have_text(re.compile("The controller rejects the request: .*channels"))
+
+
+@pytest.mark.parametrize(
+    ("serial", "text"),
+    [
+        ("undefined", "This browser has no WebSerial, .* Use Chromium"),
+        ("{ requestPort() { throw new DOMException('', 'NotFoundError'); } }", "No port was chosen. Plug"),
+        (
+            "{ requestPort: () => ({ open() { throw Error('Busy.'); } }) }",
+            "cannot be opened: Busy. Close other programs",
+        ),
+    ],
+)
+def test_a_browser_without_a_port(browser: Browser, site: Path, serial: str, text: str) -> None:
+    script = f"Object.defineProperty(navigator, 'serial', {{ value: {serial} }});"
+    with opened(browser, site, lambda page: page.add_init_script(script)) as page:
+        part(page, "connect").click()
+        expect(part(page, "problem")).to_have_text(re.compile(text))
+
+
+# ---- types ----
+
+
+@pytest.mark.skipif(shutil.which("tsc") is None, reason="needs TypeScript: npm install --global typescript")
+def test_the_types_of_the_scripts_hold(tmp_path: Path) -> None:
+    options = {"checkJs": True, "allowJs": True, "noEmit": True, "strict": True, "target": "es2022"}
+    options |= {"lib": ["es2022", "dom", "dom.iterable"], "types": []}
+    scripts = [str(SCRIPTS / name) for name in ("messages.js", "vibrocast.js", "player.js")]
+    project = tmp_path / "tsconfig.json"
+    project.write_text(json.dumps({"compilerOptions": options, "files": scripts}))
+    done = subprocess.run(["tsc", "-p", str(project)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
