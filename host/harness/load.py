@@ -83,10 +83,12 @@ def throughput(controller: Controller, texture: Recording, *, rate_hz: int = 280
             controller.send(data)
         after = controller.request_status()
     sent = (controller.bytes_sent - sent_before) / seconds
-    frame = Capture(controller, Tap.DAC, 1, oldest_captured(controller, Tap.DAC)).request()
+    first = oldest_captured(controller, Tap.DAC)
+    capture = Capture(controller, Tap.DAC, 1, first)
     began_s, received_before = controller.clock(), controller.bytes_received
     while (seconds := controller.clock() - began_s) < THROUGHPUT_S:
-        controller.request(frame, CaptureData)
+        if not capture.take(controller.request(capture.request(), CaptureData)):
+            capture.samples_read = first
     received = (controller.bytes_received - received_before) / seconds
     return Throughput(sent, received, after.bad_frames - before.bad_frames)
 

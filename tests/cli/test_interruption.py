@@ -84,5 +84,5 @@ def test_a_long_command_ends_when_it_is_interrupted(name: str, number: signal.Si
         errors = process.communicate(timeout=20)[1]
     assert (process.returncode, errors.splitlines()[-1]) == (128 + number, "error: interrupted")
     left = set(folder.iterdir()) - before
-    # A benchmark continues in its folder; a playback keeps its last frames.
-    assert {path.name for path in left} <= {"out", "out.pcapng"}
+    # A benchmark continues in its folder; a playback keeps its last frames and a report.
+    assert {path.name for path in left} <= {"out", "out.json", "out.pcapng"}

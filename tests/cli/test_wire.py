@@ -145,11 +145,14 @@ def test_commands_that_serve_answer_in_lines_of_json(command: str) -> None:
     target = () if command == "simulate" else ("sim",)
     with serving(command, *target, "--json") as (address, process):
         run("status", "--device", json.loads(address)["address"])
+        if command == "monitor":
+            assert process.stdout is not None
+            assert "time_ns" in json.loads(process.stdout.readline())
         process.send_signal(signal.SIGTERM)
         shown, _ = process.communicate(timeout=30)
     *frames, last = map(json.loads, shown.splitlines())
     assert last == {"error": "interrupted", "exit_code": 143}
-    assert bool(frames) is (command == "monitor")
+    assert command == "monitor" or not frames
     failed = run(command, *(("serial:nowhere",) if target else ("--public-key", "/nope")), "--json")
     (line,) = failed.stdout.splitlines()
     assert json.loads(line)["exit_code"] == failed.exit_code
