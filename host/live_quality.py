@@ -81,10 +81,12 @@ class CodedSignal:
         Reads the controller's captures: call it when the stream has ended. Raises CodecError, ControllerError,
         TransportError.
         """
+        if not self._packets:
+            return LiveQuality()
         header = replace(self._stream.header, samples=None)
         stream = Stream(header, tuple(self._packets), None if model is None else model.image)
         quality = self._of_coding(member, stream)
-        if not (self._keeps and self._packets) or result.lost_packets or result.underruns or result.streams > 1:
+        if not self._keeps or result.lost_packets or result.underruns or result.streams > 1:
             return quality
         decoded, computed = self._as_sent(member, stream)
         return replace(quality, decoded_equals_offline=decoded, dac_equals_offline=computed)

@@ -7,17 +7,21 @@ import pytest
 
 from studies.faulty_bench import Misreading, at_half_gain
 from vibrocast import textures
+from vibrocast.codec import SignalFormat
 from vibrocast.device_protocol.messages import Message, SinglePacket
 from vibrocast.host.bench_limits import BenchLimits, missed
 from vibrocast.host.controller import Controller
 from vibrocast.host.end_to_end import Member, actuator_model, member
 from vibrocast.host.harness import LiveRun, measure_latency, run_live
+from vibrocast.host.live import LiveStream
+from vibrocast.host.live_quality import CodedSignal, LiveQuality
 from vibrocast.host.live_watch import judged
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
 from vibrocast.simulated_device.device import Device
 from vibrocast.simulated_device.faulty_link import FaultyDirection, MemoryLink
 
+FORMAT = SignalFormat(2800, "m/s^2", (1.0,), (1.0,))
 ROUGH = textures.GENERATORS["rough"](seconds=1.0)
 
 
@@ -64,6 +68,12 @@ def test_a_stream_with_losses_is_not_compared() -> None:
     assert run.result.lost_packets
     assert run.quality.decoded_equals_offline is run.quality.dac_equals_offline is None
     assert not run.quality.differs
+
+
+def test_a_stream_whose_first_packets_were_left_out_has_no_quality() -> None:
+    stream = LiveStream(played_by(SimulatedController()).controller, FORMAT)
+    coded = CodedSignal(stream)
+    assert coded.quality(played_by(SimulatedController()), None, stream.result()) == LiveQuality()
 
 
 def test_the_times_are_those_that_the_measurement_of_latency_finds() -> None:

@@ -142,7 +142,10 @@ def test_a_profile_is_played_on_a_card_under_a_hand(pulseaudio: SoundServer, tmp
     profile = tmp_path / "profile.csv"
     assert CliRunner().invoke(main, ["generate", "wood", str(profile)]).exit_code == 0
     arguments = ["--stroke-mm", "10", "--hand-speed-mm-s", "40", "--device", ADDRESS, "--actuator", "voice-coil"]
-    result = CliRunner().invoke(main, ["play", str(profile), *arguments])
+    for _ in range(TRIES):  # a busy machine may render a position late
+        result = CliRunner().invoke(main, ["play", str(profile), *arguments])
+        if result.exit_code == 0:
+            break
     assert result.exit_code == 0, result.output
     assert "sound card" in result.output
 
