@@ -131,7 +131,7 @@ def test_a_bench_plays_on_a_card_with_its_actuator(pulseaudio: SoundServer, tmp_
     assert bench_file.actuator_of(bench, bench.first, described) == driven
 
 
-@pytest.mark.parametrize("arguments", [["live", "wood", "--seconds", "0.5"], ["status"]])
+@pytest.mark.parametrize("arguments", [["live", "wood", "--seconds", "0.5", "--playout-delay-ms", "300"], ["status"]])
 def test_commands_run_on_a_card(pulseaudio: SoundServer, arguments: list[str]) -> None:
     result = CliRunner().invoke(main, [*arguments, "--device", ADDRESS, "--actuator", "voice-coil"])
     assert result.exit_code == 0, result.output
