@@ -21,7 +21,7 @@ _MIN_S = 0.5
 _READ_BACK_S = 5.0
 """How long reading the captures back may take."""
 _MAX_VALUES = 1 << 23
-"""Of all channels together: 64 MB of the source."""
+"""Samples of all channels together whose packets are kept: some 50 minutes at 2800 Hz."""
 
 
 @dataclass(frozen=True)
@@ -30,8 +30,8 @@ class LiveQuality:
 
     `snr_db`: of the decoded signal; None for silence, an exact copy, and where it was too short. `skin`, `skin_note`:
     as in `host.report.Report`, by the models of output stage and actuator. `decoded_equals_offline`,
-    `dac_equals_offline`: whether the end of the stream, as read back from the controller, is bit for bit what this
-    computer decodes and computes; None where packets were lost, or the controller keeps no captures.
+    `dac_equals_offline`: whether the controller's captures of the end of the stream are those computed here, bit for
+    bit. They are None where packets were lost, nothing is captured, or there are more than _MAX_VALUES.
     """
 
     snr_db: float | None = None
@@ -49,7 +49,7 @@ class LiveQuality:
 class CodedSignal:
     """Keeps the packets of a live stream, and COMPARED_S of its source, up to where it left out packets or began again.
 
-    Of a stream of more than _MAX_VALUES, the packets up to there are kept.
+    Nothing is read back of a stream of more than _MAX_VALUES.
     """
 
     def __init__(self, stream: LiveStream) -> None:

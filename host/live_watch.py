@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from vibrocast.host.device_clock import DeviceClock
 from vibrocast.host.end_to_end import Member, known_actuator, output_delay_s
 from vibrocast.host.live import LiveResult, LiveStream, block_samples, paced
 from vibrocast.host.live_quality import LiveQuality
+from vibrocast.host.skin_quality import judged_skin
 
 MINUTE_S = 60.0
 _ASK_S = 0.25
@@ -41,6 +43,17 @@ class Minute:
     host_jitter_ms: float | None = None
     margin_ms: float | None = None
     cause: str | None = None
+
+
+class _Question(NamedTuple):
+    """A request for the controller's Status, behind a packet.
+
+    `last_s`: when the packet's last sample was taken. `sent_samples`: of the stream so far, per channel.
+    """
+
+    last_s: float
+    sent_samples: int
+    stream: int
 
 
 @dataclass(frozen=True)
@@ -81,7 +94,7 @@ class Watch:
         self.minutes = [Minute(0.0)]
         self._late_ms: list[float] = []
         self._clock = DeviceClock(stream.controller)
-        self._asked: list[tuple[float, int, int]] = []  # due time and position of the last sample sent, stream
+        self._questions: list[_Question] = []
         self._ask_s = 0.0
 
     def blocks(self, samples: Signal) -> Iterator[Signal]:
@@ -93,29 +106,29 @@ class Watch:
             yield block
             if stream.packets_sent > sent and now_s >= self._ask_s:
                 last_s = due_s - (stream.packet_samples - stream.left_samples) / stream.format.rate_hz
-                self._asked.append((last_s, stream.packets_sent * stream.packet_samples, stream.stream))
-                self._clock.ask(len(self._asked) - 1)
+                self._clock.ask(len(self._questions))
+                self._questions.append(_Question(last_s, stream.packets_sent * stream.packet_samples, stream.stream))
                 self._ask_s = now_s + _ASK_S
 
     def timing(self, member: Member) -> Timing:
         """Return the times of the stream so far; `member`: who plays it. Raises ControllerError."""
         stream, rate_hz = self._stream, self._stream.format.rate_hz
-        trips = [(*self._asked[number], trip[2]) for number, trip in self._clock.trips.items()]
-        if len(trips) < _MIN_TRIPS:
+        if len(self._clock.trips) < _MIN_TRIPS:
             return Timing()
         fit = self._clock.fit()
-        arrived = [(fit.host_time_s(status.device_time_us / 1e6), *trip) for *trip, status in trips]
-        played = [
-            at_s - last_s + (sent - trip[3].position) / rate_hz
-            for (at_s, last_s, sent, number), trip in zip(arrived, trips, strict=True)
-            if trip[3].state == State.PLAYING and trip[3].position and trip[3].stream == number
-        ]
-        early_s, late_s = np.quantile([at_s - last_s for at_s, last_s, *_ in arrived], (0.05, 0.95))
+        arrived_s, played_s = [], []
+        for number, (_, _, status) in self._clock.trips.items():
+            question = self._questions[number]
+            after_s = fit.host_time_s(status.device_time_us / 1e6) - question.last_s
+            arrived_s.append(after_s)
+            if status.state == State.PLAYING and status.position and status.stream == question.stream:
+                played_s.append(after_s + (question.sent_samples - status.position) / rate_hz)
+        early_s, late_s = np.quantile(arrived_s, (0.05, 0.95))
         actuator = known_actuator(member)
         latency_s = None
-        if played and actuator is not None:
+        if played_s and actuator is not None:
             chain_s = stream.delay_samples / rate_hz + output_delay_s(stream.header, actuator)
-            latency_s = float(np.median(played)) + chain_s
+            latency_s = float(np.median(played_s)) + chain_s
         return Timing(
             latency_ms=None if latency_s is None else 1e3 * latency_s,
             jitter_ms=1e3 * float(late_s - early_s),
@@ -162,9 +175,7 @@ def judged(result: LiveResult, quality: LiveQuality, timing: Timing) -> Iterator
 
     Those at the skin are computed, so they are known only where the controller has played what was computed.
     """
-    skin = quality.skin if quality.dac_equals_offline else None
-    yield Judged("snr_db", "live", None if skin is None else skin.snr_db)
-    yield Judged("gain", "live", None if skin is None else skin.gain)
+    yield from judged_skin(quality.skin if quality.dac_equals_offline else None, "live")
     yield Judged("latency_ms", "live", timing.latency_ms)
     yield Judged("jitter_ms", "live", timing.jitter_ms)
     yield Judged("drift_ppm", "live", timing.drift_ppm)

@@ -9,7 +9,7 @@ from typing import Any
 from vibrocast.files import atomic_write
 from vibrocast.host.bench_limits import Judged, lost_percent
 from vibrocast.host.provenance import Provenance
-from vibrocast.host.skin_quality import SkinQuality
+from vibrocast.host.skin_quality import SkinQuality, judged_skin
 from vibrocast.output.sound_card import CardUse
 
 SCHEMA = 2
@@ -110,8 +110,7 @@ class Report:
         yield Judged("underruns", self.file, self.underruns)
         yield Judged("lost_percent", self.file, lost_percent(self.lost_packets, self.packets))
         yield Judged("bad_frames", self.file, self.bad_frames + self.bad_frames_back)
-        for key in ("snr_db", "gain"):
-            yield Judged(key, self.file, None if self.skin is None else getattr(self.skin, key))
+        yield from judged_skin(self.skin, self.file)
 
     @property
     def differs(self) -> bool:
@@ -157,8 +156,7 @@ class StrokeReport:
         yield Judged("underruns", self.file, self.underruns)
         yield Judged("lost_percent", self.file, 0.0 if self.dac_equals_offline else None)
         yield Judged("bad_frames", self.file, self.bad_frames + self.bad_frames_back)
-        for key in ("snr_db", "gain"):
-            yield Judged(key, self.file, None if self.skin is None else getattr(self.skin, key))
+        yield from judged_skin(self.skin, self.file)
 
     def write(self, path: Path) -> None:
         """Write the report as JSON. Raises OSError."""

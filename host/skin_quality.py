@@ -2,7 +2,7 @@
 
 import contextlib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from vibrocast import textures
 from vibrocast.codec.threshold import read_threshold, skin_snr_db
 from vibrocast.evaluation import metrics
 from vibrocast.host.alignment import Alignment, AlignmentError, align
+from vibrocast.host.bench_limits import Judged
 from vibrocast.output.rendering import HIGH_PASS_HZ, displacement_filter
 from vibrocast.textures import Recording
 
@@ -41,6 +42,12 @@ class SkinQuality:
     st_sim: float | None
     gain: float | None
     weighted_snr_db: float | None = None
+
+
+def judged_skin(skin: SkinQuality | None, place: str) -> Iterator[Judged]:
+    """Yield the figures at the skin that limits of a bench file judge; `skin`: None = not known."""
+    yield Judged("snr_db", place, None if skin is None else skin.snr_db)
+    yield Judged("gain", place, None if skin is None else skin.gain)
 
 
 def compare_skin(

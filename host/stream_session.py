@@ -243,9 +243,10 @@ class Capture:
         return np.concatenate(self._pieces)
 
 
-def oldest_captured(controller: Controller, tap: Tap) -> int:
-    """Return the number of the first sample that a tap still has. Raises as `Controller.request`."""
-    return controller.request(CaptureRead(tap, 0, 1), CaptureData).offset
+def kept_samples(controller: Controller, tap: Tap) -> range:
+    """Return the numbers of the samples that a tap still has. Raises as `Controller.request`."""
+    answer = controller.request(CaptureRead(tap, 0, 1), CaptureData)
+    return range(answer.offset, answer.end)
 
 
 def read_capture(
@@ -255,8 +256,8 @@ def read_capture(
 
     `newest`: read the last samples only, at most this many per channel. Raises as `Capture.read_steps`.
     """
-    kept = controller.request(CaptureRead(tap, 0, 1), CaptureData)
-    first = kept.offset if newest is None else max(kept.offset, kept.end - newest)
+    kept = kept_samples(controller, tap)
+    first = kept.start if newest is None else max(kept.start, kept.stop - newest)
     capture = Capture(controller, tap, channels, first)
     until_s = controller.clock() + READ_BACK_S
     while controller.run(capture.read_steps(until_s)):

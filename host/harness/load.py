@@ -12,7 +12,7 @@ from vibrocast.host import live
 from vibrocast.host.controller import Controller
 from vibrocast.host.harness.latency import looped
 from vibrocast.host.player import BUFFER_S
-from vibrocast.host.stream_session import Capture, next_number, oldest_captured
+from vibrocast.host.stream_session import Capture, kept_samples, next_number
 from vibrocast.textures import Recording
 
 THROUGHPUT_S = 1.0
@@ -83,7 +83,7 @@ def throughput(controller: Controller, texture: Recording, *, rate_hz: int = 280
             controller.send(data)
         after = controller.request_status()
     sent = (controller.bytes_sent - sent_before) / seconds
-    first = oldest_captured(controller, Tap.DAC)
+    first = kept_samples(controller, Tap.DAC).start
     capture = Capture(controller, Tap.DAC, 1, first)
     began_s, received_before = controller.clock(), controller.bytes_received
     while (seconds := controller.clock() - began_s) < THROUGHPUT_S:

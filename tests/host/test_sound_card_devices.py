@@ -17,7 +17,7 @@ import vibrocast
 from tests.output.test_sound_card import TRIES, wait_until
 from tests.sound_server import HEADPHONES, PAD, Listener, SoundServer, position_of
 from vibrocast import extras
-from vibrocast.device_protocol.transports import DeviceGone, TransportError
+from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import bench_file, devices
 from vibrocast.host.cli.command_line import main
 from vibrocast.output.actuator import LRA, VOICE_COIL, Actuator, Codes, Samples
@@ -131,7 +131,7 @@ def test_a_bench_plays_on_a_card_with_its_actuator(pulseaudio: SoundServer, tmp_
     assert bench_file.actuator_of(bench, bench.first, described) == driven
 
 
-@pytest.mark.parametrize("arguments", [["live", "wood", "--seconds", "0.5"], ["status"]])
+@pytest.mark.parametrize("arguments", [["live", "wood", "--seconds", "0.5", "--playout-delay-ms", "300"], ["status"]])
 def test_commands_run_on_a_card(pulseaudio: SoundServer, arguments: list[str]) -> None:
     result = CliRunner().invoke(main, [*arguments, "--device", ADDRESS, "--actuator", "voice-coil"])
     assert result.exit_code == 0, result.output
@@ -173,7 +173,7 @@ def test_an_interrupted_program_leaves_the_card_at_rest(
     for tries_left in reversed(range(TRIES)):
         try:
             heard = heard_until_interrupted(tmp_path, number)
-        except DeviceGone:  # the listener has lost the server, and cannot tell how it ended
+        except TransportError:  # the listener has lost the server, or does not find it on a busy machine
             if not tries_left:
                 raise
             continue
@@ -185,7 +185,7 @@ def test_an_interrupted_program_leaves_the_card_at_rest(
 
 
 def heard_until_interrupted(tmp_path: Path, number: signal.Signals) -> Samples:
-    """Return what a program played until a signal ended it, and silence came. Raises DeviceGone, as the listener."""
+    """Return what a program played until a signal ended it, and silence came. Raises as the listener."""
     with playing(tmp_path) as program, Listener(PAD) as listener:
         try:
             wait_until(lambda: bool(np.abs(listener.newest(0.2)).max(initial=0) > 0))
