@@ -23,7 +23,13 @@ SCRIPT = ROOT / "docs" / "javascripts" / "messages.js"
 FIRMWARE = ROOT / "firmware"
 _NUMBERS = {"uint8_t": 1, "uint16_t": 2, "uint32_t": 4, "uint64_t": 8, "int64_t": 8}
 _TYPES = {"u8": "uint8_t", "u16": "uint16_t", "u32": "uint32_t", "u64": "uint64_t", "i64": "int64_t", "f32": "uint32_t"}
-_NESTED = (messages.Limits, messages.ActuatorDescription, messages.CodecDescription, messages.ImageDescription)
+_NESTED = (
+    messages.Limits,
+    messages.ActuatorDescription,
+    messages.CodecDescription,
+    messages.ImageDescription,
+    messages.CodingDescription,
+)
 _STRUCTS = {messages.Status: "vc_status_report", messages.Limits: "vc_controller_limits"}
 """Structs whose usual name the core already has."""
 
@@ -123,6 +129,9 @@ def _in_c(field: WireField, struct: str) -> CField:
             loop = f"for (i = 0; i < {struct}{count}; i++)"
             write = [loop, f"    write_{_snake(field.item)}(writer, {number}, &{place}[i]);"]
             return CField([f"const {kind} *{name};", f"unsigned {count};"], write=write)
+        case Tag(number=number) if field.is_optional:
+            write = [f"if ({place} != NULL)", f"    write_{_snake(field.item)}(writer, {number}, {place});"]
+            return CField([f"const {_struct(field.item)} *{name}; /* NULL: none */"], write=write)
         case Tag(number=number) if field.item in _NESTED:
             write = [f"write_{_snake(field.item)}(writer, {number}, &{place});"]
             return CField([f"{_struct(field.item)} {name};"], write=write)
@@ -256,7 +265,7 @@ def _script_types(owner: type) -> list[tuple[str, str]]:
     }
     plain = {str: "string", bytes: "Uint8Array"}
     tags = {
-        field.name: plain.get(field.item, field.item.__name__) + "[]" * field.is_tuple
+        field.name: plain.get(field.item, field.item.__name__) + "[]" * field.is_tuple + " | null" * field.is_optional
         for field in wire_fields(owner)
         if isinstance(field.wire, Tag)
     }
@@ -270,14 +279,19 @@ def page(text: str) -> str:
     """Return the protocol's page with its tables between the markers."""
     heads = ("type", "message", "fixed part", "TLVs or rest")
     values = [
-        (f"0x{field.wire.number:02x} {field.wire.description.split(',')[0]}", _cells(wire_fields(field.item)))
-        for field in wire_fields(messages.HelloResponse)
+        (
+            message.__name__,
+            f"0x{field.wire.number:02x} {field.wire.description.split(',')[0]}",
+            _cells(wire_fields(field.item)),
+        )
+        for message in RESPONSES
+        for field in wire_fields(message)
         if isinstance(field.wire, Tag) and field.item in _NESTED
     ]
     tables = {
         "requests": _table((*heads, "answer"), [(*_message_row(message), message.ANSWER) for message in FROM_HOST]),
         "responses": _table(heads, [_message_row(message) for message in RESPONSES]),
-        "values": _table(("tag", "value"), values),
+        "values": _table(("message", "tag", "value"), values),
         "errors": _table(("code", "name", "meaning"), _meanings(messages.ErrorCode)),
         "states": _table(("number", "state", "meaning"), _meanings(messages.State)),
     }

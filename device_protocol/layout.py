@@ -7,6 +7,7 @@ from dataclasses import MISSING, Field, dataclass
 from enum import IntEnum
 from functools import cache
 from operator import attrgetter
+from types import NoneType
 from typing import Annotated, Any, ClassVar, get_args, get_origin, get_type_hints
 
 from vibrocast.device_protocol.encoding import pack_varint, unpack_varint
@@ -172,13 +173,18 @@ class WireField:
 
     @property
     def item(self) -> Any:
-        """The type of the items of a tuple, or the type itself."""
-        return get_args(self.type)[0] if self.is_tuple else self.type
+        """The type of the items of a tuple, of an optional value, or the type itself."""
+        return get_args(self.type)[0] if self.is_tuple or self.is_optional else self.type
 
     @property
     def is_tuple(self) -> bool:
         """Whether the field is a tuple."""
         return get_origin(self.type) is tuple
+
+    @property
+    def is_optional(self) -> bool:
+        """Whether the field may be None, which its tag's absence means."""
+        return NoneType in get_args(self.type)
 
 
 def wire_fields(owner: type) -> list[WireField]:
@@ -246,7 +252,7 @@ class Layout:
                 packed += part.pack(getattr(value, name))
             for field, tag in self._tags:
                 found = getattr(value, field.name)
-                for item in found if field.is_tuple else (found,):
+                for item in found if field.is_tuple else () if found is None else (found,):
                     encoded = _encode(field.item, item)
                     packed += TLV_HEAD.pack(tag.number, len(encoded)) + encoded
         except (struct.error, OverflowError) as error:
@@ -284,7 +290,7 @@ class Layout:
             if field.is_tuple:
                 values[field.name] = tuple([_decode(field.item, value) for value in found])
             elif found:
-                values[field.name] = _decode(field.type, found[-1])
+                values[field.name] = _decode(field.item, found[-1])
             elif field.default is MISSING:
                 raise LayoutError(f"tag {tag.number} is missing: {tag.description}")
         return values

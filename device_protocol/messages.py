@@ -29,7 +29,7 @@ from vibrocast.device_protocol.layout import (
 )
 
 PROTOCOL_MAJOR = 2
-PROTOCOL_MINOR = 0
+PROTOCOL_MINOR = 1
 
 NOTIFICATION = 0
 """The sequence number of a message that answers no request."""
@@ -465,6 +465,14 @@ class HelloResponse(Message):
             raise LayoutError(f"a public key has {KEY_BYTES} bytes, not {len(self.public_key)}")
 
 
+@dataclass(frozen=True)
+class CodingDescription:
+    """How a stream is coded. `packet_samples`: per channel in a packet. `delay_samples`: by which the decoder lags."""
+
+    packet_samples: U32
+    delay_samples: U32
+
+
 @dataclass
 class Status(Message):
     """State, position, credit and counts: the answer to most requests, and the notification that grants credit.
@@ -473,6 +481,7 @@ class Status(Message):
     that end at or before this position. `buffered_samples`: received and not yet played. `bad_frames` counts since the
     controller started, the fields after it since Configure. `output_gaps`: how often the DAC had no sample while it was
     away from rest; `late_samples`: for how many of its samples. `signed_images`: model images need a signature.
+    `coding`: in the answer to Configure alone, since version 2.1.
     """
 
     TYPE = 0x81
@@ -493,6 +502,7 @@ class Status(Message):
     output_gaps: U32 = 0
     late_samples: U32 = 0
     signed_images: FLAG = False
+    coding: Annotated[CodingDescription | None, Tag(0x01, "coding, in the answer to Configure alone")] = None
 
 
 @dataclass

@@ -74,6 +74,7 @@ fields.status_power_limited = ProtoField.uint32("vibrocast.status.power_limited"
 fields.status_output_gaps = ProtoField.uint32("vibrocast.status.output_gaps", "output_gaps")
 fields.status_late_samples = ProtoField.uint32("vibrocast.status.late_samples", "late_samples")
 fields.status_signed_images = ProtoField.uint8("vibrocast.status.signed_images", "signed_images")
+fields.status_coding = ProtoField.bytes("vibrocast.status.coding", "coding")
 fields.capture_data_tap = ProtoField.uint8("vibrocast.capture_data.tap", "tap", base.DEC, {[0] = "DECODED", [1] = "DAC"})
 fields.capture_data_channels = ProtoField.uint8("vibrocast.capture_data.channels", "channels")
 fields.capture_data_offset = ProtoField.uint64("vibrocast.capture_data.offset", "offset")
@@ -112,6 +113,8 @@ fields.image_description_sha256 = ProtoField.bytes("vibrocast.image_description.
 fields.image_description_number = ProtoField.uint32("vibrocast.image_description.number", "number")
 fields.image_description_name = ProtoField.string("vibrocast.image_description.name", "name")
 fields.image_description_version = ProtoField.string("vibrocast.image_description.version", "version")
+fields.coding_description_packet_samples = ProtoField.uint32("vibrocast.coding_description.packet_samples", "packet_samples")
+fields.coding_description_delay_samples = ProtoField.uint32("vibrocast.coding_description.delay_samples", "delay_samples")
 
 -- Of each struct: name and kind of its fields, in their order; by tag, the struct or the name of a plain value.
 local structs = {
@@ -197,7 +200,7 @@ local structs = {
     },
     status = {
         fields = { { "state", "u8" }, { "stream", "u8" }, { "device_time_us", "u64" }, { "position", "u64" }, { "credit_until", "u64" }, { "buffered_samples", "u32" }, { "bad_frames", "u32" }, { "underruns", "u32" }, { "lost_packets", "u32" }, { "compensation_clipped", "u32" }, { "voltage_limited", "u32" }, { "slew_limited", "u32" }, { "power_limited", "u32" }, { "output_gaps", "u32" }, { "late_samples", "u32" }, { "signed_images", "u8" },  },
-        tags = {  },
+        tags = { [1] = { "coding", "coding_description" },  },
     },
     capture_data = {
         fields = { { "tap", "u8" }, { "channels", "u8" }, { "offset", "u64" }, { "end", "u64" }, { "data", "bytes" },  },
@@ -225,6 +228,10 @@ local structs = {
     },
     image_description = {
         fields = { { "slot", "u8" }, { "state", "u8" }, { "sha256", "32" }, { "number", "u32" }, { "name", "counted" }, { "version", "text" },  },
+        tags = {  },
+    },
+    coding_description = {
+        fields = { { "packet_samples", "u32" }, { "delay_samples", "u32" },  },
         tags = {  },
     },
 }

@@ -2,7 +2,7 @@
 "use strict";
 
 const PROTOCOL_MAJOR = 2;
-const PROTOCOL_MINOR = 0;
+const PROTOCOL_MINOR = 1;
 const FIRST_UNSEQUENCED = 0x40;
 const FIRST_FROM_CONTROLLER = 0x80;
 const STREAM_DATA_HEAD_BYTES = 7;
@@ -16,6 +16,7 @@ const TAPS = { DECODED: 0, DAC: 1 };
 /** @typedef {{ stroke_um: number, volts: number, lower_hz: number, upper_hz: number, slew_volts_per_second: number, dac_bits: number, dac_rate_hz: number, name: string }} ActuatorDescription */
 /** @typedef {{ identifier: number, name: string }} CodecDescription */
 /** @typedef {{ slot: number, state: number, sha256: Uint8Array, number: number, name: string, version: string }} ImageDescription */
+/** @typedef {{ packet_samples: number, delay_samples: number }} CodingDescription */
 /** @typedef {{ major: number, minor: number }} HelloMessage */
 /** @typedef {{ }} StatusRequestMessage */
 /** @typedef {{ stream: number, compensation: number, prebuffer_samples: number, packets: number, first_packet: number, loops: number, gain: number, header: Uint8Array }} ConfigureMessage */
@@ -36,7 +37,7 @@ const TAPS = { DECODED: 0, DAC: 1 };
 /** @typedef {{ device_time_us: number, position_nm: number }} PositionMessage */
 /** @typedef {{ stream: number, packet: Uint8Array }} SinglePacketMessage */
 /** @typedef {{ major: number, minor: number, build: string, hardware: string, limits: Limits, actuator: ActuatorDescription, codecs: CodecDescription[], images: ImageDescription[], public_key: Uint8Array, serial_number: string }} HelloResponseMessage */
-/** @typedef {{ state: number, stream: number, device_time_us: number, position: number, credit_until: number, buffered_samples: number, bad_frames: number, underruns: number, lost_packets: number, compensation_clipped: number, voltage_limited: number, slew_limited: number, power_limited: number, output_gaps: number, late_samples: number, signed_images: number }} StatusMessage */
+/** @typedef {{ state: number, stream: number, device_time_us: number, position: number, credit_until: number, buffered_samples: number, bad_frames: number, underruns: number, lost_packets: number, compensation_clipped: number, voltage_limited: number, slew_limited: number, power_limited: number, output_gaps: number, late_samples: number, signed_images: number, coding: CodingDescription | null }} StatusMessage */
 /** @typedef {{ tap: number, channels: number, offset: number, end: number, data: Uint8Array }} CaptureDataMessage */
 /** @typedef {{ slot: number, state: number, next_offset: number, sha256: Uint8Array }} FlashStatusMessage */
 /** @typedef {{ code: number, text: string }} ErrorMessage */
@@ -64,6 +65,11 @@ const LAYOUTS = {
         fields: [["slot", "u8"], ["state", "u8"], ["sha256", "32"], ["number", "u32"], ["name", "counted"], ["version", "text"]],
         tags: { },
     },
+    CodingDescription: {
+        type: null,
+        fields: [["packet_samples", "u32"], ["delay_samples", "u32"]],
+        tags: { },
+    },
     Hello: {
         type: 0x01,
         fields: [["major", "u8"], ["minor", "u8"]],
@@ -77,7 +83,7 @@ const LAYOUTS = {
     Configure: {
         type: 0x03,
         fields: [["stream", "u8"], ["compensation", "u8"], ["prebuffer_samples", "u32"], ["packets", "u32"], ["first_packet", "u32"], ["loops", "u16"], ["gain", "f32"]],
-        tags: { 1: { name: "header", kind: "bytes", list: false } },
+        tags: { 1: { name: "header", kind: "bytes", list: false, optional: false } },
     },
     Start: {
         type: 0x04,
@@ -122,7 +128,7 @@ const LAYOUTS = {
     FlashBegin: {
         type: 0x10,
         fields: [["slot", "u8"], ["size_bytes", "u32"], ["sha256", "32"]],
-        tags: { 1: { name: "hardware", kind: "text", list: false } },
+        tags: { 1: { name: "hardware", kind: "text", list: false, optional: false } },
     },
     FlashData: {
         type: 0x11,
@@ -162,12 +168,12 @@ const LAYOUTS = {
     HelloResponse: {
         type: 0x80,
         fields: [["major", "u8"], ["minor", "u8"]],
-        tags: { 1: { name: "build", kind: "text", list: false }, 2: { name: "hardware", kind: "text", list: false }, 3: { name: "limits", kind: "Limits", list: false }, 4: { name: "actuator", kind: "ActuatorDescription", list: false }, 5: { name: "codecs", kind: "CodecDescription", list: true }, 6: { name: "images", kind: "ImageDescription", list: true }, 7: { name: "public_key", kind: "bytes", list: false }, 8: { name: "serial_number", kind: "text", list: false } },
+        tags: { 1: { name: "build", kind: "text", list: false, optional: false }, 2: { name: "hardware", kind: "text", list: false, optional: false }, 3: { name: "limits", kind: "Limits", list: false, optional: false }, 4: { name: "actuator", kind: "ActuatorDescription", list: false, optional: false }, 5: { name: "codecs", kind: "CodecDescription", list: true, optional: false }, 6: { name: "images", kind: "ImageDescription", list: true, optional: false }, 7: { name: "public_key", kind: "bytes", list: false, optional: false }, 8: { name: "serial_number", kind: "text", list: false, optional: false } },
     },
     Status: {
         type: 0x81,
         fields: [["state", "u8"], ["stream", "u8"], ["device_time_us", "u64"], ["position", "u64"], ["credit_until", "u64"], ["buffered_samples", "u32"], ["bad_frames", "u32"], ["underruns", "u32"], ["lost_packets", "u32"], ["compensation_clipped", "u32"], ["voltage_limited", "u32"], ["slew_limited", "u32"], ["power_limited", "u32"], ["output_gaps", "u32"], ["late_samples", "u32"], ["signed_images", "u8"]],
-        tags: { },
+        tags: { 1: { name: "coding", kind: "CodingDescription", list: false, optional: true } },
     },
     CaptureData: {
         type: 0x82,
@@ -182,6 +188,6 @@ const LAYOUTS = {
     Error: {
         type: 0xff,
         fields: [["code", "u16"]],
-        tags: { 1: { name: "text", kind: "text", list: false } },
+        tags: { 1: { name: "text", kind: "text", list: false, optional: false } },
     },
 };

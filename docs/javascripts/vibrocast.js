@@ -96,7 +96,7 @@ function joined(pieces) {
 // ---- messages ----
 
 /** @typedef {[name: string, kind: string]} FieldLayout */
-/** @typedef {{ name: string, kind: string, list: boolean }} TagLayout */
+/** @typedef {{ name: string, kind: string, list: boolean, optional: boolean }} TagLayout */
 /** @typedef {{ type: number | null, fields: FieldLayout[], tags: Record<number, TagLayout> }} Layout */
 
 /** @param {string} kind @param {any} value @returns {Uint8Array} */
@@ -117,7 +117,7 @@ function fieldBytes(kind, value) {
 function structBytes(layout, values) {
     const pieces = layout.fields.map(([name, kind]) => fieldBytes(kind, values[name]));
     for (const [number, { name, kind, list }] of Object.entries(layout.tags))
-        for (const each of list ? values[name] : [values[name]]) {
+        for (const each of list ? values[name] : values[name] === null ? [] : [values[name]]) {
             const value = fieldBytes(kind, each);
             pieces.push(Uint8Array.of(Number(number)), numberBytes("u16", value.length), value);
         }
@@ -143,8 +143,9 @@ function readStruct(layout, reader) {
     const values = {};
     for (const [name, kind] of layout.fields) values[name] = readField(kind, reader);
     const tags = Object.values(layout.tags);
-    for (const { name, kind, list } of tags)
-        values[name] = list ? [] : kind === "text" ? "" : kind === "bytes" ? new Uint8Array() : undefined;
+    for (const { name, kind, list, optional } of tags)
+        if (optional) values[name] = null;
+        else values[name] = list ? [] : kind === "text" ? "" : kind === "bytes" ? new Uint8Array() : undefined;
     while (layout.type !== null && reader.left > 0) {
         const tag = layout.tags[reader.number("u8")];
         const value = new Reader(reader.take(reader.number("u16")), reader.cut);

@@ -7,7 +7,16 @@ import pytest
 
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.coded_stream import IMAGE_HASH_BYTES, MAX_CHANNELS, MAX_RATE_HZ
-from vibrocast.device_protocol.messages import Configure, ErrorCode, Gain, HelloResponse, Loop, State, Status
+from vibrocast.device_protocol.messages import (
+    CodingDescription,
+    Configure,
+    ErrorCode,
+    Gain,
+    HelloResponse,
+    Loop,
+    State,
+    Status,
+)
 from vibrocast.host.conformance.fixtures import section
 from vibrocast.host.conformance.probe import Probe, an_error, describe, in_state
 from vibrocast.host.conformance.streams import held_samples, stream_for
@@ -160,6 +169,19 @@ def test_rejected_configure_changes_nothing(probe: Probe, stream: Stream) -> Non
     after = probe.status()
     kept = replace(after, device_time_us=before.device_time_us)
     assert kept == before, f"expected {describe(before)}, came {describe(after)}"
+
+
+@section("Playing: Configure")
+def test_answer_says_how_the_stream_is_coded(probe: Probe, hello: HelloResponse, stream: Stream) -> None:
+    """From version 2.1 on, only the answer to Configure states the samples of a packet and the delay of the decoder."""
+    if hello.minor < 1:
+        pytest.skip(f"the controller speaks version {hello.major}.{hello.minor}")
+    decoder = stream.decoder()
+    expected = CodingDescription(decoder.packet_samples, decoder.delay_samples)
+    status = probe.configure(stream)
+    assert status.coding == expected, f"expected {expected}, came {status.coding}"
+    status = probe.status()
+    assert status.coding is None, f"expected none, came {status.coding}"
 
 
 @section("Playing: Credit")

@@ -12,6 +12,7 @@ from vibrocast.device_protocol.messages import (
     CaptureData,
     CaptureRead,
     CodecDescription,
+    CodingDescription,
     Configure,
     EndStream,
     Error,
@@ -51,6 +52,7 @@ f32 = st.floats(width=32, allow_nan=False, allow_infinity=False)
 gains = st.floats(0, 1e6, width=32)
 texts = st.text(max_size=40)
 sha256s = st.binary(min_size=32, max_size=32)
+codings = st.builds(CodingDescription, u32, u32)
 states, slot_states, taps = st.sampled_from(State), st.sampled_from(SlotState), st.sampled_from(Tap)
 
 limits = st.builds(Limits, u16, u16, u32, u32, u8, u32, u32, u16, u32)
@@ -94,7 +96,7 @@ MESSAGES: dict[type[Message], st.SearchStrategy[Message]] = {
         major=u8,
         minor=u8,
     ),
-    Status: st.builds(Status, states, u8, u64, u64, u64, *[u32] * 10, st.booleans()),
+    Status: st.builds(Status, states, u8, u64, u64, u64, *[u32] * 10, st.booleans(), st.none() | codings),
     CaptureData: captures,
     FlashStatus: st.builds(FlashStatus, u8, slot_states, u32, sha256s),
     Error: st.builds(Error, u16, texts),
@@ -291,6 +293,11 @@ GOLDEN: list[tuple[Message, str]] = [
         Status(State.WATCHDOG, 7, 1 << 40, 64, 6400, 320, 1, 2, 3, 4, 5, 6, 1 << 31, 7, 8, True),
         "81341207070000000000010000400000000000000000190000000000004001000001000000020000000300000004"
         "000000050000000600000000000080070000000800000001",
+    ),
+    (
+        Status(State.BUFFERING, 7, 1, 0, 6400, 0, 0, 0, 0, 0, 0, 0, 0, coding=CodingDescription(320, 70_000)),
+        "81341201070100000000000000000000000000000000190000000000000000000000000000000000000000000000"
+        "0000000000000000000000000000000000000000000000000108004001000070110100",
     ),
     (
         CaptureData(Tap.DECODED, 2, 5, 1 << 34, b"\x01\x02\x03\x04"),

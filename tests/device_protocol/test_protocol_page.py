@@ -7,6 +7,7 @@ import pytest
 
 from vibrocast.device_protocol.frames import FrameReader, write_frame
 from vibrocast.device_protocol.messages import (
+    CodingDescription,
     Configure,
     Error,
     ErrorCode,
@@ -26,9 +27,14 @@ from vibrocast.device_protocol.messages import (
 PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "protocol.md").read_text()
 
 EXAMPLE: list[tuple[str, int, Message]] = [
-    ("Hello, sequence 0x1234", 0x1234, Hello(2, 0)),
+    ("Hello, sequence 0x1234", 0x1234, Hello(2, 1)),
     ("Error, sequence 0x1234", 0x1234, Error(ErrorCode.HELLO_FIRST, "say hello first")),
     ("Configure, sequence 0x1236", 0x1236, Configure(1, b"\xd2\x13\x00", prebuffer_samples=1400, packets=100)),
+    (
+        "Status, sequence 0x1236",
+        0x1236,
+        Status(State.BUFFERING, 1, 4_000_000, 0, 6400, 0, 0, 0, 0, 0, 0, 0, 0, coding=CodingDescription(64, 32)),
+    ),
     ("StreamData, two packets", 0, StreamData(1, 0, (b"\x01\xaa\xbb", b"\x02\xcc"))),
     ("SinglePacket", 0, SinglePacket(1, b"\x05\xdd")),
     ("Start, sequence 0x1237", 0x1237, Start(0)),

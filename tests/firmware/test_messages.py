@@ -18,6 +18,7 @@ from vibrocast.device_protocol.messages import (
     ActuatorDescription,
     CaptureData,
     CodecDescription,
+    CodingDescription,
     Error,
     FlashStatus,
     HelloResponse,
@@ -33,6 +34,7 @@ STRUCTS = {
     ActuatorDescription: "vc_actuator_description",
     CaptureData: "vc_capture_data",
     CodecDescription: "vc_codec_description",
+    CodingDescription: "vc_coding_description",
     Error: "vc_error",
     FlashStatus: "vc_flash_status",
     HelloResponse: "vc_hello_response",
@@ -104,6 +106,8 @@ class InC:
                 found[field.name] = self.memory("uint8_t[]", item)
             elif field.type is bytes and isinstance(field.wire, Tag):
                 found[field.name] = [self.memory("uint8_t[]", item), len(item)]
+            elif field.is_optional:
+                found[field.name] = ffi.NULL if item is None else self.struct(item)
             elif field.type in STRUCTS:
                 found[field.name] = self.members(item)
             elif field.type is not bytes:

@@ -3,7 +3,7 @@
 #define VIBROCAST_PROTOCOL_H
 
 #define VC_PROTOCOL_MAJOR 2
-#define VC_PROTOCOL_MINOR 0
+#define VC_PROTOCOL_MINOR 1
 #define VC_NOTIFICATION 0 /* the sequence number of a message that answers no request */
 #define VC_FIRST_UNSEQUENCED 0x40 /* types from here on have no sequence number */
 #define VC_FIRST_FROM_CONTROLLER 0x80

@@ -77,11 +77,15 @@ static vc_status_report status_of(vc_controller *controller)
     return status;
 }
 
-static void write_status(vc_controller *controller, vc_frame_writer *writer, uint16_t sequence)
+/* `coding`: how the stream is coded, in the answer to Configure; NULL in any other Status. */
+static void write_status(vc_controller *controller, vc_frame_writer *writer, uint16_t sequence,
+                         const vc_coding_description *coding)
 {
-    controller->last_report = status_of(controller);
+    vc_status_report status = status_of(controller);
+    controller->last_report = status;
     controller->reported = 1;
-    vc_write_status(writer, sequence, &controller->last_report);
+    status.coding = coding;
+    vc_write_status(writer, sequence, &status);
 }
 
 /* Frames that are not kept for a repeated request: errors and notifications. */
@@ -114,7 +118,7 @@ static void notify(vc_controller *controller)
     if (outgoing_bytes(controller) >= UNREAD_NOTIFICATIONS_BYTES)
         return;
     vc_frame_begin(&writer, frame, sizeof frame);
-    write_status(controller, &writer, VC_NOTIFICATION);
+    write_status(controller, &writer, VC_NOTIFICATION, NULL);
     send(controller, frame, (uint32_t)vc_frame_end(&writer));
 }
 
@@ -277,6 +281,7 @@ static int dispatch(vc_controller *controller, const vc_message *message, vc_fra
                     vc_rejection *rejection)
 {
     vc_playback *playback = &controller->playback;
+    vc_coding_description coding;
     uint64_t start_us;
     int rejected = 0;
     switch (message->type) {
@@ -284,6 +289,8 @@ static int dispatch(vc_controller *controller, const vc_message *message, vc_fra
         break;
     case VC_CONFIGURE:
         rejected = configure(controller, &message->body.configure, rejection);
+        coding.packet_samples = playback->coding.packet_samples;
+        coding.delay_samples = playback->coding.delay_samples;
         break;
     case VC_START:
         rejected = reject_outside(controller, IN(VC_STATE_BUFFERING), rejection);
@@ -326,7 +333,7 @@ static int dispatch(vc_controller *controller, const vc_message *message, vc_fra
         return write_flash(controller, message, writer, rejection);
     }
     if (!rejected)
-        write_status(controller, writer, message->sequence);
+        write_status(controller, writer, message->sequence, message->type == VC_CONFIGURE ? &coding : NULL);
     return rejected;
 }
 

@@ -229,6 +229,13 @@ static void write_image_description(vc_frame_writer *writer, uint8_t tag, const 
     write_piece(writer, value->version);
 }
 
+static void write_coding_description(vc_frame_writer *writer, uint8_t tag, const vc_coding_description *value)
+{
+    write_tag(writer, tag, 4 + 4);
+    vc_frame_write_number(writer, value->packet_samples, 4);
+    vc_frame_write_number(writer, value->delay_samples, 4);
+}
+
 void vc_write_hello_response(vc_frame_writer *writer, uint16_t sequence, const vc_hello_response *message)
 {
     unsigned i;
@@ -270,6 +277,8 @@ void vc_write_status(vc_frame_writer *writer, uint16_t sequence, const vc_status
     vc_frame_write_number(writer, message->output_gaps, 4);
     vc_frame_write_number(writer, message->late_samples, 4);
     vc_frame_write_number(writer, message->signed_images, 1);
+    if (message->coding != NULL)
+        write_coding_description(writer, 1, message->coding);
 }
 
 void vc_write_capture_data(vc_frame_writer *writer, uint16_t sequence, const vc_capture_data *message)

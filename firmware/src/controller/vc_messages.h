@@ -156,6 +156,12 @@ typedef struct {
     vc_piece version;
 } vc_image_description;
 
+/* How a stream is coded. `packet_samples`: per channel in a packet. `delay_samples`: by which the decoder lags. */
+typedef struct {
+    uint32_t packet_samples;
+    uint32_t delay_samples;
+} vc_coding_description;
+
 /* The controller's version, limits, actuator, codecs and model images. `public_key`: of Ed25519; model images need its
  * signature. Empty: they need none. `serial_number`: of the board; empty: it has none. */
 typedef struct {
@@ -177,7 +183,8 @@ typedef struct {
  * and credit count samples per channel, over all iterations. `credit_until`: the controller takes packets that end at
  * or before this position. `buffered_samples`: received and not yet played. `bad_frames` counts since the controller
  * started, the fields after it since Configure. `output_gaps`: how often the DAC had no sample while it was away from
- * rest; `late_samples`: for how many of its samples. `signed_images`: model images need a signature. */
+ * rest; `late_samples`: for how many of its samples. `signed_images`: model images need a signature. `coding`: in the
+ * answer to Configure alone, since version 2.1. */
 typedef struct {
     uint8_t state;
     uint8_t stream;
@@ -195,6 +202,7 @@ typedef struct {
     uint32_t output_gaps;
     uint32_t late_samples;
     uint8_t signed_images;
+    const vc_coding_description *coding; /* NULL: none */
 } vc_status_report;
 
 /* Captured samples, int16 little-endian, channels interleaved. `offset`: of the first sample, later than requested if
