@@ -26,6 +26,12 @@ void vc_fuzz_images(const uint8_t *data, size_t length);
  * built-in tables, the windows; and none of other codecs. */
 #define VC_FUZZ_DECLARED(name) void vc_fuzz_##name(const uint8_t *data, size_t length);
 VC_CODECS(VC_FUZZ_DECLARED)
+/* The decoder library. A record of its setting: the kind, polls of each packet (0: to its end), then in two bytes each:
+ * memory (0: what the stream needs), bytes of the longest packet (0: none), bytes before the file is cut (0: never).
+ * A record of the model image, empty for none. Then, by the kind: 0, a file as it is; 1, records of its header and
+ * packets, each packet behind a byte that is 1 for a refresh, which get the right checksums; 2, records of the header
+ * and the packets of a link, where an empty one is missing. */
+void vc_fuzz_streams(const uint8_t *data, size_t length);
 /* A stream's way to the DAC: a record of its setting, then records of events; see output.c. */
 void vc_fuzz_output(const uint8_t *data, size_t length);
 /* A height profile under a hand: a record of its setting, one of its samples, then events; see profile.c. */

@@ -11,6 +11,9 @@
 #ifdef __cplusplus
 extern "C" {
 #endif
+#ifdef __GNUC__
+#pragma GCC visibility push(default)
+#endif
 
 /* cffi: begin */
 typedef struct vc_controller vc_controller;
@@ -39,6 +42,9 @@ int vc_controller_advance(vc_controller *controller, uint64_t now_us);
 size_t vc_controller_transmit(vc_controller *controller, uint8_t *data, size_t capacity);
 /* cffi: end */
 
+#ifdef __GNUC__
+#pragma GCC visibility pop
+#endif
 #ifdef __cplusplus
 }
 #endif

@@ -22,6 +22,9 @@
 #ifdef __cplusplus
 extern "C" {
 #endif
+#ifdef __GNUC__
+#pragma GCC visibility push(default)
+#endif
 
 /* Highest rate of a stream, in rates of the DAC. */
 #define VC_RESAMPLER_MAX_RATIO 128
@@ -141,6 +144,9 @@ uint32_t vc_dac_recovery_samples(const vc_dac *dac);
 const vc_limit_counts *vc_dac_counts(const vc_dac *dac);
 /* cffi: end */
 
+#ifdef __GNUC__
+#pragma GCC visibility pop
+#endif
 #ifdef __cplusplus
 }
 #endif

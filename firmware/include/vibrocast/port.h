@@ -11,6 +11,9 @@
 #ifdef __cplusplus
 extern "C" {
 #endif
+#ifdef __GNUC__
+#pragma GCC visibility push(default)
+#endif
 
 #define VC_BUILD "vibrocast firmware 0.1.0"
 /* The 32 bytes of the key that signs model images: `python -m vibrocast.firmware.build --public-key`. */
@@ -37,6 +40,9 @@ size_t vc_port_write(const uint8_t *data, size_t length);
 /* Returns a clock in microseconds, from any start. It never goes back, and the same oscillator drives the DAC. */
 uint64_t vc_port_now_us(void);
 
+#ifdef __GNUC__
+#pragma GCC visibility pop
+#endif
 #ifdef __cplusplus
 }
 #endif

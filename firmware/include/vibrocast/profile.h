@@ -31,6 +31,9 @@
 #ifdef __cplusplus
 extern "C" {
 #endif
+#ifdef __GNUC__
+#pragma GCC visibility push(default)
+#endif
 
 /* Bytes, at compile time, that hold a profile of this many samples, all channels together. */
 #define VC_PROFILE_STATE_BYTES 1232
@@ -74,6 +77,9 @@ int vc_profile_position(vc_profile *profile, uint64_t time_us, int64_t position_
 void vc_profile_render(vc_profile *profile, uint64_t time_us, int16_t *heights);
 /* cffi: end */
 
+#ifdef __GNUC__
+#pragma GCC visibility pop
+#endif
 #ifdef __cplusplus
 }
 #endif
