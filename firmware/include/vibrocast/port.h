@@ -2,6 +2,9 @@
  *
  * The port's main() sets up its hardware and calls vc_loop_start() once. It then calls vc_loop_turn() for ever, at
  * least every few milliseconds. docs/how-to/port_the_firmware.md walks through a port.
+ *
+ * There is one loop and one controller. Call both functions from the same thread, and not from an interrupt. They call
+ * the functions of the port before they return. Stack: as for controller.h, and 256 bytes.
  */
 #ifndef VIBROCAST_PORT_H
 #define VIBROCAST_PORT_H
@@ -21,9 +24,9 @@ extern "C" {
 #define VC_PUBLIC_KEY NULL
 #endif
 
-/* Starts the controller. The port owns `settings`, `flash` and `dac`, which must stay valid. A turn hands codes to the
- * DAC after it has decoded a block for them, so they come late by that time. The ramp to rest after a Stop comes at
- * once, about 5 ms ahead of time. */
+/* Starts the controller, once. The port owns `settings`, `flash` and `dac`, which must stay valid. A turn hands codes
+ * to the DAC after it has decoded a block for them, so they come late by that time. The ramp to rest after a Stop comes
+ * at once, about 5 ms ahead of time. */
 void vc_loop_start(const vc_controller_settings *settings, const vc_flash *flash, const vc_dac_port *dac);
 
 /* Takes bytes from the host, plays the samples that are due, and hands on bytes for the host; a turn decodes one block
@@ -31,7 +34,8 @@ void vc_loop_start(const vc_controller_settings *settings, const vc_flash *flash
  * milliseconds. */
 int vc_loop_turn(void);
 
-/* Copies up to `capacity` bytes from the host into `data`. Returns how many bytes there were. Never waits. */
+/* Copies up to `capacity` bytes from the host into `data`. Returns how many bytes there were, 0 if none. Never waits.
+ */
 size_t vc_port_read(uint8_t *data, size_t capacity);
 
 /* Takes up to `length` bytes for the host from `data`. Returns how many it took. Never waits. */
