@@ -97,8 +97,10 @@ def source() -> tuple[str, str]:
     return (
         f'/* Actuators that ship; {command}. */\n#include "vibrocast/actuator_tables.h"\n\n' + "\n".join(tables),
         f"/* Actuators that ship; {command}. */\n#ifndef {guard}\n#define {guard}\n\n"
-        f'#include "output.h"\n\n#ifdef __cplusplus\nextern "C" {{\n#endif\n\n'
-        f"/* cffi: begin */\n{declared}/* cffi: end */\n\n#ifdef __cplusplus\n}}\n#endif\n\n#endif\n",
+        f'#include "output.h"\n\n#ifdef __cplusplus\nextern "C" {{\n#endif\n'
+        f"#ifdef __GNUC__\n#pragma GCC visibility push(default)\n#endif\n\n"
+        f"/* cffi: begin */\n{declared}/* cffi: end */\n\n"
+        f"#ifdef __GNUC__\n#pragma GCC visibility pop\n#endif\n#ifdef __cplusplus\n}}\n#endif\n\n#endif\n",
     )
 
 

@@ -3,7 +3,7 @@
 
 #include "vibrocast/decoder.h"
 
-static int64_t memory[1 << 15];  /* of the decoder */
+static int64_t memory[VC_DECODER_WORDS];
 static uint8_t packet[65535];    /* one coded packet */
 static int16_t samples[1 << 20]; /* one decoded packet, all channels */
 static uint8_t model[1 << 20];

@@ -11,7 +11,7 @@ static const struct {
     vc_fuzz_target run;
 } targets[] = {
 #define ROW(name) {#name, vc_fuzz_##name},
-    VC_CODECS(ROW) ROW(frames) ROW(messages) ROW(headers) ROW(images) ROW(output) ROW(profile) ROW(flash)
+    VC_CODECS(ROW) ROW(streams) ROW(frames) ROW(messages) ROW(headers) ROW(images) ROW(output) ROW(profile) ROW(flash)
         ROW(controller)};
 
 static vc_fuzz_target chosen;

@@ -26,6 +26,13 @@ void vc_fuzz_images(const uint8_t *data, size_t length);
  * built-in tables, the windows; and none of other codecs. */
 #define VC_FUZZ_DECLARED(name) void vc_fuzz_##name(const uint8_t *data, size_t length);
 VC_CODECS(VC_FUZZ_DECLARED)
+/* The decoder library. Records of its setting and of the model image, which is empty for none; then, by the kind:
+ * - 0: a file as it is;
+ * - 1: records of a header and of packets, which get the right checksums. A packet begins with a byte, 1 = a refresh;
+ * - 2: records of a header and of the packets of a link. An empty one is missing.
+ * The setting: a byte each for the kind and the polls of a packet (0: to its end). Two bytes each for the memory (0:
+ * what the stream needs), the longest packet, and where the file is cut (0: nowhere). */
+void vc_fuzz_streams(const uint8_t *data, size_t length);
 /* A stream's way to the DAC: a record of its setting, then records of events; see output.c. */
 void vc_fuzz_output(const uint8_t *data, size_t length);
 /* A height profile under a hand: a record of its setting, one of its samples, then events; see profile.c. */

@@ -18,7 +18,7 @@ FIRMWARE = Path(__file__).parents[2] / "firmware"
 FUZZ = FIRMWARE / "fuzz"
 CORPUS = FUZZ / "corpus.zip"
 CODECS = ("mdct", "dct", "slp", "eva", "lapped", "parametric")
-TARGETS = (*CODECS, "frames", "messages", "headers", "images", "output", "profile", "flash", "controller")
+TARGETS = (*CODECS, "streams", "frames", "messages", "headers", "images", "output", "profile", "flash", "controller")
 ENGINE = FUZZ / "engine.c"
 FLAGS = ["-std=c99", "-g", "-O1", "-Wall", "-Wextra", "-Werror", "-fno-sanitize-recover=all", f"-I{FUZZ}"]
 COUNTING = "-fsanitize-coverage=inline-8bit-counters"

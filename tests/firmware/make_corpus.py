@@ -5,6 +5,7 @@ import operator
 import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from vibrocast.codec import Choice, Framing, Model, Setting, SignalFormat, eva, 
 from vibrocast.codec.eva_image import PRIOR_KINDS
 from vibrocast.codec.rotation import COMMON, OWN, Rotation
 from vibrocast.device_protocol import messages
-from vibrocast.device_protocol.coded_stream import PROFILE_UNIT, STREAM_UNITS, StreamHeader, unpack_file
+from vibrocast.device_protocol.coded_stream import PROFILE_UNIT, STREAM_UNITS, StreamHeader, pack_file, unpack_file
 from vibrocast.device_protocol.encoding import pack_varint
 from vibrocast.device_protocol.frames import write_frame
 from vibrocast.device_protocol.messages import (
@@ -159,6 +160,41 @@ def headers(streams: Sequence[tuple[str, bytes]]) -> list[bytes]:
         header = StreamHeader(identifier, RATE_HZ, 1000, "um", gains, data[3 : 2 + length], image_hash)
         made.append(header.pack())
     return sorted(set(made))
+
+
+def played(header: StreamHeader, packets: Sequence[bytes], image: bytes = b"") -> list[bytes]:
+    """Return inputs of the decoder library: a file as it is, its parts, its link; and with too little of everything."""
+
+    def setting(kind: int, polls: int = 0, memory: int = 0, packet: int = 5000, cut: int = 0) -> bytes:
+        return record(little((kind, 1), (polls, 1), (memory, 2), (packet, 2), (cut, 2))) + record(image)
+
+    file = pack_file(header, packets)
+    # No number of a packet here takes more than its first byte.
+    parts = record(header.pack()) + b"".join(record(bytes([packet[0] & 1]) + packet[1:]) for packet in packets)
+    kept = [packet if number != 2 else b"" for number, packet in enumerate(packets)]
+    link = record(header.pack()) + b"".join(map(record, kept))
+    return [
+        setting(0) + file,
+        setting(1) + parts,
+        setting(2) + link,
+        setting(2, polls=2) + link,
+        setting(0, cut=len(file) - 30) + file,
+    ]
+
+
+def files() -> list[bytes]:
+    """Return inputs of the decoder library: streams of each codec, of one packet, of no known length, with a model."""
+    made = []
+    for name, setting in SETTINGS:
+        configuration, *packets = coded(name, setting)
+        header = StreamHeader(codec.codec_by_name(name).identifier, RATE_HZ, 400, "um", (1.0, 1.0), configuration)
+        made += played(header, packets)
+    made += [record(little((0, 1), (0, 1), (80, 2), (3, 2), (0, 2))) + record(b"") + pack_file(header, packets)]
+    made += played(replace(header, samples=20), packets[:1])
+    made += played(replace(header, samples=None), packets[:3])
+    image = (GOLDEN / "golden_eva_static.vcmi").read_bytes()
+    header, packets = unpack_file((GOLDEN / "golden_eva_static.vct").read_bytes())
+    return made + played(replace(header, samples=None), packets[:6], image)
 
 
 def little(*numbers: tuple[int, int]) -> bytes:
@@ -311,6 +347,7 @@ def main() -> None:
     streams = [*built_in_streams(), *learned_streams()]
     inputs = {
         **{name: [data for target, data in streams if target == name] for name in CODECS},
+        "streams": files(),
         "frames": [b"\0" + b"".join(wire), b"".join(frame[:-3] + b"\0" for frame in wire), b"\x02" * 700 + wire[0]],
         "messages": [*payloads, tagged, b"\x3e\x34\x12", b""],
         "headers": headers(streams),

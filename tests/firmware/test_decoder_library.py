@@ -1,4 +1,4 @@
-"""The C library without a controller: the example program, damaged files, public headers, lists of files."""
+"""The C library without a controller: the example, damaged files, headers, sizes, names, lists of files."""
 
 import re
 import subprocess
@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from elftools.elf.elffile import ELFFile
+from elftools.elf.sections import SymbolTableSection
 from numpy.typing import NDArray
 
 from tests.firmware.native import ffi, native
@@ -24,6 +26,10 @@ PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "use_the_decoder.md"
 CODECS = ("mdct", "dct", "slp", "eva", "lapped", "parametric")
 HEADERS = sorted((ROOT / "include" / "vibrocast").glob("*.h"))
 CORE = [path for path in sorted((ROOT / "src" / "core").glob("*.c")) if not path.stem.endswith("_encoder")]
+CONTROLLER = [
+    *(path for folder in ("controller", "monocypher") for path in sorted((ROOT / "src" / folder).glob("*.c"))),
+    ROOT / "ports" / "loop.c",
+]
 
 
 def run(*command: str | Path, folder: Path | None = None) -> subprocess.CompletedProcess[str]:
@@ -203,6 +209,64 @@ def test_public_headers_include_public_headers_only_and_guard_cpp() -> None:
         assert set(re.findall(r'#include "(.*?)"', text)) <= names
         if re.search(r"^(?!typedef|#|static| \*|/\*)[\w ]+\*?\w+\(.*\);$", text, re.MULTILINE):
             assert text.count('extern "C"') == 1, header
+
+
+def declared() -> set[str]:
+    """Return the names of the functions and constants that the public headers declare, except those of a port."""
+    text = re.sub(
+        r"/\*.*?\*/", "", "\n".join(header.read_text(encoding="utf-8") for header in HEADERS), flags=re.DOTALL
+    )
+    functions = re.findall(r"^(?!static|typedef|#)\w[\w ]*[ *](vc_\w+)\(", text, re.MULTILINE)
+    names = {*functions, *re.findall(r"^extern const \w+ (vc_\w+);", text, re.MULTILINE)}
+    return {name for name in names if not name.startswith("vc_port_")}
+
+
+def symbols(path: Path, table: str) -> set[str]:
+    """Return the global names that an ELF file defines in its symbol table of this name."""
+    with path.open("rb") as file:
+        section = ELFFile(file).get_section_by_name(table)
+        assert isinstance(section, SymbolTableSection)
+        return {
+            symbol.name
+            for symbol in section.iter_symbols()
+            if symbol["st_info"]["bind"] != "STB_LOCAL" and symbol["st_shndx"] != "SHN_UNDEF"
+        }
+
+
+@pytest.mark.slow
+def test_names_begin_with_vc_and_a_shared_library_exports_those_of_the_headers(tmp_path: Path) -> None:
+    flags = ["-target", "x86_64-linux-gnu", "-std=c99", "-O0", "-fPIC", "-fvisibility=hidden", f"-I{ROOT / 'include'}"]
+    done = run(*ZIG, "cc", *flags, "-c", *(path.resolve() for path in (*CORE, *CONTROLLER)), folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    objects = sorted(tmp_path.glob("*.o"))
+    names = {name for path in objects for name in symbols(path, ".symtab")}
+    assert {name for name in names if not name.startswith("vc_")} == set()
+    assert {"vc_crypto_wipe", "vc_mdct_feed"} <= names
+    done = run(*ZIG, "cc", *flags[:2], "-shared", *objects, "-o", tmp_path / "library.so")
+    assert done.returncode == 0, done.stderr
+    assert symbols(tmp_path / "library.so", ".dynsym") == declared()
+
+
+@pytest.mark.parametrize("target", ["x86_64-linux-gnu", "thumb-freestanding-eabi"])
+@pytest.mark.parametrize("channels", [1, 2, 7, 16])
+def test_decoder_words_hold_each_codec_and_little_more(tmp_path: Path, target: str, channels: int) -> None:
+    # The size of an object is the number that the compiler gives for an expression.
+    structures = [f"char state_{name}[sizeof(struct vc_{name}_decoder)];" for name in CODECS]
+    words = [f"int64_t words_{name}[VC_{name.upper()}_WORDS];" for name in CODECS]
+    source = tmp_path / "sizes.c"
+    source.write_text(
+        '#include "vc_decoder_memory.h"\nint64_t all[VC_DECODER_WORDS];\n' + "\n".join(structures + words)
+    )
+    flags = ["-target", target, f"-DVC_MAX_CHANNELS={channels}", f"-I{ROOT / 'include'}", f"-I{CORE[0].parent}"]
+    done = run(*ZIG, "cc", *flags, "-std=c99", "-c", source, "-o", tmp_path / "sizes.o")
+    assert done.returncode == 0, done.stderr
+    with (tmp_path / "sizes.o").open("rb") as file:
+        table = ELFFile(file).get_section_by_name(".symtab")
+        assert isinstance(table, SymbolTableSection)
+        sizes = {symbol.name: symbol["st_size"] for symbol in table.iter_symbols()}
+    for name in CODECS:
+        assert 0 <= sizes[f"words_{name}"] - sizes[f"state_{name}"] < 160
+    assert sizes["all"] == max(sizes[f"words_{name}"] for name in CODECS)
 
 
 def needed(folder: Path, name: str) -> set[str]:

@@ -7,6 +7,9 @@
 #ifdef __cplusplus
 extern "C" {
 #endif
+#ifdef __GNUC__
+#pragma GCC visibility push(default)
+#endif
 
 /* cffi: begin */
 /* piezo-stack, DAC of 16 bits at 3000 Hz. */
@@ -19,6 +22,9 @@ extern const vc_actuator vc_lra;
 extern const vc_actuator vc_voice_coil;
 /* cffi: end */
 
+#ifdef __GNUC__
+#pragma GCC visibility pop
+#endif
 #ifdef __cplusplus
 }
 #endif

@@ -1,4 +1,5 @@
-/* Codecs and channels of a build. A board sets them by -D, for all sources alike. */
+/* Codecs and channels of a build. Set them by -D, for the library and for each source that includes its headers:
+ * VC_DECODER_WORDS and the sizes of a controller follow from them. */
 #ifndef VIBROCAST_CONFIG_H
 #define VIBROCAST_CONFIG_H
 

@@ -11,7 +11,11 @@
  * scale is then gain / (2 pi 20 Hz)^2. All of vc_drive is linear in the signal, and the physical scale comes last, in
  * vc_dac: so neither a weak signal nor a strong gain loses precision.
  *
- * Samples of several channels are interleaved. Numbers of samples are per channel.
+ * - Samples of several channels are interleaved. Numbers of samples are per channel.
+ * - A vc_drive or vc_dac needs no clearing and nothing to close, and no pointer in it leads into itself.
+ * - Call one of them from one thread or interrupt at a time; different ones need no lock.
+ * - Any decoded samples are safe. Constants of a vc_actuator are not checked, except where a comment says so.
+ * - `actuator` must stay valid; other pointers are used during the call only.
  */
 #ifndef VIBROCAST_OUTPUT_H
 #define VIBROCAST_OUTPUT_H
@@ -21,6 +25,9 @@
 
 #ifdef __cplusplus
 extern "C" {
+#endif
+#ifdef __GNUC__
+#pragma GCC visibility push(default)
 #endif
 
 /* Highest rate of a stream, in rates of the DAC. */
@@ -84,15 +91,15 @@ typedef struct {
  * - a DAC rate or DAC bits outside vc_actuator's. */
 size_t vc_drive_size(const vc_actuator *actuator, const vc_output_stream *stream);
 
-/* Prepares a drive at rest. `drive`: vc_drive_size() bytes, which the caller owns. `actuator` must stay valid.
- * `compensation`: whether to apply the inverse of the actuator's response. `decoder_delay_samples`: decoded samples
- * before the recording begins. Returns VC_OK, or VC_BAD_CONFIGURATION where vc_drive_size() is 0. */
+/* Prepares a drive at rest. `drive`: vc_drive_size() bytes, which the caller owns. `compensation`: whether to apply the
+ * inverse of the actuator's response. `decoder_delay_samples`: decoded samples before the recording begins. Returns
+ * VC_OK, or VC_BAD_CONFIGURATION where vc_drive_size() is 0. */
 int vc_drive_init(vc_drive *drive, const vc_actuator *actuator, const vc_output_stream *stream, int compensation,
                   uint32_t decoder_delay_samples);
 
-/* Takes decoded samples and writes the drive samples that they complete, at most `capacity`. Returns how many decoded
- * samples it took; `made`: how many drive samples it wrote. If that is `capacity` there may be more: call again with
- * the remaining decoded samples, if any. */
+/* Takes decoded samples and writes the drive samples that they complete, at most `capacity`, 1 or more. Returns how
+ * many decoded samples it took; `made`: how many drive samples it wrote. If that is `capacity` there may be more: call
+ * again with the remaining decoded samples, if any. */
 uint32_t vc_drive_push(vc_drive *drive, const int16_t *decoded, uint32_t samples, int32_t *made_drive,
                        uint32_t capacity, uint32_t *made);
 
@@ -100,8 +107,8 @@ uint32_t vc_drive_push(vc_drive *drive, const int16_t *decoded, uint32_t samples
  * smoothed within 5 ms. */
 void vc_drive_join(vc_drive *drive);
 
-/* After the last push: writes the samples left in the resampler, at most `capacity`, and returns how many; 0: no more.
- * The last value is held, so that nothing jumps at the end. */
+/* After the last push: writes the samples left in the resampler, at most `capacity`, 1 or more. Returns how many; 0: no
+ * more. The last value is held, so that nothing jumps at the end. */
 uint32_t vc_drive_finish(vc_drive *drive, int32_t *made_drive, uint32_t capacity);
 
 /* Return the decoded samples by which the resampler lags; and the number of drive samples before the one of a decoded
@@ -113,9 +120,8 @@ uint32_t vc_drive_samples(const vc_drive *drive, uint32_t decoded_samples);
 size_t vc_dac_size(void);
 
 /* Prepares a DAC at rest: `hold_samples` at rest come first, then the drive fades in within 5 ms. `stream`: one that
- * vc_drive_size() takes. `actuator` must stay valid. `gain_float_bits`: the bits of a float32 factor, finite and at
- * least 0; values above 65 536 act as 65 536. `compensation`: if not 0, a code beyond the voltage limit counts as
- * clipped compensation. */
+ * vc_drive_size() takes. `gain_float_bits`: the bits of a float32 factor, any bits; below 0 it acts as 0, above 65 536
+ * as 65 536. `compensation`: if not 0, a code beyond the voltage limit counts as clipped compensation. */
 void vc_dac_init(vc_dac *dac, const vc_actuator *actuator, const vc_output_stream *stream, uint32_t gain_float_bits,
                  int compensation, uint32_t hold_samples);
 
@@ -123,7 +129,7 @@ void vc_dac_init(vc_dac *dac, const vc_actuator *actuator, const vc_output_strea
  * which nothing overrides. */
 void vc_dac_play(vc_dac *dac, const int32_t *drive, uint32_t samples, int16_t *codes);
 
-/* Moves to another gain along a ramp of 20 ms. */
+/* Moves to another gain, as for vc_dac_init(), along a ramp of 20 ms. */
 void vc_dac_set_gain(vc_dac *dac, uint32_t gain_float_bits);
 
 /* Begins the ramp from the last codes to rest, within 5 ms or as the slew limit allows. vc_dac_ramp() writes it, at
@@ -138,9 +144,13 @@ int vc_dac_at_rest(const vc_dac *dac);
  * before. */
 uint32_t vc_dac_recovery_samples(const vc_dac *dac);
 
+/* Returns the counts since vc_dac_init(). They lie in `dac`, and go on with it. */
 const vc_limit_counts *vc_dac_counts(const vc_dac *dac);
 /* cffi: end */
 
+#ifdef __GNUC__
+#pragma GCC visibility pop
+#endif
 #ifdef __cplusplus
 }
 #endif

@@ -20,7 +20,10 @@
  * 4096 samples, and the rest that makes the period a multiple of the coarsest octave's step. A profile shorter than the
  * interpolator's reach repeats too.
  *
- * Samples of several channels, all under the one hand, are interleaved. Numbers of samples are per channel.
+ * - Samples of several channels, all under the one hand, are interleaved. Numbers of samples are per channel.
+ * - A vc_profile belongs to the caller, and has nothing to close. Pointers are used during the call only.
+ * - Call a profile from one thread or interrupt at a time; different ones need no lock.
+ * - Any samples and positions are safe. The arguments of vc_profile_init() are not checked.
  */
 #ifndef VIBROCAST_PROFILE_H
 #define VIBROCAST_PROFILE_H
@@ -30,6 +33,9 @@
 
 #ifdef __cplusplus
 extern "C" {
+#endif
+#ifdef __GNUC__
+#pragma GCC visibility push(default)
 #endif
 
 /* Bytes, at compile time, that hold a profile of this many samples, all channels together. */
@@ -50,10 +56,12 @@ typedef struct vc_profile vc_profile;
  * 1000 Hz, and for samples per metre of 0 or above 200 000. */
 uint32_t vc_profile_least_samples(uint32_t samples_per_metre, uint32_t dac_rate_hz);
 
-/* Returns the bytes of memory, aligned for int64_t, of a profile of at most 2^20 samples in 1 to 16 channels. */
+/* Returns the bytes of memory, aligned for int64_t, of a profile of at most 2^20 samples in 1 to VC_MAX_CHANNELS
+ * channels (config.h). */
 size_t vc_profile_size(uint32_t samples, uint32_t channels);
 
-/* Prepares an empty profile. `profile`: vc_profile_size() bytes; `samples`: at least vc_profile_least_samples(). */
+/* Prepares an empty profile. `profile`: vc_profile_size() bytes; `samples`: at least vc_profile_least_samples(), which
+ * is not 0. */
 void vc_profile_init(vc_profile *profile, uint32_t samples_per_metre, uint32_t samples, uint32_t channels,
                      uint32_t dac_rate_hz);
 
@@ -74,6 +82,9 @@ int vc_profile_position(vc_profile *profile, uint64_t time_us, int64_t position_
 void vc_profile_render(vc_profile *profile, uint64_t time_us, int16_t *heights);
 /* cffi: end */
 
+#ifdef __GNUC__
+#pragma GCC visibility pop
+#endif
 #ifdef __cplusplus
 }
 #endif

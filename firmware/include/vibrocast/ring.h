@@ -1,4 +1,8 @@
-/* A ring of bytes between an interrupt and the main loop: one side puts bytes in, the other takes them out. */
+/* A ring of bytes between an interrupt and the main loop: one side puts bytes in, the other takes them out.
+ *
+ * Each side may be an interrupt or the loop, both on one processor core that reads and writes 32 bits at once. The
+ * putting side calls vc_ring_put and vc_ring_write, the taking side vc_ring_take and vc_ring_read. No call waits, and
+ * none needs a lock. Needs a compiler with GNU assembler statements, such as GCC or Clang. */
 #ifndef VIBROCAST_RING_H
 #define VIBROCAST_RING_H
 
@@ -9,8 +13,8 @@
 extern "C" {
 #endif
 
-/* `bytes` and its `capacity`, a power of two, belong to the port. The counts run on for ever; only one side writes
- * each. */
+/* `bytes` and its `capacity`, a power of two up to 2^31, belong to the port. It begins with both counts at 0. They run
+ * on for ever; only one side writes each. */
 typedef struct {
     uint8_t *bytes;
     uint32_t capacity;

@@ -1,4 +1,8 @@
-/* The settings of a controller: flash, DAC, perhaps a sensor, and the description that HelloResponse gives. */
+/* The settings of a controller: flash, DAC, perhaps a sensor, and the description that HelloResponse gives.
+ *
+ * The port owns the structures and all that they point to; both must stay valid. The controller calls the functions
+ * from the thread that calls it, never from an interrupt. Comments say where a pointer or a function may be NULL; a
+ * context may be anything. */
 #ifndef VIBROCAST_SETTINGS_H
 #define VIBROCAST_SETTINGS_H
 
@@ -16,9 +20,11 @@ struct vc_decoder_callbacks;
 /* Flash memory for model images: NOR flash in the address space, read in place.
  *
  * `record`, `slot`: offsets from `base` of two pieces of record_bytes and of two pieces of slot_bytes. Each piece is a
- * whole number of sectors.
+ * whole number of sectors; record_bytes is 92 or more.
  * `erase` sets bytes to 0xFF; it gets one of these pieces, or several sectors of it. `program` only clears bits; it
- * gets any bytes. Both return 0, or another number if the flash failed. They may take as long as the hardware needs. */
+ * gets any bytes, at any offset and of any length, from RAM. Both return 0, or another number if the flash failed. They
+ * return when they are done, which may take as long as the hardware needs: vc_controller_init and
+ * vc_controller_receive call them, and no stream is armed, playing or paused then. */
 typedef struct {
     const uint8_t *base;
     uint32_t record[2], record_bytes;
@@ -28,8 +34,9 @@ typedef struct {
     void *context;
 } vc_flash;
 
-/* Returns the position of the hand, in nanometres from any origin: a sensor on the board. Called some hundred times a
- * second, before rendering. `now_us`: the controller's clock in microseconds. */
+/* Returns the position of the hand, in nanometres from any origin: a sensor on the board. Each
+ * vc_controller_advance and vc_controller_receive calls it while a stream is armed, playing or paused. `now_us`: the
+ * controller's clock in microseconds. */
 typedef int64_t (*vc_position_sensor)(void *context, uint64_t now_us);
 
 /* Limits that HelloResponse names. */
@@ -39,14 +46,14 @@ typedef struct {
     uint32_t profile_samples;                 /* of all channels together */
 } vc_sizes;
 
-/* The kind of controller. It belongs to the port and must stay valid. Texts end with a zero byte and have at most 63
- * bytes before it. HelloResponse's other limits are compiled in: sizes.h. */
+/* The kind of controller. Texts are UTF-8, end with a zero byte and have at most 63 bytes before it. HelloResponse's
+ * other limits are compiled in: sizes.h. */
 typedef struct {
     const char *build, *hardware;
     const vc_actuator *actuator;
-    const uint8_t *public_key;   /* 32 bytes of Ed25519: images need its signature; NULL: they need none */
-    uint16_t watchdog_ms;        /* longest silence of the host in ms; at least 50 */
-    vc_profile *profile;         /* VC_PROFILE_WORDS of int64_t (sizes.h) for height profiles; NULL: no profiles */
+    const uint8_t *public_key; /* 32 bytes of Ed25519: images need its signature; NULL: they need none */
+    uint16_t watchdog_ms;      /* longest silence of the host in ms; at least 50 */
+    vc_profile *profile;       /* VC_PROFILE_WORDS of int64_t (sizes.h), which one controller uses; NULL: no profiles */
     vc_position_sensor position; /* NULL: the host sends the position */
     void *position_context;
     const vc_sizes *sizes;                        /* smaller limits than sizes.h; NULL: those of sizes.h */
@@ -66,9 +73,10 @@ typedef struct {
 /* The way to the DAC. It plays a sample every 1 / dac_rate_hz seconds. Without codes it holds the last one, which is
  * rest.
  *
- * `play` takes codes, in their order: samples x channels, interleaved, signed, 0 = rest. `codes` belong to the
- * controller and are valid during the call. `due_us`: the controller's time at which the first of them was due; a port
- * that plays them some time later never runs out of codes while the next ones are being decoded.
+ * `play` takes codes, in their order: samples x channels, interleaved, signed, 0 = rest, within the actuator's
+ * dac_bits. `samples`: 1 to 32. `channels`: those of the stream. `codes` belong to the controller and are valid during
+ * the call. `due_us`: the controller's time at which the first of them was due; a port that plays them some time later
+ * never runs out of codes while the next ones are being decoded.
  * `drop` throws away the codes that wait to be played, at a Stop: those that follow begin at another level, to which
  * the port fades from that of its output. NULL: none ever wait.
  * `count` fills in the counts. NULL: they stay 0. */

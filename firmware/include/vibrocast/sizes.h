@@ -1,4 +1,5 @@
-/* Sizes of a controller. A board sets them by -D; the defaults suit a computer and the simulated controller. */
+/* Sizes of a controller. A board sets them by -D, for all sources alike. The defaults suit a computer and the simulated
+ * controller. RAM grows with each: `python -m vibrocast.firmware.build --sizes` prints it. */
 #ifndef VIBROCAST_SIZES_H
 #define VIBROCAST_SIZES_H
 
@@ -16,7 +17,7 @@
 #endif
 #endif
 
-/* The buffer of a stream: samples per channel, packets, and bytes of coded packets. */
+/* The buffer of a stream: samples per channel, packets, and bytes of coded packets; each at least 1. */
 #ifndef VC_BUFFER_SAMPLES
 #define VC_BUFFER_SAMPLES 32768
 #endif
@@ -52,7 +53,8 @@
  * codecs, and the longest build, hardware id and name of an actuator. */
 #define VC_IMAGE_TEXT_BYTES ((VC_MAX_PAYLOAD_BYTES - 576) / 4)
 
-/* Bytes that wait for the host: a few answers. A lost answer comes again when the host repeats its request. */
+/* Bytes that wait for the host: a few answers, and at least one with the frame around it. A lost answer comes again
+ * when the host repeats its request. */
 #ifndef VC_OUTGOING_BYTES
 #define VC_OUTGOING_BYTES (4 * VC_MAX_PAYLOAD_BYTES)
 #endif

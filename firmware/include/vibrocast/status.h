@@ -1,4 +1,5 @@
-/* Results of the functions of the core: 0 or more is success. */
+/* Results of the functions of the core: 0 or more is success. Each function's comment names those that it returns, and
+ * vc_status_text (decoder.h) gives a sentence for each. */
 #ifndef VIBROCAST_STATUS_H
 #define VIBROCAST_STATUS_H
 
@@ -9,7 +10,7 @@ enum vc_status {
     VC_BAD_CONFIGURATION = -1, /* configuration bytes or channel count outside the layout */
     VC_BAD_TABLES = -2,        /* tables of another size */
     VC_BAD_PACKET = -3,        /* a malformed packet; nothing was played */
-    VC_PACKET_TOO_LARGE = -4,  /* the coded packet does not fit the buffer; the encoder must be initialised again */
+    VC_PACKET_TOO_LARGE = -4,  /* the coded packet does not fit the buffer; encoders only: initialise it again */
     VC_HOST_ONLY = -5,         /* a stream that controllers do not decode */
     VC_END = 2,                /* there is no further packet */
     VC_BAD_HEADER = -6,        /* no stream, one of another format, or a damaged header */

@@ -2,7 +2,7 @@
 #include "vc_ed25519.h"
 
 #include "../core/vc_common.h"
-#include "../monocypher/monocypher.h"
+#include "../monocypher/vc_monocypher.h"
 #include "../core/vc_sha512.h"
 
 /* SHA-512(first || second || message) as a number modulo the order of the group. */

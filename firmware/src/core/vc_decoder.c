@@ -102,6 +102,8 @@ int vc_stream_open(vc_stream *stream)
     stream->number = 0;
     stream->ended = VC_BAD_HEADER;
     stream->needed_bytes = 0;
+    stream->packet_samples = stream->decoded = 0;
+    stream->first = stream->last = 0;
     if (length == 0 || vc_stream_header_read(&header, data, length, &rejection))
         return VC_BAD_HEADER;
     codec = vc_codec_find(header.codec);
@@ -122,7 +124,7 @@ int vc_stream_open(vc_stream *stream)
     stream->unit = header.output.unit;
     stream->channels = header.output.channels;
     memcpy(stream->gain, header.output.gain, sizeof stream->gain);
-    stream->packet_samples = coding.packet_samples;
+    stream->packet_samples = stream->decoded = coding.packet_samples;
     stream->delay_samples = coding.delay_samples;
     stream->needed_bytes = codec->decoder_bytes;
     if (stream->memory_bytes < codec->decoder_bytes)
@@ -142,6 +144,7 @@ int vc_stream_feed(vc_stream *stream, const uint8_t *packet, size_t length)
     if (codec == NULL)
         return stream->ended;
     status = codec->feed(stream->memory, packet, length);
+    stream->decoded = status < 0 ? stream->packet_samples : 0;
     if (status < 0)
         return status;
     stream->number++;
@@ -230,6 +233,7 @@ int vc_stream_next(vc_stream *stream)
 {
     size_t length = 0;
     int status = stream->ended;
+    stream->decoded = stream->packet_samples;
     if (status == VC_OK)
         status = read_packet(stream, &length);
     if (status == VC_OK)
@@ -241,7 +245,9 @@ int vc_stream_next(vc_stream *stream)
 uint32_t vc_stream_poll(vc_stream *stream, int16_t *samples)
 {
     const vc_codec *codec = stream->decodes;
-    return codec == NULL ? stream->packet_samples : codec->poll(stream->memory, samples);
+    if (stream->decoded < stream->packet_samples)
+        stream->decoded = codec->poll(stream->memory, samples);
+    return stream->decoded;
 }
 
 const char *vc_status_text(int status)

@@ -12,6 +12,7 @@
 #include "vc_mdct_rotation.h"
 #include "vc_parametric_frame.h"
 #include "vc_slp_frame.h"
+#include "vibrocast/decoder.h"
 
 #define VC_HUFFMAN_SYMBOLS 120
 #define VC_HUFFMAN_LONGEST_CODE 15
@@ -148,5 +149,14 @@ struct vc_eva_decoder {
     vc_range_coder coder;
     uint32_t inputs; /* columns before `column` whose latents are in work.inputs, and wait for the network */
 };
+
+/* The constants of vibrocast/decoder.h have room for them. */
+#define VC_FITS(decoder, words) (sizeof(struct decoder) <= (words) * sizeof(int64_t))
+typedef char vc_decoders_fit[VC_FITS(vc_mdct_decoder, VC_MDCT_WORDS) && VC_FITS(vc_dct_decoder, VC_DCT_WORDS) &&
+                                     VC_FITS(vc_slp_decoder, VC_SLP_WORDS) && VC_FITS(vc_eva_decoder, VC_EVA_WORDS) &&
+                                     VC_FITS(vc_lapped_decoder, VC_LAPPED_WORDS) &&
+                                     VC_FITS(vc_parametric_decoder, VC_PARAMETRIC_WORDS)
+                                 ? 1
+                                 : -1];
 
 #endif

@@ -1,0 +1,53 @@
+/* Monocypher 4.0.3 with the prefix vc_, so that a program may have a Monocypher of its own. */
+#ifndef VIBROCAST_MONOCYPHER_H
+#define VIBROCAST_MONOCYPHER_H
+
+#define crypto_aead_init_djb vc_crypto_aead_init_djb
+#define crypto_aead_init_ietf vc_crypto_aead_init_ietf
+#define crypto_aead_init_x vc_crypto_aead_init_x
+#define crypto_aead_lock vc_crypto_aead_lock
+#define crypto_aead_read vc_crypto_aead_read
+#define crypto_aead_unlock vc_crypto_aead_unlock
+#define crypto_aead_write vc_crypto_aead_write
+#define crypto_argon2 vc_crypto_argon2
+#define crypto_argon2_no_extras vc_crypto_argon2_no_extras
+#define crypto_blake2b vc_crypto_blake2b
+#define crypto_blake2b_final vc_crypto_blake2b_final
+#define crypto_blake2b_init vc_crypto_blake2b_init
+#define crypto_blake2b_keyed vc_crypto_blake2b_keyed
+#define crypto_blake2b_keyed_init vc_crypto_blake2b_keyed_init
+#define crypto_blake2b_update vc_crypto_blake2b_update
+#define crypto_chacha20_djb vc_crypto_chacha20_djb
+#define crypto_chacha20_h vc_crypto_chacha20_h
+#define crypto_chacha20_ietf vc_crypto_chacha20_ietf
+#define crypto_chacha20_x vc_crypto_chacha20_x
+#define crypto_eddsa_check vc_crypto_eddsa_check
+#define crypto_eddsa_check_equation vc_crypto_eddsa_check_equation
+#define crypto_eddsa_key_pair vc_crypto_eddsa_key_pair
+#define crypto_eddsa_mul_add vc_crypto_eddsa_mul_add
+#define crypto_eddsa_reduce vc_crypto_eddsa_reduce
+#define crypto_eddsa_scalarbase vc_crypto_eddsa_scalarbase
+#define crypto_eddsa_sign vc_crypto_eddsa_sign
+#define crypto_eddsa_to_x25519 vc_crypto_eddsa_to_x25519
+#define crypto_eddsa_trim_scalar vc_crypto_eddsa_trim_scalar
+#define crypto_elligator_key_pair vc_crypto_elligator_key_pair
+#define crypto_elligator_map vc_crypto_elligator_map
+#define crypto_elligator_rev vc_crypto_elligator_rev
+#define crypto_poly1305 vc_crypto_poly1305
+#define crypto_poly1305_final vc_crypto_poly1305_final
+#define crypto_poly1305_init vc_crypto_poly1305_init
+#define crypto_poly1305_update vc_crypto_poly1305_update
+#define crypto_verify16 vc_crypto_verify16
+#define crypto_verify32 vc_crypto_verify32
+#define crypto_verify64 vc_crypto_verify64
+#define crypto_wipe vc_crypto_wipe
+#define crypto_x25519 vc_crypto_x25519
+#define crypto_x25519_dirty_fast vc_crypto_x25519_dirty_fast
+#define crypto_x25519_dirty_small vc_crypto_x25519_dirty_small
+#define crypto_x25519_inverse vc_crypto_x25519_inverse
+#define crypto_x25519_public_key vc_crypto_x25519_public_key
+#define crypto_x25519_to_eddsa vc_crypto_x25519_to_eddsa
+
+#include "original/monocypher.h"
+
+#endif
