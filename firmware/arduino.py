@@ -61,10 +61,11 @@ def _array(stream: bytes) -> str:
         ffi.memmove(to, part, len(part))
         return len(part)
 
-    opened = ffi.new("vc_stream *", {"read": read})
+    opened: Any = ffi.new("vc_stream *", {"read": read})
     status = core.vc_stream_open(opened)
     if status != core.VC_TOO_SMALL:  # all is well but the decoder's memory, of which there is none here
-        raise InputFileError(ffi.string(core.vc_status_text(status)).decode())
+        text: Any = ffi.string(core.vc_status_text(status))
+        raise InputFileError(text.decode())
     lines = [", ".join(map(str, stream[start : start + 20])) for start in range(0, len(stream), 20)]
     values = ",\n    ".join(lines)
     return (

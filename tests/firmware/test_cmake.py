@@ -28,7 +28,7 @@ WAYS = {
 }
 
 CMAKE = (sys.executable, "-m", "cmake")
-# What the real functions do with a target, and nothing else of ESP-IDF and Zephyr.
+# Stand-ins: they do with a target as the real functions do, and nothing else.
 ESP_IDF = """
 function(idf_component_register)
   cmake_parse_arguments(component "" "" "SRCS;INCLUDE_DIRS" ${ARGN})
@@ -141,7 +141,7 @@ SYSTEMS = {
 
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_a_project_links_the_controller(tmp_path: Path, tools: Path, system: str) -> None:
-    """The port of this machine, and the example beside it, which needs the same switches."""
+    """The port of this machine, and the example, which needs the same switches."""
     programs = {"device": FIRMWARE / "ports" / "host" / "main.c", "player": FIRMWARE / "examples" / "decode.c"}
     library = "vibrocast::controller" if system == "CMake" else "vibrocast"
     lines = ["cmake_minimum_required(VERSION 3.21)", "project(device C)", SYSTEMS[system](), WAYS["add_subdirectory"]]

@@ -18,7 +18,7 @@ ZIG = [sys.executable, "-m", "ziglang"]
 PROJECT = (ROOT.resolve().parent / "pyproject.toml").read_text(encoding="utf-8")
 SOURCES = Target("", "", (), ("ports",)).sources()
 """Those of a controller for any board."""
-# What the example takes of the core for a board, and the loop that calls it.
+# A stand-in for the part of a board's core that the example needs, and the loop that calls it.
 CORE = """
 #include <stdint.h>
 #include <stdio.h>
