@@ -5,7 +5,7 @@ BIN := .venv/bin
 CORE := $(wildcard firmware/include/vibrocast/*.h firmware/src/*/*.[ch] firmware/ports/python/*.[ch])
 SOURCES := pyproject.toml hatch_build.py $(CORE)
 # Generated files need no layout, and those of others keep theirs.
-C_SOURCES := $(filter-out firmware/src/monocypher/original/% %_tables.c %/actuator_tables.h %/vc_messages.c %/vc_messages.h %/protocol.h,$(wildcard firmware/*/*.[ch] firmware/*/*/*.[ch] firmware/*/*/*/*.[ch])) $(wildcard tests/*/*.c)
+C_SOURCES := $(filter-out firmware/src/monocypher/monocypher.h %_tables.c %/actuator_tables.h %/vc_messages.c %/vc_messages.h %/protocol.h,$(wildcard firmware/*/*.[ch] firmware/*/*/*.[ch] firmware/*/*/*/*.[ch])) $(wildcard tests/*/*.c)
 
 CHECKPOINTS ?= trained
 DATA ?= recordings

@@ -276,7 +276,7 @@ def _fingerprint(target: Target) -> str:
         digest.update(Path(rp2040.__file__).read_bytes())
     for folder in (*target.shared, *target.folders):
         for path in sorted((ROOT / folder).iterdir()):
-            if path.suffix in (".c", ".h", ".ld"):
+            if path.suffix in (".c", ".h", ".inc", ".ld"):
                 digest.update(path.name.encode() + path.read_bytes())
     return digest.hexdigest()[:12]
 

@@ -15,6 +15,14 @@
 
 #include <arm_acle.h>
 
+#ifndef __clang__ /* GCC 12 lacks these, and makes one instruction of each */
+#define __clz(number) ((number) == 0 ? 32u : (unsigned)__builtin_clz(number))
+#define __ror(word, bits) ((word) >> (bits) | (word) << (32 - (bits)))
+#define __smulbb(a, b) ((int16_t)(a) * (int16_t)(b))
+#define __smultb(a, b) (((a) >> 16) * (int16_t)(b))
+#define __smultt(a, b) (((a) >> 16) * ((b) >> 16))
+#endif
+
 #include "vc_common.h"
 
 #define MAX_CHANNELS 128

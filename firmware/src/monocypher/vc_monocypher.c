@@ -1,4 +1,4 @@
 /* Compiles Monocypher, unchanged, with the names of vc_monocypher.h. */
 #include "vc_monocypher.h"
 
-#include "original/monocypher.c"
+#include "monocypher.inc"

@@ -48,6 +48,6 @@
 #define crypto_x25519_public_key vc_crypto_x25519_public_key
 #define crypto_x25519_to_eddsa vc_crypto_x25519_to_eddsa
 
-#include "original/monocypher.h"
+#include "monocypher.h"
 
 #endif
