@@ -42,7 +42,9 @@ def write_library(stream: bytes, path: Path) -> None:
         f"{_EXAMPLE}/stream.h": _array(stream),
     }
     paths = [ROOT / source for source in Target("", "", (), ("ports",)).sources()]
-    paths += [path for folder in SHARED for kind in ("*.h", "*.inc", "*.txt") for path in sorted((ROOT / folder).glob(kind))]
+    paths += [
+        path for folder in SHARED for kind in ("*.h", "*.inc", "*.txt") for path in sorted((ROOT / folder).glob(kind))
+    ]
     for source in paths:
         place = source.relative_to(ROOT).as_posix().removeprefix("include/")
         texts[f"src/{place}"] = source.read_text(encoding="utf-8")

@@ -50,7 +50,9 @@ def test_the_page_names_what_is_under_the_gpl() -> None:
 def test_monocypher_is_unchanged_and_keeps_its_licence() -> None:
     folder = ROOT / "firmware" / "src" / "monocypher"
     stated = dict(
-        re.findall(r"^\| `(monocypher\.\w+)`[^|]* \| `([0-9a-f]{64})` \|", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
+        re.findall(
+            r"^\| `(monocypher\.\w+)`[^|]* \| `([0-9a-f]{64})` \|", PAGE.read_text(encoding="utf-8"), re.MULTILINE
+        )
     )
     kept = folder.glob("monocypher.*")
     assert stated == {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in kept}

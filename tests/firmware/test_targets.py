@@ -37,7 +37,9 @@ PAGE = {
         re.MULTILINE,
     )
 }
-SOURCES = [path for path in building.ROOT.rglob("*.[ch]") if "build" not in path.parts]
+SOURCES = [
+    path for path in building.ROOT.rglob("*.*") if path.suffix in (".c", ".h", ".inc") and "build" not in path.parts
+]
 
 
 @pytest.mark.parametrize("name", IMAGES)
