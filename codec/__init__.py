@@ -30,6 +30,7 @@ from vibrocast.codec.rate_control import (
     equal_error,
     rate_controlled_encoder,
     rate_controlled_framing,
+    timed_framing,
 )
 from vibrocast.codec.rate_group import Group
 from vibrocast.codec.registry import (
@@ -119,4 +120,5 @@ __all__ = [
     "snr_db",
     "tactile_snr_db",
     "target_snrs_db",
+    "timed_framing",
 ]

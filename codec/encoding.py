@@ -44,6 +44,7 @@ def encode_recording(  # noqa: PLR0913 - the options of the public `encode`, whi
     unit: str | None = None,
     highpass_hz: float | None = textures.HIGHPASS_HZ,
     purpose: str | None = None,
+    packet_s: float | None = None,
 ) -> Encoding:
     """Resample a recording to the stream's rate and code it to a rate or, without one, to an SNR (DEFAULT_SNR_DB).
 
@@ -57,6 +58,7 @@ def encode_recording(  # noqa: PLR0913 - the options of the public `encode`, whi
     with the finished part of the search, from 0 to 1. `unit`: the stream's, None = the recording's. `highpass_hz`:
     `textures.highpass` removes the band below it first; None = the whole band is coded. `purpose`: one of
     `shaping.PURPOSES`, None = the SNR; for "threshold", `snr_db` is that at the skin, weighted by the threshold.
+    `packet_s`: duration of packets, rounded up to whole blocks; None = the fewest bytes or, with `live`, 4 blocks.
 
     Raises CodecError (also when the target rate or SNR cannot be met), ModelError, ModelImageError, StreamError or
     TextureError.
@@ -89,6 +91,7 @@ def encode_recording(  # noqa: PLR0913 - the options of the public `encode`, whi
             live,
             encoder_model(candidate),
             progress=tell,
+            framing=None if packet_s is None else codec.timed_framing(packet_s, stream_rate_hz),
             purpose=purpose,
         )
 

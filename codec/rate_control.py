@@ -351,6 +351,11 @@ def equal_error(codec: Codec, signal_format: SignalFormat) -> Setting:
     return {name: tuple(map(float, steps))}
 
 
+def timed_framing(packet_s: float, rate_hz: float) -> Framing:
+    """Return the framing for packets of this duration in s, with a refresh every 2 s (REFRESH_S)."""
+    return Framing(max(1, round(packet_s * rate_hz)), max(1, round(REFRESH_S / packet_s)))
+
+
 def rate_controlled_framing(
     bits_per_second: float, rate_hz: float, frame_bytes: FrameBytes, max_s: float = math.inf
 ) -> Framing:

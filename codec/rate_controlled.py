@@ -17,7 +17,7 @@ from vibrocast.codec.encoding import (
     unsearched_excess,
 )
 from vibrocast.codec.live_format import recording_format
-from vibrocast.codec.rate_control import DEFAULT_RATE_BUFFER_S, REFRESH_S, RatePolicy
+from vibrocast.codec.rate_control import DEFAULT_RATE_BUFFER_S, RatePolicy
 from vibrocast.codec.stream import Stream, as_stream
 from vibrocast.device_protocol.frames import MAX_PAYLOAD_BYTES, FrameError, write_frame
 from vibrocast.device_protocol.messages import SinglePacket, pack
@@ -83,7 +83,7 @@ class RateTarget:
     def framing(self, rate_hz: int) -> codec.Framing:
         """Return how a stream of this sample rate is cut into packets."""
         if self.packet_s is not None:
-            return codec.Framing(max(1, round(self.packet_s * rate_hz)), max(1, round(REFRESH_S / self.packet_s)))
+            return codec.timed_framing(self.packet_s, rate_hz)
         if self.rate_bps is not None:
             return codec.rate_controlled_framing(self.rate_bps, rate_hz, added_bytes)
         return codec.live_framing(rate_hz)

@@ -326,6 +326,7 @@ class Stream:
             "packets": len(self.packets),
             "random_access_packets": refreshes,
             "packet_samples": decoder.packet_samples,
+            "largest_packet_bytes": max(map(len, self.packets), default=0),
             "delay_samples": decoder.delay_samples,
             "model": self.model_name,
             "model_image": self.header.image_hash.hex() or None,

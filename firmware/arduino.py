@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from vibrocast.device_protocol.coded_stream import StreamError, unpack_file
 from vibrocast.files import InputFileError, atomic_write
 from vibrocast.firmware.build import ROOT, SHARED, Target
 from vibrocast.firmware.native_core import CoreError, ffi, library
@@ -33,7 +34,8 @@ _EXAMPLE = "examples/decode_array"
 def write_library(stream: bytes, path: Path) -> None:
     """Write the .zip of a library whose example decodes a .vct file.
 
-    Raises InputFileError if `stream` is none that a controller decodes without a model, OSError, and CoreError.
+    Raises InputFileError if `stream` is none that a controller decodes without a model, StreamError if it is damaged,
+    OSError, and CoreError.
     """
     texts = {
         "library.properties": _PROPERTIES.format(version=version("vibrocast")),
@@ -54,7 +56,7 @@ def write_library(stream: bytes, path: Path) -> None:
 
 
 def _array(stream: bytes) -> str:
-    """Return a header in C with the bytes of a stream, and the samples of its packets, all channels together."""
+    """Return a header in C with the bytes of a stream, and the memory that it needs."""
     core, file = library(), io.BytesIO(stream)
 
     @ffi.callback("vc_stream_read")  # type: ignore[untyped-decorator, unused-ignore]
@@ -68,10 +70,13 @@ def _array(stream: bytes) -> str:
     if status != core.VC_TOO_SMALL:  # all is well but the decoder's memory, of which there is none here
         text: Any = ffi.string(core.vc_status_text(status))
         raise InputFileError(text.decode())
+    packet_bytes = max(8, max(map(len, unpack_file(stream)[1])) + 2)  # as decoder.h requires
     lines = [", ".join(map(str, stream[start : start + 20])) for start in range(0, len(stream), 20)]
     values = ",\n    ".join(lines)
     return (
-        f"#define STREAM_SAMPLES {opened.packet_samples * opened.channels}\n"
+        f"#define STREAM_DECODER_WORDS {-(-opened.needed_bytes // 8)}\n"
+        f"#define STREAM_PACKET_BYTES {packet_bytes}\n"
+        f"#define STREAM_SAMPLES {opened.packet_samples * opened.channels} /* of a packet, all channels together */\n"
         f"static const uint8_t stream_bytes[] = {{\n    {values}\n}};\n"
     )
 
@@ -83,7 +88,7 @@ def main(stream: Path, zip_path: Path) -> None:
     """Write the C library as ZIP, which the Arduino IDE adds. Its example decodes STREAM, a .vct file."""
     try:
         write_library(stream.read_bytes(), zip_path)
-    except InputFileError as error:
+    except (InputFileError, StreamError) as error:
         sys.exit(f"error: {stream}: {error}")
     except (CoreError, OSError) as error:
         sys.exit(f"error: {error}")

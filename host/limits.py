@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from vibrocast import codec, models
 from vibrocast.codec.core import decoding_cycles
 from vibrocast.codec.encoding import (
-    DEFAULT_SNR_DB,
     DEFAULT_STREAM_RATE_HZ,
     encoder_model,
     families,
@@ -88,12 +87,9 @@ def _shorter_packets(stream: Stream, chosen: codec.Codec, packet_samples: int) -
     if rate_hz != DEFAULT_STREAM_RATE_HZ:
         options += f" --stream-rate-hz {rate_hz}"
     packet_ms = math.floor(1000 * (packet_samples - _MOST_BLOCK_SAMPLES) / rate_hz)
-    if not chosen.controls_rate or packet_ms < 1:
+    if packet_ms < 1:
         return f"play the recording itself, which is coded in short packets: `vibrocast play RECORDING {options}`"
-    return (
-        f"encode the recording again: `vibrocast encode RECORDING OUT.vct {options} --constant-quality --snr-db "
-        f"{DEFAULT_SNR_DB:g} --packet-ms {packet_ms}`"
-    )
+    return f"encode the recording again: `vibrocast encode RECORDING OUT.vct {options} --packet-ms {packet_ms}`"
 
 
 def explained(controller: Controller, header: StreamHeader, rejection: ControllerError) -> ControllerError:

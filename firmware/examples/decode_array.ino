@@ -3,9 +3,9 @@
 
 #include "stream.h"
 
-static int64_t memory[7000];            /* of the decoder: enough for each codec without a model */
-static uint8_t packet[2048];            /* one coded packet */
-static int16_t samples[STREAM_SAMPLES]; /* one decoded packet, all channels */
+static int64_t memory[STREAM_DECODER_WORDS];
+static uint8_t packet[STREAM_PACKET_BYTES]; /* one coded packet */
+static int16_t samples[STREAM_SAMPLES];     /* one decoded packet, all channels */
 static vc_stream stream;
 static size_t taken; /* bytes of stream_bytes */
 static int status;

@@ -73,7 +73,7 @@ def encode(
     reject_overwriting([out], [file, *files_of(quality.model)])
     target = rate.target(quality.snr_db, quality.rate_bps)
     if spatial:
-        if target is not None:
+        if target is not None or rate.packet_ms is not None:
             raise click.UsageError(
                 "a profile has no time, so nothing can be held over time; drop the options of rate control"
             )
@@ -91,7 +91,8 @@ def encode(
     if target is not None:
         encode_rate_controlled(loaded, out, target, quality.arguments(recording.unit))
         return
-    write_encoding(out, encoded(loaded, quality, recording.unit, live=False), skin=quality.purpose is not None)
+    encoding = encoded(loaded, quality, recording.unit, live=False, packet_s=rate.packet_s)
+    write_encoding(out, encoding, skin=quality.purpose is not None)
 
 
 def write_encoding(out: Path, encoding: Encoding, skin: bool = False) -> None:

@@ -202,6 +202,8 @@ def live(
     1 % of the packets may be lost.
     """
     target = rate.target(coding.snr_db)
+    if target is None and rate.packet_ms is not None:
+        raise click.UsageError("a live stream without rate control has packets of 4 blocks; drop --packet-ms")
     if target is not None and delay.low_delay:
         raise click.UsageError("--low-delay sends each block at once, at any rate; drop it, or the rate control")
     default_rate_hz = streaming.LOW_DELAY_RATE_HZ if delay.low_delay else DEFAULT_STREAM_RATE_HZ

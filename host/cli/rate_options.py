@@ -23,6 +23,11 @@ class RateOptions:
     packet_ms: float | None
     equal_error: bool
 
+    @property
+    def packet_s(self) -> float | None:
+        """Duration of packets in s; None = not given."""
+        return None if self.packet_ms is None else self.packet_ms / 1000
+
     def target(self, snr_db: float | None, rate_bps: float | None = None) -> rate_controlled.RateTarget | None:
         """Return the target, None where no rate control is required. Raises click.UsageError.
 
@@ -35,7 +40,7 @@ class RateOptions:
         }
         given = [option_of(name) for name, value in kinds.items() if value is not None]
         if not given:
-            for name in ("error_db", "rate_buffer_s", "packet_ms", "equal_error"):
+            for name in ("error_db", "rate_buffer_s", "equal_error"):
                 if getattr(self, name) not in (None, False):
                     policies = ", ".join(map(option_of, kinds))
                     raise click.UsageError(f"{option_of(name)} is for rate control; add one of {policies}")
@@ -58,7 +63,7 @@ class RateOptions:
             snr_db=snr_db,
             error_db=self.error_db,
             rate_buffer_s=self.rate_buffer_s,
-            packet_s=None if self.packet_ms is None else self.packet_ms / 1000,
+            packet_s=self.packet_s,
             equal_error=self.equal_error,
         )
 
@@ -98,7 +103,8 @@ rate_controlled_options = section(
         click.option(
             "--packet-ms",
             type=positive("ms"),
-            help="Set the duration of packets. Default: 60 bytes at the rate; 4 blocks without a rate.",
+            help="Set the duration of packets. Default: 60 bytes at the rate; 4 blocks without a rate; "
+            "without rate control, a file has the fewest bytes.",
         ),
         click.option("--equal-error", is_flag=True, help="Give all channels equal error, instead of equal SNR."),
     ),

@@ -34,11 +34,18 @@ def files_of(model: models.Model | None) -> list[Path]:
 
 
 def encoded(
-    recording: textures.Recording, quality: QualityOptions, unit: str | None, live: bool, runtime: str | None = None
+    recording: textures.Recording,
+    quality: QualityOptions,
+    unit: str | None,
+    live: bool,
+    runtime: str | None = None,
+    packet_s: float | None = None,
 ) -> Encoding:
     """Encode a recording, whose --unit this is, show how far it is, and say what was not met."""
     with progress.bar("encoding") as update:
-        encoding = encode_recording(recording, live=live, progress=update, runtime=runtime, **quality.arguments(unit))
+        encoding = encode_recording(
+            recording, live=live, progress=update, runtime=runtime, packet_s=packet_s, **quality.arguments(unit)
+        )
     return _noted(encoding)
 
 

@@ -1,6 +1,7 @@
 """Tests of encoding recordings to streams, and decoding them again."""
 
 import math
+import re
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -40,6 +41,36 @@ def test_meets_the_target_rate_in_bytes_of_the_file(rate_bps: float, tmp_path: P
     encoding = encode_recording(noise(seconds=2), rate_bps=rate_bps)
     encoding.stream.save(tmp_path / "noise.vct")
     assert 0.98 * rate_bps <= 8 * (tmp_path / "noise.vct").stat().st_size / 2 <= rate_bps
+
+
+@pytest.mark.parametrize("codec_name", ["mdct", "slp", "dct", "lapped"])
+def test_packets_have_the_duration_that_you_choose(codec_name: str) -> None:
+    encoding = encode_recording(noise(seconds=4), codec_name=codec_name, snr_db=12, packet_s=0.2)
+    stream = encoding.stream
+    packet_samples = stream.decoder().packet_samples
+    assert 560 <= packet_samples < 560 + 512  # whole blocks
+    refreshes = [packet[0] & 1 for packet in stream.packets]
+    assert refreshes[0] and sum(refreshes) >= 2
+    assert stream.samples == 4 * 2800
+    assert encoding.quality.snr_db is not None and encoding.quality.snr_db > 11.8
+
+
+def test_the_page_states_the_price_of_short_packets() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "how-to" / "use_the_decoder.md").read_text(encoding="utf-8")
+    rows = re.findall(
+        r"^\| (none|\d+) \| ([\d ]+)\D.* \| (\d+) bytes \| .* \| (\d+) bytes \| (\d+) bytes \|$", page, re.M
+    )
+    assert len(rows) == 4
+    oak = textures.load(Path(__file__).parents[2] / "examples" / "oak.wav")
+    for packet_ms, samples, packet_bytes, *sizes in rows:
+        packet_s = None if packet_ms == "none" else int(packet_ms) / 1000
+        coded = [encode_recording(oak, codec_name=name, packet_s=packet_s).stream for name in ("mdct", "slp")]
+        assert [stream.size_bytes for stream in coded] == [int(size) for size in sizes]
+        facts = coded[0].facts()
+        assert (facts["packet_samples"], facts["largest_packet_bytes"] + 2) == (
+            int(samples.replace(" ", "")),
+            int(packet_bytes),
+        )
 
 
 def test_says_why_a_target_cannot_be_met() -> None:

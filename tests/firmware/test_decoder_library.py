@@ -142,7 +142,7 @@ def test_facts_of_a_stream_and_memory_that_is_too_small() -> None:
     assert native.vc_stream_next(little) == native.VC_TOO_SMALL
     short, status, kept = opened(bytes(source), packet_bytes=20)
     assert status == native.VC_OK and kept
-    assert native.vc_stream_next(short) == native.vc_stream_next(short) == native.VC_TOO_SMALL
+    assert native.vc_stream_next(short) == native.vc_stream_next(short) == native.VC_PACKET_TOO_LARGE
 
 
 def test_packets_of_a_link_are_decoded_and_missing_ones_concealed() -> None:

@@ -54,7 +54,7 @@ typedef struct {
     void *memory;         /* of the decoder, aligned for int64_t */
     size_t memory_bytes;  /* vc_stream_open sets `needed_bytes` if that is too small */
     uint8_t *packet;      /* holds one packet; NULL if you call vc_stream_feed only */
-    size_t packet_bytes;  /* of the longest packet, its number included; at most 65 535 */
+    size_t packet_bytes;  /* of the longest packet, its number included, and 2 more; at least 8, at most 65 537 */
     const uint8_t *model; /* the model image (.vcmi) that the stream was coded for, read in place; NULL: none */
     size_t model_bytes;
 
@@ -89,7 +89,7 @@ int vc_stream_open(vc_stream *stream);
  * Poll the packet before to its end first, or what follows sounds otherwise until the next refresh. Use either this
  * function or vc_stream_feed for a stream.
  * Any error ends the stream, and each later call returns it again: the error of vc_stream_open, VC_CUT,
- * VC_BAD_CHECKSUM, VC_BAD_PACKET, or VC_TOO_SMALL for a packet longer than packet_bytes. */
+ * VC_BAD_CHECKSUM, VC_BAD_PACKET, or VC_PACKET_TOO_LARGE for one longer than packet_bytes. */
 int vc_stream_next(vc_stream *stream);
 
 /* Takes the next packet of a link in place of vc_stream_next, its number included; NULL where it is missing. Its bytes

@@ -10,7 +10,7 @@ enum vc_status {
     VC_BAD_CONFIGURATION = -1, /* configuration bytes or channel count outside the layout */
     VC_BAD_TABLES = -2,        /* tables of another size */
     VC_BAD_PACKET = -3,        /* a malformed packet; nothing was played */
-    VC_PACKET_TOO_LARGE = -4,  /* the coded packet does not fit the buffer; encoders only: initialise it again */
+    VC_PACKET_TOO_LARGE = -4,  /* a coded packet does not fit its buffer; initialise an encoder again */
     VC_HOST_ONLY = -5,         /* a stream that controllers do not decode */
     VC_END = 2,                /* there is no further packet */
     VC_BAD_HEADER = -6,        /* no stream, one of another format, or a damaged header */

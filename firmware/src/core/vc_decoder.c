@@ -172,7 +172,7 @@ static int take_rest(vc_stream *stream, size_t head, size_t *length)
     const size_t room = stream->packet_bytes - head, came = stream->read(stream->context, stream->packet + head, room);
     uint8_t further;
     if (came == room && take(stream, &further, 1))
-        return VC_TOO_SMALL;
+        return VC_PACKET_TOO_LARGE;
     if (came < CRC_BYTES)
         return VC_CUT;
     *length = head + came - CRC_BYTES;
@@ -200,7 +200,7 @@ static int take_packet(vc_stream *stream, size_t *length)
     if (payload > MAX_PACKET_BYTES - head)
         return VC_BAD_PACKET;
     if (payload > stream->packet_bytes - head)
-        return VC_TOO_SMALL;
+        return VC_PACKET_TOO_LARGE;
     *length = head + (size_t)payload;
     if (!take(stream, stream->packet + head, (size_t)payload) || !take(stream, crc, sizeof crc))
         return VC_CUT;
@@ -215,7 +215,7 @@ static int read_packet(vc_stream *stream, size_t *length)
     const int first = stream->number == 0;
     int status;
     if (stream->packet == NULL || stream->packet_bytes < VC_PACKET_HEAD_BYTES)
-        return VC_TOO_SMALL;
+        return VC_PACKET_TOO_LARGE;
     if (!stream->one_packet)
         status = take_packet(stream, length);
     else if (first)
@@ -267,7 +267,7 @@ const char *vc_status_text(int status)
     case VC_BAD_PACKET:
         return "a packet is damaged: copy the file again";
     case VC_PACKET_TOO_LARGE:
-        return "the coded packet does not fit the buffer: give a larger one";
+        return "a coded packet does not fit its buffer: give a larger one, or encode with a shorter --packet-ms";
     case VC_HOST_ONLY:
         return "one transform of a whole texture, which only hosts decode: encode in blocks";
     case VC_BAD_HEADER:
@@ -277,7 +277,7 @@ const char *vc_status_text(int status)
     case VC_NEEDS_MODEL:
         return "the stream was coded for a model image: give that image";
     case VC_TOO_SMALL:
-        return "the memory is too small for this stream: give more, or encode shorter packets";
+        return "your memory is too small: give what the stream needs, or compile with fewer VC_MAX_CHANNELS";
     case VC_BAD_CHECKSUM:
         return "a packet is damaged, or one before it is missing: copy the file again";
     case VC_CUT:
