@@ -30,7 +30,8 @@ def decode(file: Path, out: Path, sample_format: str, model: models.Model | None
     """Decode a .vct file into a WAV, CSV, NPY or MAT file.
 
     The suffix of OUT chooses the format. The file holds physical values, exactly as decoded; a 16-bit WAV file is
-    relative to full scale. WAV, CSV and MAT files state rate and unit, and vibrocast reads both again.
+    relative to its peak, which the command prints. WAV, CSV and MAT files state rate and unit, and vibrocast reads both
+    again.
 
     A height profile becomes a CSV file.
     """
