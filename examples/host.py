@@ -10,8 +10,7 @@ from pathlib import Path
 import serial
 
 HELLO, STATUS_REQUEST, CONFIGURE, START, STOP, CAPTURE_READ, SINGLE_PACKET = 0x01, 0x02, 0x03, 0x04, 0x07, 0x0B, 0x42
-HELLO_RESPONSE, STATUS, CAPTURE_DATA, ERROR = 0x80, 0x81, 0x82, 0xFF
-ARMED, PLAYING, FINISHED = 2, 3, 5
+HELLO_RESPONSE, STATUS, CAPTURE_DATA, ERROR, ARMED, PLAYING, FINISHED = 0x80, 0x81, 0x82, 0xFF, 2, 3, 5
 
 
 def varint(data: bytes, at: int) -> tuple[int, int]:
@@ -100,12 +99,11 @@ def play(link: Link, header: bytes, rate_hz: int, samples: int, packets: list[by
             link.send(bytes([SINGLE_PACKET, stream]) + packets[sent])
             sent += 1
         # Each turn sends two requests: no watchdog bites.
-        status = link.request(STATUS_REQUEST, b"", STATUS)
-        state, _, _, position, until, buffered = struct.unpack_from("<BBQQQI", status)
+        state, _, _, position, until, held = struct.unpack_from("<BBQQQI", link.request(STATUS_REQUEST, b"", STATUS))
         if state not in (ARMED, PLAYING, FINISHED):
             sys.exit(f"the controller stopped in state {state}")
         credit = max(credit, until)
-        if state != FINISHED and position + buffered < sent * packet_samples:
+        if state != FINISHED and position + held < sent * packet_samples:
             sent = position // packet_samples  # a packet was lost; the controller drops second copies of others
         answer = link.request(CAPTURE_READ, struct.pack("<BQH", 0, offset, 512), CAPTURE_DATA)
         channels, first, end = struct.unpack_from("<BQQ", answer, 1)
@@ -128,4 +126,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except (OSError, ValueError) as error:
+        sys.exit(f"{error}; usage: python host.py PORT FILE.vct OUT.raw")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import vibrocast
+from vibrocast.codec import Setting
 from vibrocast.codec.stream import Stream
 from vibrocast.simulated_device.controller import Controller
 from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
@@ -15,7 +16,7 @@ from vibrocast.simulated_device.serial_port import has_pseudo_terminals, serial_
 
 HOST = Path(__file__).parents[2] / "examples/host.py"
 RATE_HZ = 8000
-SETTINGS = {"mdct": {"step": 0.5}, "slp": {"quality": 8}}
+SETTINGS: dict[str, Setting] = {"mdct": {"step": 0.5}, "slp": {"quality": 8}}
 pytestmark = pytest.mark.skipif(not has_pseudo_terminals(), reason="the port is a pseudo-terminal")
 
 
