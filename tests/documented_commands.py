@@ -2,8 +2,8 @@
 
 A block is a fence. A ```console block holds commands, each after `$ `; a `\\` at the end continues a line, and the
 lines below a command are its output. A ```python block is code. All blocks of a page share one folder, and its Python
-blocks one interpreter. `title="needs data"` or `title="needs hardware"` marks a block that cannot run there: its
-`vibrocast` commands are only parsed. Other fences are text.
+blocks one interpreter. `title="needs data"`, `title="needs hardware"` or `title="needs other programs"` marks a block
+that cannot run there: its `vibrocast` commands are only parsed. Other fences are text.
 
 Commands:
 
@@ -45,7 +45,7 @@ from vibrocast.host.cli.command_line import main
 ROOT = Path(__file__).parents[1]
 TIMEOUT_S = 300
 """Of one command, or one block of Python."""
-MARKS = ("needs data", "needs hardware")
+MARKS = ("needs data", "needs hardware", "needs other programs")
 DETERMINISTIC = ("codecs", "decode", "encode", "generate", "info", "models")
 TOLERANCE = 0.05
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")

@@ -777,6 +777,20 @@ def test_flashed_image_decodes_the_streams_that_name_it() -> None:
     np.testing.assert_array_equal(bench.captured(Tap.DECODED), played.decoded)
 
 
+def test_an_image_under_test_says_how_the_test_ends() -> None:
+    first, second = (ModelImage(1, name, "1", "", mdct.built_in_tables()).pack() for name in ("first", "second"))
+    bench = Bench()
+    flash_image(bench, 0, first)
+    bench.ask(Hello())
+    bench.ask(FlashConfirm(0))
+    flash_image(bench, 1, second)
+    bench.ask(Hello())
+    for request in (FlashActivate(0), FlashActivate(1), *(FlashBegin(slot, 100, bytes(32), "") for slot in (0, 1))):
+        answer = bench.ask(request)
+        assert error_code(answer) == ErrorCode.WRONG_STATE
+        assert "slot 1 is being tested: confirm it, or switch the controller off and on" in str(answer)
+
+
 def test_flashing_is_rejected_while_playing() -> None:
     bench = Bench()
     bench.start_all(stream())

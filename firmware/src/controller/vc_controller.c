@@ -182,7 +182,7 @@ static int find_coding(const vc_controller *controller, const vc_stream_header *
         !vc_same_bytes(vc_image_store_running_sha256(&controller->images), header->image_hash, VC_IMAGE_HASH_BYTES)) {
         vc_reject(rejection, VC_UNKNOWN_IMAGE, "the stream needs model image ");
         vc_rejection_add_hex(rejection, header->image_hash, VC_IMAGE_HASH_BYTES);
-        return vc_rejection_add(rejection, ", which does not run here: flash it first");
+        return vc_rejection_add(rejection, ", which does not run here: upload it first");
     }
     if (image->codec != header->codec)
         return vc_reject_numbers(rejection, VC_UNKNOWN_IMAGE,

@@ -227,6 +227,17 @@ static int reject_wear(const vc_image_store *store, vc_rejection *rejection)
                                    VC_FLASH_CHANGES, 0);
 }
 
+/* Rejects a request while an image is being tested: only a FlashConfirm or a restart ends that. */
+static int reject_while_testing(const vc_image_store *store, vc_rejection *rejection)
+{
+    unsigned i;
+    for (i = 0; i < VC_SLOTS; i++)
+        if (slot_of(store, i)->state == VC_SLOT_TESTING)
+            return vc_reject_numbers(rejection, VC_WRONG_STATE,
+                                     "slot # is being tested: confirm it, or switch the controller off and on", i, 0);
+    return 0;
+}
+
 static int flash_failed(vc_rejection *rejection)
 {
     return vc_reject(rejection, VC_FLASH_FAILED,
@@ -272,9 +283,12 @@ int vc_image_store_begin(vc_image_store *store, const vc_flash_begin *begin, vc_
     if (rejected)
         return rejected;
     slot = slot_of(store, number);
-    if ((int)number == store->running || slot->state == VC_SLOT_CONFIRMED)
-        return vc_reject_numbers(rejection, VC_WRONG_STATE, "slot # runs or is the one to fall back to: use the other",
-                                 number, 0);
+    if ((int)number == store->running || slot->state == VC_SLOT_CONFIRMED) {
+        rejected = reject_while_testing(store, rejection);
+        return rejected ? rejected
+                        : vc_reject_numbers(rejection, VC_WRONG_STATE,
+                                            "slot # runs or is the one to fall back to: use the other", number, 0);
+    }
     rejected = wrong_hardware(store, begin->hardware, VC_WRONG_HARDWARE, rejection);
     if (rejected)
         return rejected;
@@ -353,18 +367,17 @@ int vc_image_store_verify(vc_image_store *store, unsigned number, vc_flash_statu
 int vc_image_store_activate(vc_image_store *store, unsigned number, vc_flash_status *report, vc_rejection *rejection)
 {
     vc_slot tested;
-    unsigned i;
-    int rejected = not_in_state(store, number, VC_SLOT_VERIFIED, ": verify it first", rejection);
+    int rejected = no_such_slot(number, rejection);
+    if (!rejected)
+        rejected = reject_while_testing(store, rejection);
+    if (!rejected)
+        rejected = not_in_state(store, number, VC_SLOT_VERIFIED, ": only a verified one can be tested", rejection);
     if (!rejected)
         rejected = reject_outdated(store, &store->images[number], rejection);
     if (!rejected)
         rejected = reject_wear(store, rejection);
     if (rejected)
         return rejected;
-    for (i = 0; i < VC_SLOTS; i++)
-        if (slot_of(store, i)->state == VC_SLOT_TESTING)
-            return vc_reject(rejection, VC_WRONG_STATE,
-                             "another slot is being tested: confirm it, or restart to revert");
     tested = *slot_of(store, number);
     tested.state = VC_SLOT_TESTING;
     return set_slot(store, number, &tested) ? tell(store, number, report) : flash_failed(rejection);

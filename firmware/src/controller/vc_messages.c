@@ -132,7 +132,7 @@ int vc_message_read(vc_message *message, const uint8_t *payload, size_t length, 
     if (value != NULL)
         value->bytes = NULL;
     if (!read_tags(&fields, tag, value))
-        return vc_reject_numbers(rejection, VC_MALFORMED, "message of type #: a field or tag is cut", message->type, 0);
+        return vc_reject_numbers(rejection, VC_MALFORMED, "message of type #: a field or tag is cut, or bytes are left over", message->type, 0);
     if (value != NULL && value->bytes == NULL)
         return vc_reject_numbers(rejection, VC_MALFORMED, "message of type #: tag # is missing", message->type, tag);
     switch (message->type) {
