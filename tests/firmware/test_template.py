@@ -97,7 +97,9 @@ def test_a_small_board_takes_the_pages_target_for_one(small_board: Callable[[str
 
 
 def test_an_image_that_is_too_large_says_what_to_make_smaller(small_board: Callable[[str], Path]) -> None:
-    with pytest.raises(BuildError, match=rf"memory (CODE lacks \d+ bytes and )?DATA lacks \d+.*VC_WITH_.*-Os, as {PAGE}"):
+    with pytest.raises(
+        BuildError, match=rf"memory (CODE lacks \d+ bytes and )?DATA lacks \d+.*VC_WITH_.*-Os, as {PAGE}"
+    ):
         small_board("LARGE_BOARD")
 
 
