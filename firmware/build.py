@@ -19,7 +19,6 @@ from vibrocast import extras
 from vibrocast.files import InputFileError
 from vibrocast.firmware import rp2040
 from vibrocast.firmware.declarations import cffi_declarations
-from vibrocast.firmware.elf import Elf
 from vibrocast.firmware.keys import read_public_key
 from vibrocast.firmware.native_core import CoreError
 
@@ -89,7 +88,7 @@ class Target:
         return [*FLAGS, *self.flags, *defines, *includes, *map(str, self.sources())]
 
 
-def _cortex_m(summary: str, processor: str, script: str, folders: tuple[str, ...], **defines: int | str) -> Target:
+def cortex_m(summary: str, processor: str, script: str, folders: tuple[str, ...], **defines: int | str) -> Target:
     """Return the target of a Cortex-M. `script`: its linker script, in the first of `folders`."""
     layout = ("-T", f"{folders[0]}/{script}", "-Wl,-e,Reset_Handler")
     general = [flag.removesuffix("hf") if processor == M0_PLUS else flag for flag in CORTEX_M_FLAGS]
@@ -100,7 +99,7 @@ def _cortex_m(summary: str, processor: str, script: str, folders: tuple[str, ...
 def _mps2(core: str, processor: str, board: str, script: str = "mps2.ld", **defines: int | str) -> dict[str, Target]:
     """Return the two targets of an MPS2 board, polled and with interrupts."""
     return {
-        f"{core}{suffix}": _cortex_m(
+        f"{core}{suffix}": cortex_m(
             f"{core} on an MPS2 board ({board}), {kind}",
             processor,
             script,
@@ -125,12 +124,12 @@ _EMULATED = {
 
 
 def _stm32f405(summary: str, script: str) -> Target:
-    return _cortex_m(summary, M4F, script, ("ports/stm32f405",), VC_HARDWARE="feather-stm32f405", **_STM32F405)
+    return cortex_m(summary, M4F, script, ("ports/stm32f405",), VC_HARDWARE="feather-stm32f405", **LARGE_BOARD)
 
 
-# Two channels in 128 KiB. The longest packets are those of files that no host can split: 4096 samples, and the
-# overlap of `lapped` at a hop of 128 beyond that of one such block, in whole blocks.
-_STM32F405 = {
+# The longest packets are those of files that no host can split: 4096 samples, and the overlap of `lapped` at a hop of
+# 128 beyond that of one such block, in whole blocks.
+LARGE_BOARD: Mapping[str, int] = {
     "VC_CHANNELS": 2,
     "VC_MAX_CHANNELS": 2,
     "VC_BUFFER_SAMPLES": 16384,
@@ -142,9 +141,9 @@ _STM32F405 = {
     "VC_MAX_PAYLOAD_BYTES": 2048,
     "VC_RATE_RATIO": 4,
 }
+"""Sizes for a board with 192 KiB of RAM: two channels, profiles, captures."""
 
-# One channel as it comes from a host: some 0.3 s at 2800 Hz, in packets of at most 128 samples.
-_SMALL = {
+SMALL_BOARD: Mapping[str, int] = {
     "VC_CHANNELS": 1,
     "VC_MAX_CHANNELS": 1,
     "VC_BUFFER_SAMPLES": 1024,
@@ -157,39 +156,50 @@ _SMALL = {
     "VC_OUTGOING_BYTES": 2 * 640,
     "VC_RATE_RATIO": 1,
 }
+"""Sizes for a board with 32 KiB of RAM: one channel, buffered for 0.3 s at 2800 Hz, in packets of at most 128
+samples."""
 _CODECS = ("MDCT", "DCT", "SLP", "EVA", "LAPPED", "PARAMETRIC")
+
+
+def only(codec: str) -> dict[str, int]:
+    """Return the switches that leave one codec of vibrocast/config.h: "MDCT"."""
+    return {f"VC_WITH_{name}": int(name == codec) for name in _CODECS}
+
+
+def for_size(target: Target) -> Target:
+    """Return a target that is compiled to be small, with -Os."""
+    # There, zig drops the names of functions, except with -g1.
+    return replace(target, flags=(*target.flags, "-Os", "-g1"))
 
 
 def _small(codec: str) -> Target:
     """Return a controller with one codec for small processors, on an emulated board."""
-    only = {f"VC_WITH_{name}": int(name == codec) for name in _CODECS}
-    target = _cortex_m(
+    target = cortex_m(
         f"one channel of {codec.lower()} for small processors, on an MPS2 board (an386)",
         M4F,
         "small.ld",
         ("ports/mps2", "ports/mps2/polled"),
         VC_HARDWARE="mps2-an386",
-        **_SMALL,
-        **only,
+        **SMALL_BOARD,
+        **only(codec),
     )
-    # At -Os, zig drops the names of functions, except with -g1.
-    return replace(target, flags=(*target.flags, "-Os", "-g1"))
+    return for_size(target)
 
 
 def _rp2040(summary: str, output: str, channels: int, *drivers: str) -> Target:
     folders = ("ports/rp2040", f"ports/rp2040/{output}", *drivers)
-    sizes = {**_STM32F405, "VC_CHANNELS": channels, "VC_MAX_CHANNELS": channels}
-    target = _cortex_m(summary, M0_PLUS, "board.ld", folders, VC_HARDWARE=f"rp2040-{output}", **sizes)
+    sizes = {**LARGE_BOARD, "VC_CHANNELS": channels, "VC_MAX_CHANNELS": channels}
+    target = cortex_m(summary, M0_PLUS, "board.ld", folders, VC_HARDWARE=f"rp2040-{output}", **sizes)
     return replace(target, finish=rp2040.finish)
 
 
-TEMPLATE = _cortex_m(
+TEMPLATE = cortex_m(
     "a port to begin with, whose functions are missing",
     M4F,
     "board.ld",
     ("ports/template",),
     VC_HARDWARE="my-board",
-    **_STM32F405,
+    **LARGE_BOARD,
 )
 """Built as `template`; not in TARGETS, because it cannot be linked."""
 
@@ -289,7 +299,19 @@ def _compile(target: Target, output: Path) -> None:
             raise BuildError(
                 f"the port lacks {', '.join(missing)}; write what is missing as docs/how-to/port_the_firmware.md says"
             )
+        if lacking := _overflows(done.stderr):
+            raise BuildError(
+                f"the image is too large: the linker script's memory {' and '.join(lacking)}; take smaller sizes of "
+                "vibrocast/sizes.h such as SMALL_BOARD, switch codecs off (VC_WITH_...), or compile with -Os, as "
+                "docs/how-to/port_the_firmware.md says"
+            )
         raise BuildError(f"the firmware cannot be compiled:\n{done.stderr}")
+
+
+def _overflows(errors: str) -> list[str]:
+    """Return each memory that is too small for an image, with the bytes that it lacks for the last section in it."""
+    found = re.findall(r"section '\S+' will not fit in region '(\w+)': overflowed by (\d+) bytes", errors)
+    return [f"{region} lacks {lacking} bytes" for region, lacking in dict(found).items()]
 
 
 def _missing_functions(errors: str) -> list[str]:
@@ -310,7 +332,10 @@ class Size:
 
 
 def size(name: str, sizes: Mapping[str, int] | None = None) -> Size:
-    """Build an image for a microcontroller, as `build` does, and return its size. Raises BuildError."""
+    """Build an image for a microcontroller, as `build` does, and return its size. Raises as `build`."""
+    extras.require("firmware", "elftools")
+    from vibrocast.firmware.elf import Elf
+
     image = Elf(build(name, sizes))
     held = [image.sections[section].size_bytes for section in _IN_RAM if section in image.sections]
     return Size(sum(len(part.data) for part in image.segments), sum(held), image.sections[".stack"].size_bytes)

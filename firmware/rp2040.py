@@ -3,9 +3,7 @@
 import struct
 from pathlib import Path
 
-from elftools.elf.elffile import ELFFile
-
-from vibrocast.firmware.elf import Elf
+from vibrocast import extras
 
 FLASH = 0x1000_0000
 """Address at which flash begins."""
@@ -31,8 +29,11 @@ def checksum(code: bytes) -> int:
 def finish(image: Path) -> None:
     """Write the checksum into a linked image, and next to it the file that a board takes over USB, suffix ".uf2".
 
-    Raises ValueError if the image has no second boot stage.
+    Raises ValueError if the image has no second boot stage, and MissingExtraError.
     """
+    extras.require("firmware", "elftools")
+    from elftools.elf.elffile import ELFFile
+
     with image.open("r+b") as file:
         section = ELFFile(file).get_section_by_name(".boot2")
         if section is None:
@@ -45,6 +46,8 @@ def finish(image: Path) -> None:
 
 def uf2(image: Path) -> bytes:
     """Return the image's bytes in flash as blocks of UF2, each a page of 256 bytes."""
+    from vibrocast.firmware.elf import Elf
+
     pages: dict[int, bytearray] = {}
     for segment in Elf(image).segments:
         for place, byte in enumerate(segment.data, segment.load_address):

@@ -15,36 +15,11 @@ const SPECTRUM_FRAME = 512;
 const SPECTRUM_FRAMES = 64;
 const SPECTRUM_RANGE_DB = 60;
 const CARD_CHANNELS = 32;
-const RESAMPLER_ZEROS = 16;
 const MAX_FILE_BYTES = 2 ** 26;
 
 /** @param {string} text @returns {Uint8Array<ArrayBuffer>} */
 function fromBase64(text) {
     return Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
-}
-
-/**
- * Returns samples at another rate, by interpolation with a windowed sine cardinal. All content stays below the lower
- * of the two rates' halves.
- * @param {Float64Array} samples
- * @param {number} fromHz
- * @param {number} toHz
- * @returns {Float32Array}
- */
-function resampled(samples, fromHz, toHz) {
-    const band = Math.min(1, toHz / fromHz);
-    const half = RESAMPLER_ZEROS / band;
-    return Float32Array.from({ length: Math.ceil((samples.length * toHz) / fromHz) }, (_, index) => {
-        const at = (index * fromHz) / toHz;
-        const end = Math.min(samples.length - 1, Math.floor(at + half));
-        let sum = 0;
-        for (let tap = Math.max(0, Math.ceil(at - half)); tap <= end; tap++) {
-            const x = Math.PI * (tap - at);
-            const weight = x === 0 ? 1 : Math.sin(x * band) / (x * band);
-            sum += samples[tap] * weight * (0.5 + 0.5 * Math.cos(x / half));
-        }
-        return sum * band;
-    });
 }
 
 /**

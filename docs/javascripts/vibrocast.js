@@ -423,6 +423,32 @@ function snrDb(reference, decoded) {
     return ratios.length === 0 ? null : ratios.reduce((sum, ratio) => sum + ratio, 0) / ratios.length;
 }
 
+const RESAMPLER_ZEROS = 16;
+
+/**
+ * Returns samples at another rate, by interpolation with a windowed sine cardinal. All content stays below the lower
+ * of the two rates' halves.
+ * @param {Float64Array} samples
+ * @param {number} fromHz
+ * @param {number} toHz
+ * @returns {Float32Array}
+ */
+function resampled(samples, fromHz, toHz) {
+    const band = Math.min(1, toHz / fromHz);
+    const half = RESAMPLER_ZEROS / band;
+    return Float32Array.from({ length: Math.ceil((samples.length * toHz) / fromHz) }, (_, index) => {
+        const at = (index * fromHz) / toHz;
+        const end = Math.min(samples.length - 1, Math.floor(at + half));
+        let sum = 0;
+        for (let tap = Math.max(0, Math.ceil(at - half)); tap <= end; tap++) {
+            const x = Math.PI * (tap - at);
+            const weight = x === 0 ? 1 : Math.sin(x * band) / (x * band);
+            sum += samples[tap] * weight * (0.5 + 0.5 * Math.cos(x / half));
+        }
+        return sum * band;
+    });
+}
+
 // ---- controllers ----
 
 const BAUD = 921600;

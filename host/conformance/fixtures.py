@@ -94,7 +94,7 @@ def slot(probe: Probe) -> Iterator[int]:
     kept = next((image for image in images if image.state == SlotState.CONFIRMED), None)
     writable = [image for image in images if image != kept]
     if not writable:
-        pytest.skip("hello lists no slot but the one that runs")
+        pytest.skip("hello lists no slot, or only the one that runs")
     yield min(writable, key=lambda image: image.state).slot
     with contextlib.suppress(NotConforming, TransportError, Unreachable):
         _run_again(probe, kept)

@@ -2,6 +2,8 @@
 
 import re
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,6 +19,7 @@ FUNCTIONS = {
     *("flash_erase", "flash_program", "dac_play"),
 }
 PAGE = "docs/how-to/port_the_firmware.md"
+REPOSITORY = building.ROOT.resolve().parent
 
 
 @pytest.fixture
@@ -43,7 +46,7 @@ def test_the_command_names_every_function_that_is_missing() -> None:
     assert done.exit_code == 1
     assert set(re.findall(r"\w+", done.output.split("lacks")[1].split(";")[0])) == FUNCTIONS
     assert PAGE in done.output
-    assert (building.ROOT.resolve().parent / PAGE).exists()
+    assert (REPOSITORY / PAGE).exists()
 
 
 def test_a_port_without_a_function_of_the_loop_is_told_which(rebuilt: Callable[[Callable[[str], str]], Path]) -> None:
@@ -66,3 +69,46 @@ def test_a_port_that_calls_another_unknown_function_gets_the_linkers_words(
 def test_a_port_with_all_functions_is_linked(rebuilt: Callable[[Callable[[str], str]], Path]) -> None:
     image = Elf(rebuilt(without_marks))
     assert {"main", "vc_port_read", "vc_loop_turn"} <= set(image.functions.values())
+
+
+@pytest.fixture
+def small_board(
+    rebuilt: Callable[[Callable[[str], str]], Path], monkeypatch: pytest.MonkeyPatch
+) -> Callable[[str], Path]:
+    """Return a function that builds a target of the page for a board with 128 KiB of flash and 64 KiB of RAM."""
+    snippets = re.findall(r'```text\n("my-board": .*?),\n```', (REPOSITORY / PAGE).read_text("utf-8"), re.DOTALL)
+
+    def built(sizes: str) -> Path:
+        (snippet,) = (snippet for snippet in snippets if sizes in snippet)
+        ports = building.ROOT / "ports"
+        source = ports / "template" / "main.c"
+        source.write_text(without_marks(source.read_text()))
+        shutil.copytree(ports / "template", ports / "my_board")
+        script = ports / "my_board" / "board.ld"
+        script.write_text(re.sub(r"(CODE.*)256K(\n.*)256K", r"\g<1>128K\g<2>64K", script.read_text()))
+        monkeypatch.setitem(building.TARGETS, "my-board", eval(f"{{{snippet}}}", vars(building))["my-board"])
+        return build("my-board")
+
+    return built
+
+
+def test_a_small_board_takes_the_pages_target_for_one(small_board: Callable[[str], Path]) -> None:
+    assert "vc_mdct_decoder" in " ".join(Elf(small_board("SMALL_BOARD")).symbols)
+
+
+def test_an_image_that_is_too_large_says_what_to_make_smaller(small_board: Callable[[str], Path]) -> None:
+    with pytest.raises(
+        BuildError, match=rf"memory (CODE lacks \d+ bytes and )?DATA lacks \d+.*VC_WITH_.*-Os, as {PAGE}"
+    ):
+        small_board("LARGE_BOARD")
+
+
+def test_no_reader_of_programs_is_needed_for_the_browsers_module() -> None:
+    """The extra [docs] has none."""
+    code = (
+        "import sys; sys.modules['elftools'] = None; from vibrocast.firmware import build; "
+        "build.build('wasm'); build.main(['rp2040', '--sizes'])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert re.match(r"error: .*needs elftools; install the extra \[firmware\]", done.stderr), done.stderr

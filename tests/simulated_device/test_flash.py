@@ -2,14 +2,30 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from tests.firmware.c_image_store import CImageStore, RequestError
 from tests.firmware.test_signatures import public_key, sign
+from tests.simulated_device.bench import Bench, stream
 from vibrocast.codec import CodecError
-from vibrocast.device_protocol.messages import ErrorCode, SlotState
+from vibrocast.device_protocol.messages import (
+    Error,
+    ErrorCode,
+    FlashActivate,
+    FlashBegin,
+    FlashConfirm,
+    FlashData,
+    FlashVerify,
+    Hello,
+    HelloResponse,
+    SlotState,
+    State,
+)
 from vibrocast.device_protocol.model_image import ModelImage, sha256, signed_message, with_signature
+from vibrocast.firmware import native_core
+from vibrocast.simulated_device import controller
 from vibrocast.simulated_device.flash import FlashMemory, PowerCut
 
 HARDWARE = "sim"
@@ -508,3 +524,23 @@ def test_torn_entries_are_stepped_over() -> None:
         flash.cut_after_bytes = None
         assert running_name(boot(flash)) == "old"
     assert running_name(install(flash, 1, NEW)) == "new"
+
+
+def test_a_board_without_flash_lists_no_slot_and_plays(monkeypatch: pytest.MonkeyPatch) -> None:
+    without = SimpleNamespace(pointer=native_core.ffi.NULL)
+    monkeypatch.setattr(controller, "FlashPort", lambda *_: without)
+    bench, played = Bench(), stream(0.2)
+    hello = bench.ask(Hello())
+    assert isinstance(hello, HelloResponse) and hello.images == ()
+    for slot in (0, 2):
+        requests = (
+            FlashBegin(slot, 10, bytes(32), ""),
+            FlashData(slot, 0, b"data"),
+            *(request(slot) for request in (FlashVerify, FlashActivate, FlashConfirm)),
+        )
+        for request in requests:
+            answer = bench.ask(request)
+            assert isinstance(answer, Error) and answer.code == ErrorCode.NO_SUCH_SLOT
+    bench.start_all(played)
+    bench.run(500)
+    assert bench.status().state == State.FINISHED

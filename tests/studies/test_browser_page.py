@@ -6,9 +6,12 @@ import re
 import shutil
 import socket
 import subprocess
+import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
@@ -95,7 +98,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copytree(ROOT / "docs" / name, folder / name)
     (folder / browser_page.SCRIPT).write_text(browser_page.script())
     text = PAGE.read_text(encoding="utf-8")
-    player = text[text.index("<link") : text.rindex("</script>") + len("</script>")]
+    last = '<script src="../javascripts/player.js"></script>'
+    player = text[text.index("<link") : text.index(last) + len(last)]
     (folder / "tutorials").mkdir()
     made = folder / "tutorials" / "browser.html"
     made.write_text(f'<!doctype html><html lang="en"><meta charset="utf-8"><body>{player}</body></html>', "utf-8")
@@ -463,6 +467,54 @@ def test_a_browser_without_a_port(browser: Browser, site: Path, serial: str, tex
     with opened(browser, site, lambda page: page.add_init_script(script)) as page:
         part(page, "connect").click()
         expect(part(page, "problem")).to_have_text(re.compile(text))
+
+
+# ---- the pages that a reader writes ----
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """Serve the two pages of the page with the files that they need; return the address of the folder."""
+    folder = tmp_path_factory.mktemp("page")
+    for name in ("messages.js", "vibrocast.js"):
+        shutil.copy(SCRIPTS / name, folder)
+    shutil.copy(build("wasm"), folder / "wasm.wasm")
+    (folder / "texture.vct").write_bytes((ROOT / "tests" / "codec" / "golden_mdct.vct").read_bytes())
+    pages = re.findall(r"```html\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    for name, text in zip(("sound.html", "controller.html"), pages, strict=True):
+        (folder / name).write_text(text)
+    handler = partial(SimpleHTTPRequestHandler, directory=folder)
+    with ThreadingHTTPServer(("localhost", 0), handler) as serving:
+        thread = threading.Thread(target=serving.serve_forever)
+        thread.start()
+        yield f"http://localhost:{serving.server_port}"
+        serving.shutdown()
+        thread.join()
+
+
+def test_the_readers_page_plays_sound(browser: Browser, server: str) -> None:
+    with closing(browser.new_page()) as page:
+        page.goto(f"{server}/sound.html")
+        page.locator("button").click()
+        expect(page.locator("output")).to_have_text(re.compile(r"Play(ing|ed)\."))
+
+
+def test_the_readers_page_plays_on_a_controller(browser: Browser, server: str) -> None:
+    with SocketPort(Controller()) as port, closing(browser.new_page()) as page:
+        host, number = port.name.removeprefix("socket://").split(":")
+        with socket.create_connection((host, int(number))) as wire:
+            wire.settimeout(0.005)
+
+            def read() -> bytes:
+                try:
+                    return wire.recv(65_536)
+                except OSError:
+                    return b""
+
+            bridge(page, wire.sendall, read)
+            page.goto(f"{server}/controller.html")
+            page.locator("button").click()
+            expect(page.locator("output")).to_have_text("Played, 0 underruns.", timeout=60_000)
 
 
 # ---- types ----

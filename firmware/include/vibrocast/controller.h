@@ -33,7 +33,8 @@ size_t vc_controller_profile_size(void);
 
 /* Boots: reads the flash and may write its record, and starts the image on trial or the confirmed one. The caller owns
  * `controller`, vc_controller_size() bytes, and `settings`, `flash` and `dac`. All must stay valid and in place.
- * `now_us`: the controller's clock in microseconds, from any start. A time before the last one counts as that one. */
+ * `flash`: NULL: no slots for model images. `now_us`: the controller's clock in microseconds, from any start. A time
+ * before the last one counts as that one. */
 void vc_controller_init(vc_controller *controller, const vc_controller_settings *settings, const vc_flash *flash,
                         const vc_dac_port *dac, uint64_t now_us);
 

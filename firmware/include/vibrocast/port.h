@@ -24,9 +24,9 @@ extern "C" {
 #define VC_PUBLIC_KEY NULL
 #endif
 
-/* Starts the controller, once. The port owns `settings`, `flash` and `dac`, which must stay valid. A turn hands codes
- * to the DAC after it has decoded a block for them, so they come late by that time. The ramp to rest after a Stop comes
- * at once, about 5 ms ahead of time. */
+/* Starts the controller, once. The port owns `settings`, `flash` and `dac`, which must stay valid. `flash` may be
+ * NULL: the controller then has no slots for model images. A turn hands codes to the DAC after it has decoded a block
+ * for them, so they come late by that time. The ramp to rest after a Stop comes at once, about 5 ms ahead of time. */
 void vc_loop_start(const vc_controller_settings *settings, const vc_flash *flash, const vc_dac_port *dac);
 
 /* Takes bytes from the host, plays the samples that are due, and hands on bytes for the host; a turn decodes one block

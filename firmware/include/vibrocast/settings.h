@@ -17,7 +17,7 @@ extern "C" {
 /* Decoders that are not in C; only the simulated controller has them. */
 struct vc_decoder_callbacks;
 
-/* Flash memory for model images: NOR flash in the address space, read in place.
+/* Flash memory for model images: NOR flash in the address space, read in place. A board may do without: NULL.
  *
  * `record`, `slot`: offsets from `base` of two pieces of record_bytes and of two pieces of slot_bytes. Each piece is a
  * whole number of sectors; record_bytes is 92 or more.

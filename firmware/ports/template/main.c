@@ -88,7 +88,8 @@ static void dac_play(void *context, const int16_t *codes, uint32_t samples, unsi
     (void)due_us;
 }
 
-/* Step 5. The places of records and slots, whole sectors of your flash, from `base` on. */
+/* Step 5. The places of records and slots, whole sectors of your flash, from `base` on. A board without model images
+ * needs none of step 5: give NULL to vc_loop_start. */
 static const vc_flash flash = {
     .base = (const uint8_t *)0x08000000,
     .record = {0x40000, 0x44000},
@@ -114,9 +115,10 @@ int main(void)
     };
     board_start();
     vc_loop_start(&settings, &flash, &dac);
+    /* The loop never sleeps. Where an interrupt comes every millisecond at least, such as that of
+     * ports/cortex_m/systick.h, the board may save power: call vc_wait_for_interrupt() if vc_loop_turn() returns 0. */
     for (;;) {
         watchdog_feed();
-        if (!vc_loop_turn())
-            vc_wait_for_interrupt();
+        vc_loop_turn();
     }
 }

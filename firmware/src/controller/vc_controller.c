@@ -373,13 +373,13 @@ static void write_description(vc_controller *controller, vc_frame_writer *writer
     vc_codecs_describe(codecs);
     hello.codecs = callbacks != NULL ? callbacks->codecs : codecs;
     hello.codec_count = callbacks != NULL ? callbacks->codec_count : VC_CODEC_COUNT;
-    for (slot = 0; slot < VC_SLOTS; slot++) {
+    hello.image_count = vc_image_store_slots(&controller->images);
+    for (slot = 0; slot < hello.image_count; slot++) {
         vc_image_store_describe(&controller->images, slot, &images[slot]);
         images[slot].name.length = vc_text_cut(images[slot].name, VC_IMAGE_TEXT_BYTES);
         images[slot].version.length = vc_text_cut(images[slot].version, VC_IMAGE_TEXT_BYTES);
     }
     hello.images = images;
-    hello.image_count = VC_SLOTS;
     if (controller->settings->public_key != NULL) {
         hello.public_key.bytes = controller->settings->public_key;
         hello.public_key.length = VC_KEY_BYTES;
@@ -525,7 +525,6 @@ void vc_controller_init(vc_controller *controller, const vc_controller_settings 
                         const vc_dac_port *dac, uint64_t now_us)
 {
     controller->settings = settings;
-    controller->flash = flash;
     controller->time_us = now_us;
     controller->dac_free_us = 0;
     controller->outgoing_at = controller->outgoing_end = 0;

@@ -8,7 +8,6 @@
 
 struct vc_controller {
     const vc_controller_settings *settings;
-    const vc_flash *flash;
     uint64_t time_us, heard_us; /* the time now, and that of the host's last message */
     uint64_t dac_free_us;       /* time at which another stream may use the DAC */
     vc_image_store images;

@@ -16,6 +16,11 @@
 
 static const vc_slot empty_slot = {VC_SLOT_EMPTY, 0, 0, {0}};
 
+unsigned vc_image_store_slots(const vc_image_store *store)
+{
+    return store->record.flash != NULL ? VC_SLOTS : 0;
+}
+
 static const vc_slot *slot_of(const vc_image_store *store, unsigned number)
 {
     return &store->record.entry.slots[number];
@@ -142,6 +147,9 @@ void vc_image_store_boot(vc_image_store *store)
     vc_rejection unused;
     int changed = 0, spare;
     unsigned i;
+    store->running = NO_SLOT;
+    if (vc_image_store_slots(store) == 0)
+        return;
     vc_slot_record_open(&store->record, store->record.flash);
     for (i = 0; i < VC_SLOTS; i++) {
         store->whole[i] = store->erased[i] = 0;
@@ -167,7 +175,6 @@ void vc_image_store_boot(vc_image_store *store)
             changed = 1;
         }
     }
-    store->running = NO_SLOT;
     /* Without a record of it, a test would never end. */
     if (!changed || set_entry(store, &entry))
         store->running = whole_slot(store, VC_SLOT_TESTING);
@@ -198,8 +205,10 @@ void vc_image_store_describe(const vc_image_store *store, unsigned number, vc_im
     }
 }
 
-static int no_such_slot(unsigned number, vc_rejection *rejection)
+static int no_such_slot(const vc_image_store *store, unsigned number, vc_rejection *rejection)
 {
+    if (vc_image_store_slots(store) == 0)
+        return vc_reject(rejection, VC_NO_SUCH_SLOT, "there is no slot: this controller has no flash for model images");
     return number < VC_SLOTS ? 0
                              : vc_reject_numbers(rejection, VC_NO_SUCH_SLOT, "there is no slot #; slots are 0 to #",
                                                  number, VC_SLOTS - 1);
@@ -209,7 +218,7 @@ static int not_in_state(const vc_image_store *store, unsigned number, uint8_t st
                         vc_rejection *rejection)
 {
     static const char *const names[] = {"empty", "writing", "verified", "testing", "confirmed"};
-    int rejected = no_such_slot(number, rejection);
+    int rejected = no_such_slot(store, number, rejection);
     if (rejected || slot_of(store, number)->state == state)
         return rejected;
     vc_reject_numbers(rejection, VC_WRONG_STATE, "slot # is ", number, 0);
@@ -279,7 +288,7 @@ int vc_image_store_begin(vc_image_store *store, const vc_flash_begin *begin, vc_
     const unsigned number = begin->slot;
     const vc_slot *slot;
     vc_slot wanted = {VC_SLOT_WRITING, 0, begin->size_bytes, {0}};
-    int rejected = no_such_slot(number, rejection);
+    int rejected = no_such_slot(store, number, rejection);
     if (rejected)
         return rejected;
     slot = slot_of(store, number);
@@ -387,7 +396,7 @@ int vc_image_store_confirm(vc_image_store *store, unsigned number, vc_flash_stat
 {
     vc_slot_entry entry = store->record.entry;
     unsigned i;
-    int rejected = no_such_slot(number, rejection);
+    int rejected = no_such_slot(store, number, rejection);
     if (rejected)
         return rejected;
     if ((int)number != store->running)

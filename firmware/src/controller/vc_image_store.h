@@ -33,9 +33,12 @@ typedef struct {
     int running;
 } vc_image_store;
 
-/* Prepares the store at power-on, and boots it. All pointers must stay valid. `public_key`: 32 bytes of Ed25519; the
- * store then takes images only that this key signed, and none with a lower number than one confirmed before. NULL: it
- * takes every image. */
+/* Returns the number of slots: 2, or 0 without flash. */
+unsigned vc_image_store_slots(const vc_image_store *store);
+
+/* Prepares the store at power-on, and boots it. All pointers must stay valid. `flash`: NULL: there are no slots.
+ * `public_key`: 32 bytes of Ed25519; the store then takes images only that this key signed, and none with a lower
+ * number than one confirmed before. NULL: it takes every image. */
 void vc_image_store_init(vc_image_store *store, const vc_flash *flash, const char *hardware, const uint8_t *public_key,
                          vc_payload_check check, const void *check_context);
 
@@ -47,7 +50,7 @@ void vc_image_store_boot(vc_image_store *store);
 const vc_model_image *vc_image_store_running(const vc_image_store *store);
 const uint8_t *vc_image_store_running_sha256(const vc_image_store *store);
 
-/* Describes a slot, 0 or 1, as HelloResponse does. Points into the store and the flash. */
+/* Describes a slot that there is, 0 or 1, as HelloResponse does. Points into the store and the flash. */
 void vc_image_store_describe(const vc_image_store *store, unsigned number, vc_image_description *description);
 
 /* The requests. Each returns 0 and fills `report`, which points into the store, or returns the rejection's code. If the
