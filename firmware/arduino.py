@@ -9,7 +9,6 @@ from typing import Any
 
 import click
 
-from vibrocast.device_protocol.coded_stream import StreamError, unpack_file
 from vibrocast.files import InputFileError, atomic_write
 from vibrocast.firmware.build import ROOT, SHARED, Target
 from vibrocast.firmware.native_core import CoreError, ffi, library
@@ -28,14 +27,16 @@ architectures=*
 includes=vibrocast.h
 dot_a_linkage=true
 """
+_MOST_PACKET_BYTES = 65537
+_PACKET_HEAD_BYTES = 5
+"""A packet is read at once; the reader puts its number before it."""
 _EXAMPLE = "examples/decode_array"
 
 
 def write_library(stream: bytes, path: Path) -> None:
     """Write the .zip of a library whose example decodes a .vct file.
 
-    Raises InputFileError if `stream` is none that a controller decodes without a model, StreamError if it is damaged,
-    OSError, and CoreError.
+    Raises InputFileError if `stream` is none that a controller decodes without a model, OSError, and CoreError.
     """
     texts = {
         "library.properties": _PROPERTIES.format(version=version("vibrocast")),
@@ -57,25 +58,33 @@ def write_library(stream: bytes, path: Path) -> None:
 
 def _array(stream: bytes) -> str:
     """Return a header in C with the bytes of a stream, and the memory that it needs."""
-    core, file = library(), io.BytesIO(stream)
+    core, file, largest = library(), io.BytesIO(stream), 0
 
     @ffi.callback("vc_stream_read")  # type: ignore[untyped-decorator, unused-ignore]
     def read(_: Any, to: Any, length: int) -> int:
+        nonlocal largest
         part = file.read(length)
         ffi.memmove(to, part, len(part))
+        largest = max(largest, len(part))
         return len(part)
 
-    opened: Any = ffi.new("vc_stream *", {"read": read})
-    status = core.vc_stream_open(opened)
-    if status != core.VC_TOO_SMALL:  # all is well but the decoder's memory, of which there is none here
+    packet: Any = ffi.new("uint8_t[]", _MOST_PACKET_BYTES)
+    opened: Any = ffi.new("vc_stream *", {"read": read, "packet": packet, "packet_bytes": _MOST_PACKET_BYTES})
+    if core.vc_stream_open(opened) == core.VC_TOO_SMALL:  # which says how much memory the decoder needs
+        file.seek(0)
+        opened.memory_bytes = opened.needed_bytes
+        memory = opened.memory = ffi.new("int64_t[]", -(-opened.needed_bytes // 8))  # noqa: F841 - keeps it
+        core.vc_stream_open(opened)
+    while (status := core.vc_stream_next(opened)) == core.VC_OK:
+        pass
+    if status != core.VC_END:
         text: Any = ffi.string(core.vc_status_text(status))
         raise InputFileError(text.decode())
-    packet_bytes = max(8, max(map(len, unpack_file(stream)[1])) + 2)  # as decoder.h requires
     lines = [", ".join(map(str, stream[start : start + 20])) for start in range(0, len(stream), 20)]
     values = ",\n    ".join(lines)
     return (
         f"#define STREAM_DECODER_WORDS {-(-opened.needed_bytes // 8)}\n"
-        f"#define STREAM_PACKET_BYTES {packet_bytes}\n"
+        f"#define STREAM_PACKET_BYTES {largest + _PACKET_HEAD_BYTES}\n"
         f"#define STREAM_SAMPLES {opened.packet_samples * opened.channels} /* of a packet, all channels together */\n"
         f"static const uint8_t stream_bytes[] = {{\n    {values}\n}};\n"
     )
@@ -88,7 +97,7 @@ def main(stream: Path, zip_path: Path) -> None:
     """Write the C library as ZIP, which the Arduino IDE adds. Its example decodes STREAM, a .vct file."""
     try:
         write_library(stream.read_bytes(), zip_path)
-    except (InputFileError, StreamError) as error:
+    except InputFileError as error:
         sys.exit(f"error: {stream}: {error}")
     except (CoreError, OSError) as error:
         sys.exit(f"error: {error}")

@@ -27,7 +27,7 @@ static const char *serial_number(void)
     static char text[2 * VC_UNIQUE_BYTES + 1];
     unsigned digit;
     for (digit = 0; digit < 2 * VC_UNIQUE_BYTES; digit++)
-        text[digit] = "0123456789abcdef"[VC_UNIQUE[digit / 2] >> (digit % 2 ? 0 : 4) & 0xF];
+        text[digit] = "0123456789abcdef"[vc_unique[digit / 2] >> (digit % 2 ? 0 : 4) & 0xF];
     return text;
 }
 

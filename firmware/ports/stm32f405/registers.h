@@ -5,8 +5,8 @@
 #include "cortex_m.h"
 
 /* Unique device identifier, 39.1 */
-#define VC_UNIQUE ((const volatile uint8_t *)0x1FFF7A10u)
 enum { VC_UNIQUE_BYTES = 12 };
+extern const volatile uint8_t vc_unique[VC_UNIQUE_BYTES]; /* its place is in the linker script */
 
 /* Reset and clock control, 7.3 */
 #define VC_RCC 0x40023800u

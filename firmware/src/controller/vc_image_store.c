@@ -376,7 +376,7 @@ int vc_image_store_verify(vc_image_store *store, unsigned number, vc_flash_statu
 int vc_image_store_activate(vc_image_store *store, unsigned number, vc_flash_status *report, vc_rejection *rejection)
 {
     vc_slot tested;
-    int rejected = no_such_slot(number, rejection);
+    int rejected = no_such_slot(store, number, rejection);
     if (!rejected)
         rejected = reject_while_testing(store, rejection);
     if (!rejected)
