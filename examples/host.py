@@ -1,5 +1,6 @@
 """A host, as docs/how-to/write_a_host.md explains: plays a .vct file once, and saves what the controller decoded."""
 
+import argparse
 import random
 import struct
 import sys
@@ -117,10 +118,13 @@ def play(link: Link, header: bytes, rate_hz: int, samples: int, packets: list[by
 
 def main() -> None:
     """Play a file, and save the samples as raw int16. Multiply them by gain / 32768, from the header."""
-    port, coded, saved = sys.argv[1:]
-    link = Link(port)
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("port", "coded", "saved"):
+        parser.add_argument(name)
+    given = parser.parse_args()
+    link = Link(given.port)
     try:
-        Path(saved).write_bytes(play(link, *read_vct(Path(coded).read_bytes())))
+        Path(given.saved).write_bytes(play(link, *read_vct(Path(given.coded).read_bytes())))
     finally:
         link.request(STOP, b"", STATUS)
 
@@ -129,4 +133,4 @@ if __name__ == "__main__":
     try:
         main()
     except (OSError, ValueError) as error:
-        sys.exit(f"{error}; usage: python host.py PORT FILE.vct OUT.raw")
+        sys.exit(f"error: {error}")
