@@ -186,6 +186,12 @@ class WireField:
         """Whether the field may be None, which its tag's absence means."""
         return NoneType in get_args(self.type)
 
+    def items(self, value: Any) -> tuple[Any, ...]:
+        """Return the items of a value, each for a tag of its own."""
+        if self.is_tuple:
+            return tuple(value)
+        return () if value is None else (value,)
+
 
 def wire_fields(owner: type) -> list[WireField]:
     """Return the fields of a dataclass or named tuple as they lie on the wire.
@@ -251,8 +257,7 @@ class Layout:
             for name, part in self._parts:
                 packed += part.pack(getattr(value, name))
             for field, tag in self._tags:
-                found = getattr(value, field.name)
-                for item in found if field.is_tuple else () if found is None else (found,):
+                for item in field.items(getattr(value, field.name)):
                     encoded = _encode(field.item, item)
                     packed += TLV_HEAD.pack(tag.number, len(encoded)) + encoded
         except (struct.error, OverflowError) as error:

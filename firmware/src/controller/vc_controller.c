@@ -281,7 +281,6 @@ static int dispatch(vc_controller *controller, const vc_message *message, vc_fra
                     vc_rejection *rejection)
 {
     vc_playback *playback = &controller->playback;
-    vc_coding_description coding;
     uint64_t start_us;
     int rejected = 0;
     switch (message->type) {
@@ -289,8 +288,6 @@ static int dispatch(vc_controller *controller, const vc_message *message, vc_fra
         break;
     case VC_CONFIGURE:
         rejected = configure(controller, &message->body.configure, rejection);
-        coding.packet_samples = playback->coding.packet_samples;
-        coding.delay_samples = playback->coding.delay_samples;
         break;
     case VC_START:
         rejected = reject_outside(controller, IN(VC_STATE_BUFFERING), rejection);
@@ -332,8 +329,10 @@ static int dispatch(vc_controller *controller, const vc_message *message, vc_fra
     default:
         return write_flash(controller, message, writer, rejection);
     }
-    if (!rejected)
+    if (!rejected) {
+        const vc_coding_description coding = {playback->coding.packet_samples, playback->coding.delay_samples};
         write_status(controller, writer, message->sequence, message->type == VC_CONFIGURE ? &coding : NULL);
+    }
     return rejected;
 }
 
