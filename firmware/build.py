@@ -88,11 +88,15 @@ class Target:
         return [*FLAGS, *self.flags, *defines, *includes, *map(str, self.sources())]
 
 
+def cortex_m_flags(processor: str) -> tuple[str, ...]:
+    """Return the compiler's flags for a Cortex-M."""
+    general = [flag.removesuffix("hf") if processor == M0_PLUS else flag for flag in CORTEX_M_FLAGS]
+    return (*general, f"-mcpu={processor}")
+
+
 def cortex_m(summary: str, processor: str, script: str, folders: tuple[str, ...], **defines: int | str) -> Target:
     """Return the target of a Cortex-M. `script`: its linker script, in the first of `folders`."""
-    layout = ("-T", f"{folders[0]}/{script}", "-Wl,-e,Reset_Handler")
-    general = [flag.removesuffix("hf") if processor == M0_PLUS else flag for flag in CORTEX_M_FLAGS]
-    flags = (*general, f"-mcpu={processor}", *layout)
+    flags = (*cortex_m_flags(processor), "-T", f"{folders[0]}/{script}", "-Wl,-e,Reset_Handler")
     return Target(summary, ".elf", flags, ("ports", "ports/cortex_m", *folders), defines=defines)
 
 

@@ -1,9 +1,9 @@
-"""The core's decoders as a Cortex-M runs them: compiled for it, called in an emulator, their instructions counted."""
+"""The core's decoders as a processor runs them: compiled for it, called in an emulator, their instructions counted."""
 
 import struct
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import unicorn
 from unicorn import arm_const as emulated
+from unicorn import riscv_const
 
 from vibrocast import codec, extras
 from vibrocast.codec import CodedSignal, Decoded
-from vibrocast.firmware.build import CORTEX_M_FLAGS, FLAGS, M4F, M7, M33, ROOT, BuildError
+from vibrocast.firmware.build import FLAGS, M4F, M7, M33, ROOT, BuildError, cortex_m_flags
 from vibrocast.firmware.elf import Elf
 from vibrocast.simulated_device.cycles import CycleCounter
 
@@ -22,51 +23,60 @@ _FLASH, _RAM, _DATA = 0x0800_0000, 0x2000_0000, 0x6000_0000
 _MEMORY_BYTES = 1 << 20
 _STACK_BYTES = 1 << 15
 _TOP = _RAM + _MEMORY_BYTES
-_RETURN = _DATA + _MEMORY_BYTES - 2
+_RETURN = _DATA + _MEMORY_BYTES - 4
 _PAINT = b"\xa5"
 _CONFIGURATION, _TABLES, _PACKET, _SAMPLES = (_DATA + offset for offset in (0, 0x100, 0x80000, 0x90000))
-_ARGUMENTS = [getattr(emulated, f"UC_ARM_REG_R{number}") for number in range(4)]
+_ARM = [getattr(emulated, f"UC_ARM_REG_{name}") for name in ("SP", "LR", "R0", "R1", "R2", "R3")]
+_RISC_V = [getattr(riscv_const, f"UC_RISCV_REG_{name}") for name in ("SP", "RA", "A0", "A1", "A2", "A3")]
+"""Stack pointer, return address, and the first four arguments."""
 
 
 @dataclass(frozen=True)
 class Core:
-    """A processor: what the page, the compiler and the emulator call it, and the clock that its load is given for."""
+    """A processor: its title, the clock that its load is given for, the compiler's flags, and the emulator's model.
+
+    `arm`: a Cortex-M; if not, RISC-V.
+    """
 
     title: str
     clock_hz: float
-    compiled_for: str
+    flags: tuple[str, ...]
     emulated_as: int
+    arm: bool = True
 
 
 CORES = {
-    "M4F": Core("Cortex-M4F", 168e6, M4F, emulated.UC_CPU_ARM_CORTEX_M4),
-    "M7": Core("Cortex-M7", 480e6, M7, emulated.UC_CPU_ARM_CORTEX_M7),
-    "M33": Core("Cortex-M33", 150e6, M33, emulated.UC_CPU_ARM_CORTEX_M33),
+    "M4F": Core("Cortex-M4F", 168e6, cortex_m_flags(M4F), emulated.UC_CPU_ARM_CORTEX_M4),
+    "M7": Core("Cortex-M7", 480e6, cortex_m_flags(M7), emulated.UC_CPU_ARM_CORTEX_M7),
+    "M33": Core("Cortex-M33", 150e6, cortex_m_flags(M33), emulated.UC_CPU_ARM_CORTEX_M33),
 }
 """With the clocks of an STM32F405, an STM32H743 and an RP2350."""
 
 
-def compile_core(output: Path, core: Core, functions: Sequence[str], **defines: int) -> Path:
+def compile_core(
+    output: Path,
+    core: Core,
+    functions: Sequence[str],
+    defines: Mapping[str, int] | None = None,
+    options: Sequence[str] = (),
+    further: Sequence[Path] = (),
+) -> Path:
     """Link functions of the core's decoders, all that they need and nothing else; return the program, `output`.
 
+    `defines`: macros and their values. `options`: further ones of the compiler. `further`: sources besides the core's.
     Raises BuildError and MissingExtraError.
     """
     extras.require("firmware", "ziglang")
     script = output.with_suffix(".ld")
-    script.write_text(f"SECTIONS {{ . = {_FLASH}; .text : {{ *(.text*) *(.rodata*) }} }}\n", encoding="utf-8")
+    script.write_text(
+        f"SECTIONS {{ . = {_FLASH}; .text : {{ *(.text*) *(.rodata*) *(.srodata*) }} }}\n", encoding="utf-8"
+    )
     roots = [f"-Wl,-u,{name}" for name in functions]
-    defined = [f"-D{name}={value}" for name, value in defines.items()]
+    defined = [f"-D{name}={value}" for name, value in (defines or {}).items()]
     sources = [str(path) for path in sorted((ROOT / "src" / "core").glob("*.c")) if not path.stem.endswith("_encoder")]
-    options = [
-        *FLAGS,
-        *CORTEX_M_FLAGS,
-        f"-I{ROOT / 'include'}",
-        f"-mcpu={core.compiled_for}",
-        "-Wl,--entry=0",
-        "-T",
-        str(script),
-    ]
-    command = [sys.executable, "-m", "ziglang", "cc", *options, *roots, *defined, *sources, "-o", str(output)]
+    sources += map(str, further)
+    given = [*FLAGS, *core.flags, f"-I{ROOT / 'include'}", *options, "-Wl,--entry=0", "-T", str(script)]
+    command = [sys.executable, "-m", "ziglang", "cc", *given, *roots, *defined, *sources, "-o", str(output)]
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
         raise BuildError(f"the core cannot be compiled for {core.title}:\n{done.stderr}")
@@ -80,20 +90,27 @@ class EmulatedCore:
         """Load a program of compile_core."""
         image = Elf(program)
         self.flash_bytes = sum(segment.size_bytes for segment in image.segments)
-        self._functions = image.symbols
-        self._machine: Any = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS)
+        self.symbols = image.symbols
+        self._thumb = int(core.arm)
+        self._registers = _ARM if core.arm else _RISC_V
+        kind = (
+            (unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS)
+            if core.arm
+            else (unicorn.UC_ARCH_RISCV, unicorn.UC_MODE_RISCV32)
+        )
+        self._machine: Any = unicorn.Uc(*kind)
         self._machine.ctl_set_cpu_model(core.emulated_as)
         for start in (_FLASH, _RAM, _DATA):
             self._machine.mem_map(start, _MEMORY_BYTES)
         for segment in image.segments:
             self.write(segment.address, segment.data)
-        self._counter = CycleCounter(self._machine)
+        self._counter: Any = CycleCounter(self._machine) if core.arm else _RiscVCounter(self._machine)
         self.clear()
 
     def clear(self) -> None:
         """Start the count again."""
         self.stack_bytes = 0
-        self._before = self._counter.instructions, self._counter.cycles
+        self._before: tuple[int, int] = (self._counter.instructions, self._counter.cycles)
 
     def write(self, address: int, data: bytes) -> None:
         """Put bytes into memory."""
@@ -103,30 +120,55 @@ class EmulatedCore:
         """Return bytes of memory."""
         return bytes(self._machine.mem_read(address, size_bytes))
 
+    def word(self, address: int) -> int:
+        """Return a number of four bytes in memory."""
+        return int(struct.unpack("<I", self.read(address, 4))[0])
+
     def call(self, function: str, *arguments: int) -> int:
-        """Call a function with integers and addresses, as the AAPCS has it; return what it returns."""
+        """Call a function with integers and addresses, on RISC-V at most four of them; return what it returns."""
         stacked = struct.pack(f"<{max(0, len(arguments) - 4)}I", *arguments[4:])
         stack = _TOP - (len(stacked) + 7) // 8 * 8
         self.write(_TOP - _STACK_BYTES, _PAINT * _STACK_BYTES)
         self.write(stack, stacked)
-        for register, value in zip(_ARGUMENTS, arguments, strict=False):
+        given = (stack, _RETURN | self._thumb, *arguments)
+        for register, value in zip(self._registers, given, strict=False):
             self._machine.reg_write(register, value)
-        self._machine.reg_write(emulated.UC_ARM_REG_SP, stack)
-        self._machine.reg_write(emulated.UC_ARM_REG_LR, _RETURN | 1)
-        self._machine.emu_start(self._functions[function] | 1, _RETURN)
+        self._machine.emu_start(self.symbols[function] | self._thumb, _RETURN)
         used = self.read(_TOP - _STACK_BYTES, _STACK_BYTES).lstrip(_PAINT)
         self.stack_bytes = max(self.stack_bytes, len(used))
-        return int(np.int32(np.uint32(self._machine.reg_read(emulated.UC_ARM_REG_R0))))
+        return int(np.int32(np.uint32(self._machine.reg_read(self._registers[2]) & 0xFFFF_FFFF)))
 
     @property
     def instructions(self) -> int:
         """Instructions carried out since the last `clear`."""
-        return self._counter.instructions - self._before[0]
+        return int(self._counter.instructions) - self._before[0]
 
     @property
     def cycles(self) -> int:
         """Cycles that a Cortex-M4 would have needed since the last `clear`, by docs/benchmarks/firmware.md's model."""
-        return self._counter.cycles - self._before[1]
+        return int(self._counter.cycles) - self._before[1]
+
+
+class _RiscVCounter:
+    """Counts the instructions of an emulated RISC-V processor. Its cycles have no model."""
+
+    cycles = 0
+
+    def __init__(self, machine: Any) -> None:
+        self.instructions = 0
+        self._lengths: dict[tuple[int, int], int] = {}
+        machine.hook_add(unicorn.UC_HOOK_BLOCK, self._count_block)
+
+    def _count_block(self, machine: Any, address: int, size_bytes: int, _: Any) -> None:
+        """Count the instructions of a block: those of 4 bytes end their first two bits with 11."""
+        key = address, size_bytes
+        if key not in self._lengths:
+            code, at, count = bytes(machine.mem_read(address, size_bytes)), 0, 0
+            while at < size_bytes:
+                at += 4 if code[at] & 3 == 3 else 2
+                count += 1
+            self._lengths[key] = count
+        self.instructions += self._lengths[key]
 
 
 @dataclass(frozen=True)

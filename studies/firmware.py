@@ -330,7 +330,7 @@ def _rest_bytes(folder: Path, core: Core, channels: int) -> tuple[int, int]:
 def _program(folder: Path, core: Core, kernels: str, codecs: set[str], channels: int = 1) -> Path:
     functions = [f"vc_{name}_{function}" for name in sorted(codecs) for function in _FUNCTIONS]
     name = "-".join((*sorted(codecs), core.title, kernels.split()[0], str(channels)))
-    return compile_core(folder / f"{name}.elf", core, functions, VC_MAX_CHANNELS=channels, **_PORTABLE[kernels])
+    return compile_core(folder / f"{name}.elf", core, functions, {"VC_MAX_CHANNELS": channels, **_PORTABLE[kernels]})
 
 
 def _codec_name(decoder: str) -> str:

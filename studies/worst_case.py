@@ -148,7 +148,7 @@ def codec_of(decoder: str) -> tuple[str, Model | None]:
 def emulated(folder: Path) -> EmulatedCore:
     """Return a processor with all decoders, which are compiled in `folder`. Raises BuildError."""
     functions = [f"vc_{name}_{function}" for name in _SETTINGS for function in _FUNCTIONS]
-    program = compile_core(folder / "decoders.elf", _CORE, functions, VC_MAX_CHANNELS=max(CHANNELS))
+    program = compile_core(folder / "decoders.elf", _CORE, functions, {"VC_MAX_CHANNELS": max(CHANNELS)})
     return EmulatedCore(program, _CORE)
 
 

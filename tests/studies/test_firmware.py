@@ -54,8 +54,7 @@ class Programs(dict[tuple[str, int], Path]):
             self._folder / f"{core}-{portable}.elf",
             CORES[core],
             [*FUNCTIONS, *KERNELS],
-            VC_MAX_CHANNELS=2,
-            **{"VC_PORTABLE": 1} if portable else {},
+            {"VC_MAX_CHANNELS": 2, **({"VC_PORTABLE": 1} if portable else {})},
         )
         return self[build]
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from studies import small_parts
-from studies.small_parts import PROCESSORS, Cost, Machine
+from studies.emulated_core import Core, EmulatedCore
+from studies.small_parts import PROCESSORS, Cost
 from tests.firmware.test_small import coded
 from vibrocast.evaluation import points
 
@@ -16,17 +17,17 @@ ROWS = points.read_rows(PAGE / "results" / small_parts.TABLE, Cost)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("processor", PROCESSORS, ids=lambda processor: processor.title)
-def test_each_processor_decodes_to_the_same_bits(tmp_path: Path, processor: small_parts.Processor) -> None:
+def test_each_processor_decodes_to_the_same_bits(tmp_path: Path, processor: Core) -> None:
     stream = coded("slp")
-    machine = Machine(small_parts.compile_decoder(tmp_path / "slp.elf", processor, "slp"), processor)
-    ram, per_sample = small_parts.run(machine, bytes(stream), None)
+    core = EmulatedCore(small_parts.compile_decoder(tmp_path / "slp.elf", processor, "slp"), processor)
+    ram, per_sample = small_parts.run(core, processor, bytes(stream), None)
     (row,) = (row for row in ROWS if (row.processor, row.decoder) == (processor.title, "slp"))
     assert row.ram == ram
-    assert row.flash == pytest.approx(machine.flash_bytes, 0.02)
+    assert row.flash == pytest.approx(core.flash_bytes, 0.02)
     assert row.per_sample is not None and per_sample < row.per_sample
-    assert machine.stack_bytes < 4096
+    assert core.stack_bytes < 4096
     last = stream.decode_integers()[-stream.decoder().packet_samples :]
-    samples = np.frombuffer(bytes(machine.emulator.mem_read(small_parts._SAMPLES, 2 * last.size)), "<i2")
+    samples = np.frombuffer(core.read(small_parts._SAMPLES, 2 * last.size), "<i2")
     np.testing.assert_array_equal(samples, last.ravel())
 
 
