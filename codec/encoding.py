@@ -7,9 +7,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Generic, TypeVar
 
+import numpy as np
+
 from vibrocast import codec, models, textures
 from vibrocast.codec.stream import CodingQuality, Stream, as_stream, check_length
-from vibrocast.codec.threshold import PHYSICAL_UNITS, read_threshold, skin_snr_db
+from vibrocast.codec.threshold import PHYSICAL_UNITS, felt_error, read_threshold, skin_snr_db
 
 Made = TypeVar("Made")
 DEFAULT_SNR_DB = 15.0
@@ -255,12 +257,14 @@ def measure_encoding(
     SNR to which `snr_db` applies; None = that of the coded signal.
     """
     decoded = stream.decode()
+    narrower = passed is not None and recording.rate_hz < passed.recording.rate_hz
     each_db = tuple(map(_finite, codec.channel_snrs_db(recording.samples, decoded)))
     target_db = each_db if reached_db is None else tuple(map(_finite, reached_db))
-    at_skin_db, weighted_db = None, None
+    at_skin_db, weighted_db, felt = None, None, None
     if stream.header.unit in PHYSICAL_UNITS:
         judged = recording.samples, decoded, recording.rate_hz, stream.header.unit
         at_skin_db, weighted_db = skin_snr_db(*judged), skin_snr_db(*judged, read_threshold())
+        felt = felt_error(*judged)
     quality = CodingQuality(
         snr_db=_finite(codec.snr_db(recording.samples, decoded)),
         snr_db_per_channel=each_db,
@@ -269,9 +273,18 @@ def measure_encoding(
         weighted_skin_snr_db=weighted_db,
         note=_shortfall(stream, target_db, rate_bps, snr_db),
         highpass_hz=None if passed is None else passed.highpass_hz,
-        removed_energy=0.0 if passed is None else passed.removed_energy,
+        removed_below=0.0 if passed is None else passed.removed_energy,
+        lowpass_hz=recording.rate_hz / 2 if narrower else None,
+        removed_above=_removed_above(passed.recording, recording) if passed and narrower else 0.0,
+        felt_error=felt,
     )
     return Encoding(replace(stream, quality=quality), recording)
+
+
+def _removed_above(before: textures.Recording, after: textures.Recording) -> float:
+    """Return the part of a recording's energy that is gone since it was resampled to a lower rate, 0 to 1."""
+    energy, kept = (float(np.sum(np.square(each.samples))) / each.rate_hz for each in (before, after))
+    return min(1.0, max(0.0, 1 - kept / energy)) if energy > 0 else 0.0
 
 
 def _shortfall(

@@ -14,6 +14,7 @@ from vibrocast.codec.encoding import (
     chosen_codec,
     encoder_model,
     first_reachable,
+    measure_encoding,
     unsearched_excess,
 )
 from vibrocast.codec.live_format import recording_format
@@ -157,7 +158,8 @@ def encode(
     `codec.encoding.encode_recording`; the SNR of packets is always that of the signal. Raises CodecError, also if the
     target is out of reach, and as `encode_recording`.
     """
-    resampled = textures.resample(textures.highpass(recording, highpass_hz).recording, stream_rate_hz)
+    passed = textures.highpass(recording, highpass_hz)
+    resampled = textures.resample(passed.recording, stream_rate_hz)
     samples = resampled.samples
     signal_format = recording_format(resampled)
     chosen = chosen_codec(codec_name, model)
@@ -178,7 +180,8 @@ def encode(
     def code(candidate: models.Model | None, tell: Callable[[float], None] | None) -> tuple[Stream, Outcome]:
         policy = target.policy(signal_format)
         coded = source(candidate, tell).encode_rate_controlled(given, policy, target.framing(stream_rate_hz))
-        stream = as_stream(coded, resampled.unit, None if candidate is None else candidate.image)
+        made = as_stream(coded, resampled.unit, None if candidate is None else candidate.image)
+        stream = measure_encoding(resampled, made, passed=passed).stream
         return stream, outcome(stream, samples, target.rate_bps, policy)
 
     def excess(candidate: models.Model) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast import codec, models, textures
+from vibrocast.codec.threshold import FeltError
 from vibrocast.device_protocol import coded_stream
 from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader
 from vibrocast.device_protocol.model_image import ModelImage, sha256
@@ -36,7 +37,10 @@ class CodingQuality:
         weighted_skin_snr_db: The same, with each frequency weighted by the threshold of touch.
         note: Why the target was missed; None where it was met.
         highpass_hz: Corner of the high-pass before coding in Hz; None where the whole band was coded.
-        removed_energy: Part of the recording's energy below `highpass_hz`, 0 to 1.
+        removed_below: Part of the recording's energy below `highpass_hz`, 0 to 1.
+        lowpass_hz: Half the stream's rate in Hz; None where the recording has no more.
+        removed_above: Part of the other energy that lay above, 0 to 1.
+        felt_error: Where the error is felt most; None without a unit, and for an exact copy.
     """
 
     snr_db: float | None
@@ -46,7 +50,10 @@ class CodingQuality:
     weighted_skin_snr_db: float | None = None
     note: str | None = None
     highpass_hz: float | None = None
-    removed_energy: float = 0.0
+    removed_below: float = 0.0
+    lowpass_hz: float | None = None
+    removed_above: float = 0.0
+    felt_error: FeltError | None = None
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 import csv
 import math
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -119,25 +120,27 @@ def masked_part() -> float:
 
 
 def over_threshold_db(
-    displacement_um: NDArray[np.float64],
+    samples: NDArray[np.float64],
     rate_hz: float,
     threshold: NDArray[np.float64],
-    masker_um: NDArray[np.float64] | None = None,
+    masker: NDArray[np.float64] | None = None,
+    unit: str = "um",
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return frequencies, and the loudest level of the third octave about each, in dB re the detection threshold.
 
-    `displacement_um`: float64 (n, channels). `threshold`: rows as from `read_threshold`. Hann windows of BLOCK_S
+    `samples`: float64 (n, channels) in `unit`. `threshold`: rows as from `read_threshold`. Hann windows of BLOCK_S
     overlap by half. The amplitude is that of a sine with the power of all components of the third octave (IEC 61260:
     edges at 2^(+-1/6)), or of the nearest one if that is more. So noise counts as the skin sums it. The loudest block
     and channel count, because a finger feels one block.
 
-    `masker_um`: a vibration of the same shape that hides errors, None = none. Where it raises the threshold of a third
-    octave in a block, to `masked_part` of its own level, levels are relative to the raised one.
+    `masker`: a vibration of the same shape that hides errors, None = none. Where it raises the threshold of a third
+    octave in a block, to `masked_part` of its own level, levels are relative to the raised one. Raises CodecError for a
+    unit that is not physical.
     """
     block = max(4, round(BLOCK_S * rate_hz))
     window = np.hanning(block + 1)[:-1]
-    blocks = _overlapping(displacement_um, block)
-    maskers = None if masker_um is None else _overlapping(masker_um, block)
+    blocks = _overlapping(samples, block)
+    maskers = None if masker is None else _overlapping(masker, block)
     spacing_hz = rate_hz / block
     highest_hz = min(MAX_HZ, rate_hz / 2 / 2 ** (1 / 6))
     lowest_hz = max(MIN_HZ, spacing_hz)
@@ -153,7 +156,7 @@ def over_threshold_db(
         power = 2 * np.abs(np.fft.rfft(some * window)) ** 2 / (block * np.sum(window**2))
         return np.asarray(np.maximum(power @ parts, power[..., nearest]))
 
-    felt = np.square(threshold_amplitude(threshold, middle_hz, "um")) / 2
+    felt = np.square(threshold_amplitude(threshold, middle_hz, unit)) / 2
     hidden = 0.0 if maskers is None else masked_part() ** 2
     loudest = np.full(len(middle_hz), 1e-60)
     for start in range(0, len(blocks), _BLOCKS_AT_ONCE):  # to limit memory for long signals
@@ -161,6 +164,45 @@ def over_threshold_db(
         least = felt if maskers is None else np.maximum(felt, hidden * band_power(maskers[here]))
         loudest = np.maximum(loudest, np.max(band_power(blocks[here]) / least, axis=(0, 1), initial=0.0))
     return middle_hz, 10 * np.log10(loudest)
+
+
+@dataclass(frozen=True)
+class FeltError:
+    """The third octave in which an error exceeds the detection threshold most; below 0 dB nobody feels it.
+
+    `level_db`: of the error there, in its loudest block and channel. `texture_db`: the same of the texture there. Both
+    are as in `over_threshold_db`, without masking.
+    """
+
+    level_db: float
+    frequency_hz: float
+    texture_db: float
+
+
+def felt_error(
+    reference: NDArray[np.float64], decoded: NDArray[np.float64], rate_hz: float, unit: str
+) -> FeltError | None:
+    """Return where the error of `decoded` is felt most, from SKIN_MIN_HZ on; both (n, channels) in a physical unit.
+
+    None where there is no error, and where the rate has room for no third octave.
+    """
+    threshold = read_threshold()
+    frequencies_hz, levels_db = over_threshold_db(reference - decoded, rate_hz, threshold, unit=unit)
+    within = frequencies_hz >= SKIN_MIN_HZ
+    if not np.any(within) or np.array_equal(reference, decoded):
+        return None
+    worst = int(np.argmax(np.where(within, levels_db, -np.inf)))
+    _, texture_db = over_threshold_db(reference, rate_hz, threshold, unit=unit)
+    return FeltError(float(levels_db[worst]), float(frequencies_hz[worst]), float(texture_db[worst]))
+
+
+def in_thresholds(displacement_um: NDArray[np.float64], rate_hz: float) -> NDArray[np.float64]:
+    """Return displacement (n,) from 20 to 1000 Hz, each frequency in parts of the least felt there, without delay."""
+    frequency_hz: NDArray[np.float64] = np.fft.rfftfreq(len(displacement_um), 1 / rate_hz)
+    within = (frequency_hz >= SKIN_MIN_HZ) & (frequency_hz <= MAX_HZ)
+    spectrum = np.where(within, np.fft.rfft(displacement_um), 0)
+    spectrum[within] /= threshold_amplitude(read_threshold(), frequency_hz[within], "um")
+    return np.fft.irfft(spectrum, len(displacement_um))
 
 
 def _overlapping(samples: NDArray[np.float64], block: int) -> NDArray[np.float64]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from vibrocast.codec import CodecError
 from vibrocast.codec.encoding import Encoding
 from vibrocast.codec.stream import Stream
-from vibrocast.codec.threshold import over_threshold_db, read_threshold
+from vibrocast.codec.threshold import felt_error, over_threshold_db, read_threshold
 from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader
 from vibrocast.device_protocol.messages import ActuatorDescription, HelloResponse, Status
 from vibrocast.device_protocol.transports import TransportError
@@ -24,8 +24,8 @@ from vibrocast.host.limits import fitted
 from vibrocast.host.picture import Trace
 from vibrocast.host.provenance import Provenance
 from vibrocast.host.report import SCHEMA, ActuatorUse, DeviceDescription, Latency, Report, Touch
-from vibrocast.host.skin_quality import compare_channels, note
-from vibrocast.output.actuator import ACTUATORS, Actuator, Codes
+from vibrocast.host.skin_quality import compare_channels, limit_note
+from vibrocast.output.actuator import ACTUATORS, Actuator, Codes, followed_band_hz, octave_gains_db
 from vibrocast.output.rendering import Drive, displacement_filter, render
 from vibrocast.textures import Recording
 
@@ -230,7 +230,10 @@ def _compared(
         snr_db_per_channel=quality.snr_db_per_channel if quality else (None,) * header.channels,
         tactile_snr_db=quality.tactile_snr_db if quality else None,
         highpass_hz=quality.highpass_hz if quality else None,
-        removed_energy=quality.removed_energy if quality else None,
+        removed_below=quality.removed_below if quality else None,
+        lowpass_hz=quality.lowpass_hz if quality else None,
+        removed_above=quality.removed_above if quality else None,
+        felt_error=None,
         quality_note=quality.note if quality else None,
         skin=None,
         skin_note=None,
@@ -247,7 +250,7 @@ def _compared(
         reconnects=result.reconnects,
         device=device_description(member.address, hello),
         sound_card=card,
-        actuator=actuator_use(actuator, result.status),
+        actuator=actuator_use(actuator, skin_model, result.status),
         touch=touch_of(skin_model, played_codes),
         decoded_equals_offline=_equal(result.decoded, offline, loops) if comparable else None,
         dac_equals_offline=_equal(result.dac_codes, codes) if comparable else None,
@@ -291,10 +294,15 @@ def device_description(address: str, hello: HelloResponse) -> DeviceDescription:
     )
 
 
-def actuator_use(actuator: Actuator, status: Status) -> ActuatorUse:
-    """Return what a report says of the actuator, of which a controller has this status."""
+def actuator_use(actuator: Actuator, skin_model: Actuator, status: Status) -> ActuatorUse:
+    """Return what a report says of the actuator that a controller with this status works with.
+
+    `skin_model`: the one that moves the skin.
+    """
     return ActuatorUse(
-        name=actuator.name,
+        name=skin_model.name,
+        follows_hz=followed_band_hz(actuator, skin_model),
+        gains_db=octave_gains_db(actuator, skin_model),
         clipped_samples=status.compensation_clipped,
         voltage_limited=status.voltage_limited,
         slew_limited=status.slew_limited,
@@ -303,15 +311,17 @@ def actuator_use(actuator: Actuator, status: Status) -> ActuatorUse:
 
 
 def _with_skin(report: Report, traces: Sequence[Trace]) -> Report:
-    """Return a report with the quality at the skin, the mean over its channels that are not silent."""
+    """Return a report with the error that is felt and, as the mean over its channels, the quality at the skin."""
     *asked, skin = (trace.displacement_um for trace in traces)
+    if len(asked) > 1:
+        sent, decoded = asked
+        report = replace(report, felt_error=felt_error(sent, decoded, report.stream_rate_hz, "um"))
     skin_quality = compare_channels(asked, report.stream_rate_hz, skin, traces[-1].displacement_rate_hz)
     if skin_quality is None:
         return report
-    limits = report.actuator
-    limited = limits.clipped_samples + limits.voltage_limited + limits.slew_limited + limits.power_limited
-    unit = traces[0].unit
-    return replace(report, skin=skin_quality, skin_note=note(report.snr_db, skin_quality, unit, limited))
+    use = report.actuator
+    limited = use.clipped_samples + use.voltage_limited + use.slew_limited + use.power_limited
+    return replace(report, skin=skin_quality, skin_note=limit_note(skin_quality, use.gains_db, limited))
 
 
 def _unread_reason(controller: Controller, stream: Stream, loops: int) -> str | None:

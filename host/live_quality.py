@@ -13,8 +13,9 @@ from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import Tap
 from vibrocast.host.end_to_end import Member, at_the_skin, displacement_um, known_actuator
 from vibrocast.host.live import LiveResult, LiveStream
-from vibrocast.host.skin_quality import COMPARED_S, SkinQuality, compare_channels, note
+from vibrocast.host.skin_quality import COMPARED_S, SkinQuality, compare_channels, limit_note
 from vibrocast.host.stream_session import read_capture
+from vibrocast.output.actuator import octave_gains_db
 from vibrocast.output.rendering import render
 
 _MIN_S = 0.5
@@ -116,7 +117,10 @@ class CodedSignal:
             sum(getattr(self._stream.status, f"{name}_limited") for name in ("voltage", "slew", "power"))
             + self._stream.status.compensation_clipped
         )
-        return LiveQuality(snr_db, skin, None if skin is None else note(snr_db, skin, header.unit, limited))
+        driven = known_actuator(member) or actuator
+        if skin is None:
+            return LiveQuality(snr_db)
+        return LiveQuality(snr_db, skin, limit_note(skin, octave_gains_db(driven, actuator), limited))
 
     def _as_sent(self, member: Member, stream: Stream) -> tuple[bool | None, bool | None]:
         """Return whether the controller decoded the end of the stream and computed its DAC codes as this computer."""

@@ -302,7 +302,7 @@ def play_and_compare(
         skin=_skin_quality(stream, texture, played, expected, actuator, skin_model),
         device=end_to_end.device_description(member.address, hello),
         sound_card=controller.sound_card,
-        actuator=end_to_end.actuator_use(actuator, played.status),
+        actuator=end_to_end.actuator_use(actuator, skin_model, played.status),
         dac_equals_offline=as_computed(played, expected, actuator),
     )
     return Stroke(played, expected, skin_model, report)

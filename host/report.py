@@ -6,13 +6,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from vibrocast.codec.threshold import FeltError
 from vibrocast.files import atomic_write
 from vibrocast.host.bench_limits import Judged, lost_percent
 from vibrocast.host.provenance import Provenance
 from vibrocast.host.skin_quality import SkinQuality, judged_skin
 from vibrocast.output.sound_card import CardUse
 
-SCHEMA = 2
+SCHEMA = 3
 """Of the JSON of playbacks and live streams."""
 
 
@@ -29,10 +30,14 @@ class Latency:
 class ActuatorUse:
     """The actuator and how many of its samples were held back by each limit, since the stream started.
 
-    `compensation_clipped`: the inverse compensation asked for more than the stroke. The other limits follow it.
+    `follows_hz`: the band in which the skin moves as asked to 1 dB; None = nowhere. `gains_db`: its displacement over
+    the one asked for, by the frequency in Hz. `clipped_samples`: the inverse compensation asked for more than the
+    stroke. The other limits follow it.
     """
 
     name: str
+    follows_hz: tuple[float, float] | None
+    gains_db: Mapping[str, float]
     clipped_samples: int
     voltage_limited: int
     slew_limited: int
@@ -85,7 +90,10 @@ class Report:
     snr_db_per_channel: tuple[float | None, ...]
     tactile_snr_db: float | None
     highpass_hz: float | None
-    removed_energy: float | None
+    removed_below: float | None
+    lowpass_hz: float | None
+    removed_above: float | None
+    felt_error: FeltError | None
     quality_note: str | None
     skin: SkinQuality | None
     skin_note: str | None

@@ -1,15 +1,14 @@
 """Compares displacement at the skin with the texture: with the codec and without it, as played and as it could be."""
 
 import contextlib
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast import textures
-from vibrocast.codec.threshold import read_threshold, skin_snr_db
+from vibrocast.codec.threshold import in_thresholds, read_threshold, skin_snr_db
 from vibrocast.evaluation import metrics
 from vibrocast.host.alignment import Alignment, AlignmentError, align
 from vibrocast.host.bench_limits import Judged
@@ -20,20 +19,19 @@ Samples = NDArray[np.float64]
 
 COMPARED_S = 60
 """Of a signal: a longer comparison takes long, and would say the same."""
-# An SNR that is lower by less than this needs no reason.
-_NOTED_DB = 1.0
 # The actuator's part counts where its error is at least a quarter of the power of the codec's.
 _NOTICEABLE_DB = 6.0
 
 
 @dataclass(frozen=True)
 class SkinQuality:
-    """Quality at the skin, as displacement above 20 Hz.
+    """Quality at the skin, as displacement from 20 to 1000 Hz.
 
-    `snr_db`, `st_sim`, `gain`: of the skin against the texture. `weighted_snr_db`: the same SNR, with each frequency
-    weighted by the threshold of touch (`codec.threshold.skin_power`). `decoded_snr_db`: of the decoded signal against
-    the texture, the most that the skin can have. `playing_snr_db`: of the skin against the decoded signal, which leaves
-    the codec out. None: not known, or an exact copy.
+    Each SNR is 10 log10(sum x^2 / sum (x - y)^2), by `codec.threshold.skin_snr_db`: `decoded_snr_db` of the decoded
+    signal against the texture, `snr_db` of the skin against the texture, `playing_snr_db` of the skin against the
+    decoded signal, which leaves the codec out. The `weighted_` ones count each frequency in parts of the threshold of
+    touch. `gain`: of the skin over the decoded signal, weighted alike; lag and gain are removed before an SNR is taken.
+    `st_sim`: of the skin against the texture. None: not known, or an exact copy.
     """
 
     snr_db: float | None
@@ -41,7 +39,9 @@ class SkinQuality:
     playing_snr_db: float | None
     st_sim: float | None
     gain: float | None
-    weighted_snr_db: float | None = None
+    weighted_snr_db: float | None
+    weighted_decoded_snr_db: float | None
+    weighted_playing_snr_db: float | None
 
 
 def judged_skin(skin: SkinQuality | None, place: str) -> Iterator[Judged]:
@@ -51,32 +51,43 @@ def judged_skin(skin: SkinQuality | None, place: str) -> Iterator[Judged]:
 
 
 def compare_skin(
-    sent_um: Samples | None, decoded_um: Samples, skin_um: Samples, rate_hz: int, perceptual: bool = True
-) -> tuple[SkinQuality, Alignment]:
+    sent_um: Samples | None,
+    decoded_um: Samples,
+    skin_um: Samples,
+    rate_hz: int,
+    perceptual: bool = True,
+    drifts: bool = False,
+) -> tuple[SkinQuality, Alignment, Samples]:
     """Compare displacement at the skin (m,) with the texture's and the decoded one, (n,), all at `rate_hz`.
 
-    `sent_um`: None where the texture is not known; lag, gain and drift are those against the decoded signal then.
-    `perceptual`: ST-SIM as well. Raises AlignmentError.
+    The skin is aligned with the decoded signal, which it follows: what the codec changed moves neither lag nor gain.
+    Returns the skin at the samples of the decoded signal too, (n,), divided by the gain. `sent_um`: None where the
+    texture is not known. `perceptual`: ST-SIM as well. `drifts`: a sensor with its own clock recorded the skin. Raises
+    AlignmentError.
     """
     margin = np.zeros(rate_hz // 10)  # a model's skin has no time before and after
     padded = np.concatenate((margin, skin_um, margin))
-    on_decoded = align(decoded_um, padded, rate_hz)
-    playing = metrics.measure(decoded_um[:, None], on_decoded.aligned[:, None], rate_hz, perceptual=False)
-    if sent_um is None:
-        quality = SkinQuality(None, None, _finite(playing.snr_db), None, _finite(on_decoded.gain))
-        return quality, _unpadded(on_decoded, margin, rate_hz)
-    laid = align(sent_um, padded, rate_hz)
-    at_skin = metrics.measure(sent_um[:, None], laid.aligned[:, None], rate_hz, perceptual=perceptual)
-    decoded = metrics.measure(sent_um[:, None], decoded_um[:, None], rate_hz, perceptual=False)
-    quality = SkinQuality(
-        snr_db=_finite(at_skin.snr_db),
-        decoded_snr_db=_finite(decoded.snr_db),
-        playing_snr_db=_finite(playing.snr_db),
-        st_sim=at_skin.st_sim_2800,
-        gain=_finite(laid.gain),
-        weighted_snr_db=skin_snr_db(sent_um[:, None], laid.aligned[:, None], rate_hz, "um", read_threshold()),
+    laid = align(in_thresholds(decoded_um, rate_hz), in_thresholds(padded, rate_hz), rate_hz, drifts)
+    aligned_um = laid.aligned(padded, len(decoded_um), rate_hz)
+    threshold = read_threshold()
+
+    def snrs_db(reference_um: Samples | None, other_um: Samples) -> tuple[float | None, float | None]:
+        """Return the SNR in dB, and the one that the threshold weights."""
+        if reference_um is None:
+            return None, None
+        both = reference_um[:, None], other_um[:, None]
+        return skin_snr_db(*both, rate_hz, "um"), skin_snr_db(*both, rate_hz, "um", threshold)
+
+    st_sim = None
+    if sent_um is not None and perceptual:
+        st_sim = metrics.measure(sent_um[:, None], aligned_um[:, None], rate_hz).st_sim_2800
+    (at_skin, weighted), (decoded, weighted_decoded), (playing, weighted_playing) = (
+        snrs_db(sent_um, aligned_um),
+        snrs_db(sent_um, decoded_um),
+        snrs_db(decoded_um, aligned_um),
     )
-    return quality, _unpadded(laid, margin, rate_hz)
+    quality = SkinQuality(at_skin, decoded, playing, st_sim, laid.gain, weighted, weighted_decoded, weighted_playing)
+    return quality, replace(laid, lag_s=laid.lag_s - len(margin) / rate_hz), aligned_um
 
 
 def compare_channels(
@@ -84,7 +95,7 @@ def compare_channels(
 ) -> SkinQuality | None:
     """Compare the beginning of displacements (n, channels) at the skin; return the mean over channels that move.
 
-    `asked_um`: the texture's, if known, and the decoded one, at `rate_hz`. None where the skin does not move alike.
+    `asked_um`: the texture's, if known, and the decoded one, at `rate_hz`. None where no channel can be aligned.
     """
     qualities = []
     for channel in range(skin_um.shape[1]):
@@ -92,7 +103,7 @@ def compare_channels(
         *sent, decoded = (high_passed(each[: COMPARED_S * rate_hz, channel], rate_hz) for each in asked_um)
         at_skin = displacement_above_20_hz(moved, rate_hz)[: len(decoded)]
         with contextlib.suppress(AlignmentError):
-            quality, _ = compare_skin(sent[0] if sent else None, decoded, at_skin, rate_hz, perceptual=False)
+            quality, *_ = compare_skin(sent[0] if sent else None, decoded, at_skin, rate_hz, perceptual=False)
             qualities.append(quality)
     if not qualities:
         return None
@@ -101,15 +112,6 @@ def compare_channels(
         for each in fields(SkinQuality)
     }
     return SkinQuality(**{name: float(np.mean(values)) if values else None for name, values in known.items()})
-
-
-def _finite(value: float | None) -> float | None:
-    """Return a figure, or None for the infinite SNR of an exact copy, and where a gain is no number."""
-    return value if value is not None and math.isfinite(value) else None
-
-
-def _unpadded(laid: Alignment, margin: Samples, rate_hz: int) -> Alignment:
-    return replace(laid, lag_s=laid.lag_s - len(margin) / rate_hz)
 
 
 def displacement_above_20_hz(recorded: Recording, rate_hz: int) -> Samples:
@@ -131,19 +133,15 @@ def high_passed(displacement_um: Samples, rate_hz: int) -> Samples:
     return np.asarray(signal.lfilter(*signal.butter(4, HIGH_PASS_HZ, "highpass", fs=rate_hz), displacement_um))
 
 
-def note(coding_snr_db: float | None, quality: SkinQuality, unit: str, limited_samples: int) -> str | None:
-    """Return why the SNR at the skin is lower than that of the codec, in words; None where it is not.
+def limit_note(quality: SkinQuality, gains_db: Mapping[str, float], limited_samples: int) -> str | None:
+    """Return in words how the actuator limits what is felt; None where the codec limits it more, or that is unknown.
 
-    `unit`: of the stream. `limited_samples`: DAC samples that the actuator's limits held back.
+    `gains_db`: of the displacement over the one asked for, by the frequency in Hz. `limited_samples`: DAC samples that
+    the actuator's limits held back.
     """
-    if coding_snr_db is None or quality.snr_db is None or quality.snr_db > coding_snr_db - _NOTED_DB:
+    decoded_db, playing_db = quality.weighted_decoded_snr_db, quality.weighted_playing_snr_db
+    if decoded_db is None or playing_db is None or playing_db >= decoded_db + _NOTICEABLE_DB:
         return None
-    reasons = []
-    if quality.decoded_snr_db is not None and quality.decoded_snr_db < coding_snr_db - _NOTED_DB:
-        weighs = ", where the noise of acceleration at low frequencies weighs most" * (unit == "m/s^2")
-        reasons.append(f"the decoded signal has {quality.decoded_snr_db:.1f} dB as displacement{weighs}")
-    best_db = coding_snr_db if quality.decoded_snr_db is None else quality.decoded_snr_db
-    if quality.playing_snr_db is not None and quality.playing_snr_db < best_db + _NOTICEABLE_DB:
-        cause = f"its limits, at {limited_samples} DAC samples" if limited_samples else "its response, as compensated"
-        reasons.append(f"the actuator adds its part by {cause}")
-    return "; ".join(reasons) or None
+    gains = ", ".join(f"{gain_db:+.0f} dB at {frequency} Hz" for frequency, gain_db in gains_db.items())
+    limited = f"; its limits held back {limited_samples} DAC samples" if limited_samples else ""
+    return f"the actuator is the limit: {gains}{limited}"

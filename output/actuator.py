@@ -14,6 +14,12 @@ Filter: TypeAlias = tuple[Samples, Samples]
 # Fingers feel textures up to 400 Hz, and little above 800 Hz, where the Pacinian band ends; a boost there is wasted.
 COMPENSATED_HZ = 800.0
 
+FOLLOWED_DB = 1.0
+"""An actuator follows where its displacement is this near to the one asked for; touch distinguishes 1 to 2 dB."""
+
+OCTAVES_HZ = (31.5, 63.0, 125.0, 250.0, 500.0)
+"""The middles of the octaves that touch feels best (IEC 61260-1)."""
+
 MIN_FULL_SCALE_VOLTS, MAX_FULL_SCALE_VOLTS = 0.001, 1000.0
 """From a headphone jack at a low volume to a piezo amplifier."""
 
@@ -211,3 +217,43 @@ LRA = resonant("lra", corner_hz=175.0, quality=15.0, stroke_um=200.0, volts=5.6)
 VOICE_COIL = resonant("voice-coil", corner_hz=90.0, quality=3.0, stroke_um=400.0, volts=8.0)
 
 ACTUATORS = {actuator.name: actuator for actuator in (PIEZO_STACK, LRA, VOICE_COIL)}
+
+
+def followed_gain(frequency_hz: Samples, driven: Actuator, skin: Actuator | None = None) -> Samples:
+    """Return the amplitude of the displacement over the one asked for, at each frequency: (n,).
+
+    It is that between the limits: the compensation of `driven`, by which the controller works, the DAC's hold, which is
+    sin(pi f / rate) / (pi f / rate), and the response of `skin`, the actuator that moves; None = the same.
+    """
+    from scipy import signal
+
+    skin = skin or driven
+    _, inverse = signal.freqz(*driven.inverse(), worN=frequency_hz, fs=driven.dac_rate_hz)
+    hold = np.sinc(frequency_hz / driven.dac_rate_hz)
+    ratio = 1j * frequency_hz / skin.corner_hz
+    resonance = 0.0 if skin.quality is None else skin.quality * (1 + ratio**2) - 1
+    response = 1 / (1 + ratio + resonance)
+    gain: Samples = np.abs(inverse * hold * response) * skin.excursion_um / driven.excursion_um
+    return gain
+
+
+def followed_band_hz(driven: Actuator, skin: Actuator | None = None) -> tuple[float, float] | None:
+    """Return the widest band from 20 to 1000 Hz in which the displacement is within 1 dB of the one asked for.
+
+    The actuators as in `followed_gain`. None where there is no such band.
+    """
+    frequency_hz = np.geomspace(20.0, min(1000.0, 0.45 * driven.dac_rate_hz), 400)
+    follows = np.abs(20 * np.log10(followed_gain(frequency_hz, driven, skin))) <= FOLLOWED_DB
+    edges = np.flatnonzero(np.diff(follows, prepend=False, append=False))
+    bands = [
+        (float(frequency_hz[low]), float(frequency_hz[high - 1]))
+        for low, high in zip(edges[::2], edges[1::2], strict=True)
+    ]
+    return max(bands, key=lambda band: band[1] / band[0], default=None)
+
+
+def octave_gains_db(driven: Actuator, skin: Actuator | None = None) -> dict[str, float]:
+    """Return `followed_gain` in dB in the middle of octaves, by the frequency in Hz as text."""
+    frequency_hz = np.array([each for each in OCTAVES_HZ if each < 0.45 * driven.dac_rate_hz])
+    gains_db = 20 * np.log10(followed_gain(frequency_hz, driven, skin))
+    return {f"{each:g}": round(gain_db, 2) for each, gain_db in zip(frequency_hz, gains_db.tolist(), strict=True)}

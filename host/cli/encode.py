@@ -24,6 +24,7 @@ from vibrocast.host.cli.options import (
 from vibrocast.host.cli.rate_options import RateOptions, rate_controlled_options
 from vibrocast.host.cli.sections import SectionedCommand, section
 from vibrocast.host.cli.steps import (
+    describe_felt_error,
     describe_quality,
     encoded,
     encoded_profile,
@@ -92,17 +93,19 @@ def encode(
         encode_rate_controlled(loaded, out, target, quality.arguments(recording.unit))
         return
     encoding = encoded(loaded, quality, recording.unit, live=False, packet_s=rate.packet_s)
-    write_encoding(out, encoding, skin=quality.purpose is not None)
+    write_encoding(out, encoding)
 
 
-def write_encoding(out: Path, encoding: Encoding, skin: bool = False) -> None:
-    """Write a .vct file, and print its size and quality; `skin`: the quality as displacement as well."""
+def write_encoding(out: Path, encoding: Encoding) -> None:
+    """Write a .vct file, and print its size and quality."""
     encoding.stream.save(out)
     stream = encoding.stream
     model = f", model {stream.model_name}" if stream.image else ""
     size = f"{stream.size_bytes} bytes, {stream.bits_per_second:.0f} bit/s{model}"
+    felt = encoding.quality.felt_error
     tell(
-        f"{out}: {size}, {describe_quality(encoding.quality, skin)}",
+        f"{out}: {size}, {describe_quality(encoding.quality)}"
+        + ("" if felt is None else f"; felt error: {describe_felt_error(felt)}"),
         out=str(out),
         **stream.facts(),
         quality=asdict(encoding.quality),
@@ -117,16 +120,20 @@ def encode_rate_controlled(
     with progress.bar("encoding") as update:
         stream, outcome = rate_controlled.encode(recording, target, progress=update, **arguments)
     stream.save(out)
+    quality = stream.quality
+    assert quality is not None, "it has just been coded"
     lines = {
         str(out): f"{stream.size_bytes} bytes, codec {stream.codec_name}"
         + (f", model {stream.model_name}" if stream.image else ""),
+        "coded": describe_quality(quality),
+        "felt error": describe_felt_error(quality.felt_error),
         "rate": describe_rate(target, outcome),
         "framing": f"packets {outcome.packets_bps:.0f} bit/s, frames add {100 * outcome.frames_add:.1f} %, "
         f"padding {100 * outcome.padding:.1f} %",
         "packets": f"{1000 * outcome.packet_s:.1f} ms each, {describe_packets(outcome)}",
     }
     if wants_json():
-        add({"out": str(out), **stream.facts(), "rate_control": asdict(outcome)})
+        add({"out": str(out), **stream.facts(), "quality": asdict(quality), "rate_control": asdict(outcome)})
     else:
         show(lines)
 

@@ -44,9 +44,11 @@ from vibrocast.host.cli.options import (
 from vibrocast.host.cli.sections import CONTROLLER, OUTPUT, PLAYBACK, SectionedCommand, section
 from vibrocast.host.cli.steps import (
     ANSWERS,
+    describe_actuator,
     describe_card,
+    describe_felt_error,
+    describe_limits,
     describe_quality,
-    describe_skin,
     encoded,
     encoded_profile,
     files_of,
@@ -460,15 +462,13 @@ def tell_stroke(stroke: "position_playback.Stroke", outputs: OutputOptions) -> N
     if wants_json():
         add(asdict(report))
     else:
-        use = report.actuator
         show(
             {
+                "actuator": describe_actuator(report, None),
                 "played": f"{report.file}, {report.length_mm:.2f} mm, under a hand at up to "
                 f"{report.fastest_mm_s:.0f} mm/s for {report.seconds:.2f} s",
                 "stream": f"{report.stream_bytes} bytes, {report.bits_per_mm:.0f} bit/mm, codec {report.codec}",
-                "at the skin": describe_skin(report.skin, None),
-                "actuator": f"{use.name}, clipped {use.clipped_samples}, limited by voltage {use.voltage_limited}, "
-                f"slew {use.slew_limited}, power {use.power_limited} samples",
+                "limits": describe_limits(report.actuator),
                 "positions": f"{report.positions} sent, {report.underruns} came too late, damaged frames "
                 f"{report.bad_frames} there, {report.bad_frames_back} back",
                 **({"sound card": describe_card(report.sound_card)} if report.sound_card else {}),
@@ -544,23 +544,23 @@ def describe_comparison(equal: bool | None, report: Report) -> str:
 def summary(outcome: "end_to_end.Outcome", given: Stream) -> dict[str, object]:
     """Return the lines that `play` prints at its end; `given`: the stream before it was fitted to the controller."""
     report = outcome.report
-    latency, limits = report.latency_ms, report.actuator
+    latency = report.latency_ms
     return {
+        "coded": describe_quality(report),
+        "felt error": describe_felt_error(report.felt_error),
+        "actuator": describe_actuator(report, report.skin_note),
         "played": f"{report.file}, {report.seconds:.2f} s, {report.channels} channel(s), {report.loops} time(s)",
         "stream": f"{report.stream_bytes} bytes, {report.bits_per_second:.0f} bit/s, "
         f"{report.bits_per_sample:.2f} bit/sample, codec {report.codec}"
         + (f", model {report.model}" if report.model else ""),
         "packets": describe_packets(outcome.stream, given),
-        "quality": describe_quality(report),
-        "at the skin": describe_skin(report.skin, report.skin_note),
         "wire": f"{report.wire_bytes} bytes sent, {report.wire_bytes_back} received, damaged frames "
         f"{report.bad_frames} there, {report.bad_frames_back} back",
         "latency": f"{latency.algorithmic:.1f} ms codec + {latency.buffered:.1f} ms buffer, "
         f"{latency.end_to_end:.1f} ms to the skin",
         "underruns": f"{report.underruns}, lost packets {report.lost_packets}, reconnects {report.reconnects}",
         **({"sound card": describe_card(report.sound_card)} if report.sound_card else {}),
-        "actuator": f"{limits.name}, clipped {limits.clipped_samples}, limited by voltage {limits.voltage_limited}, "
-        f"slew {limits.slew_limited}, power {limits.power_limited} samples",
+        "limits": describe_limits(report.actuator),
         "touch": describe_touch(report.touch),
         "decoded as sent": describe_comparison(report.decoded_equals_offline, report),
         "DAC as computed": describe_comparison(report.dac_equals_offline, report),

@@ -99,9 +99,9 @@ def measure_fidelity(
     rate_hz = round(sent.rate_hz)
     recorded_um = displacement_above_20_hz(recorded, rate_hz)
     sent_um, decoded_um = (high_passed(signal.displacement_um[:, 0], rate_hz) for signal in (sent, decoded))
-    quality, laid = compare_skin(sent_um, decoded_um, recorded_um, rate_hz)
+    quality, laid, aligned_um = compare_skin(sent_um, decoded_um, recorded_um, rate_hz, drifts=finish is not None)
     frequencies_hz, sent_db = third_octave_levels(sent_um, rate_hz)
-    _, residual_db = third_octave_levels(sent_um - laid.aligned, rate_hz)
+    _, residual_db = third_octave_levels(sent_um - aligned_um, rate_hz)
     return Fidelity(
         texture=texture.name,
         source=source,

@@ -226,7 +226,7 @@ def _to_sensor_s(
     Raises AlignmentError where the recording does not contain them.
     """
     sent_um = high_passed(displacement_um(samples, unit, rate_hz, actuator)[:, 0], rate_hz)
-    lag_s = align(sent_um, displacement_above_20_hz(recording, rate_hz), rate_hz).lag_s
+    lag_s = align(sent_um, displacement_above_20_hz(recording, rate_hz), rate_hz, drifts=True).lag_s
     return float(recording.began_s + lag_s - began_s - 1 / rate_hz)
 
 

@@ -34,11 +34,28 @@ def test_lag_gain_and_drift_are_found(lag: float, gain: float, drift_ppm: float)
     stretch = 1 + drift_ppm / 1e6
     recorded = gain * SIGNAL(1000 + (np.arange(7200) - lag) / stretch)
     recorded += 0.01 * np.std(recorded) * np.random.default_rng(3).standard_normal(len(recorded))
-    found = align(REFERENCE, recorded, RATE_HZ)
+    found = align(REFERENCE, recorded, RATE_HZ, drifts=True)
     assert found.lag_s * RATE_HZ == pytest.approx(lag, abs=0.02)
     assert found.gain == pytest.approx(gain, rel=1e-3)
     assert found.drift_ppm == pytest.approx(drift_ppm, abs=1.0)
-    assert np.std(found.aligned - REFERENCE) < 0.02 * np.std(REFERENCE)
+    assert np.std(found.aligned(recorded, len(REFERENCE), RATE_HZ) - REFERENCE) < 0.02 * np.std(REFERENCE)
+
+
+def test_a_clock_that_no_recorder_has_is_reported() -> None:
+    recorded = SIGNAL(1000 + (np.arange(7200) - 300) / (1 + 700e-6))
+    with pytest.raises(AlignmentError, match=r"off by \+700 ppm.*correct the sample rate"):
+        align(REFERENCE, recorded, RATE_HZ, drifts=True)
+
+
+def test_the_lag_stays_at_its_peak_where_the_recording_is_another_signal_in_part() -> None:
+    """A resonance repeats itself: the neighbouring peaks of the correlation are nearly as high."""
+    numbers = np.arange(7200)
+    reference = np.sin(2 * np.pi * 90 * numbers[:5600] / RATE_HZ) * np.hanning(5600)
+    shaken = np.random.default_rng(5).standard_normal(7200).cumsum() / 20
+    recorded = np.pad(reference, (400, 1200)) + shaken - shaken.mean()
+    found = align(reference, recorded, RATE_HZ)
+    assert found.lag_s * RATE_HZ == pytest.approx(400, abs=1)
+    assert found.drift_ppm == 0
 
 
 @pytest.mark.parametrize(
