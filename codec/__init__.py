@@ -51,7 +51,7 @@ from vibrocast.codec.registry import (
     nearest_gain,
     shape_setting,
 )
-from vibrocast.codec.shaping import PURPOSES
+from vibrocast.codec.shaping import DEFAULT_TOUCH
 from vibrocast.codec.target_search import (
     RATE_TOLERANCE,
     SNR_TOLERANCE_DB,
@@ -60,14 +60,13 @@ from vibrocast.codec.target_search import (
     encode_to_snr,
     snr_db,
     tactile_snr_db,
-    target_snrs_db,
 )
 
 __all__ = [
     "BUILT_IN",
     "CODECS",
     "DEFAULT_CODEC",
-    "PURPOSES",
+    "DEFAULT_TOUCH",
     "RATE_TOLERANCE",
     "RUNTIMES",
     "SNR_TOLERANCE_DB",
@@ -119,6 +118,5 @@ __all__ = [
     "shape_setting",
     "snr_db",
     "tactile_snr_db",
-    "target_snrs_db",
     "timed_framing",
 ]

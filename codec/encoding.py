@@ -14,7 +14,8 @@ from vibrocast.codec.stream import CodingQuality, Stream, as_stream, check_lengt
 from vibrocast.codec.threshold import PHYSICAL_UNITS, felt_error, read_threshold, skin_snr_db
 
 Made = TypeVar("Made")
-DEFAULT_SNR_DB = 15.0
+DEFAULT_SNR_DB = 14.8
+"""With the default shape for touch, as many bytes as a flat error at 15 dB on average of the development recordings."""
 DEFAULT_STREAM_RATE_HZ = 2800
 
 
@@ -45,7 +46,7 @@ def encode_recording(  # noqa: PLR0913 - the options of the public `encode`, whi
     progress: Callable[[float], None] | None = None,
     unit: str | None = None,
     highpass_hz: float | None = textures.HIGHPASS_HZ,
-    purpose: str | None = None,
+    touch: float | None = None,
     packet_s: float | None = None,
 ) -> Encoding:
     """Resample a recording to the stream's rate and code it to a rate or, without one, to an SNR (DEFAULT_SNR_DB).
@@ -58,8 +59,8 @@ def encode_recording(  # noqa: PLR0913 - the options of the public `encode`, whi
     `model`: None = the built-in tables. A codec without such takes the choice of `first_reachable` among the models
     that ship. `runtime`: as in `Stream`. `live` adds refreshes, for a link that may lose packets. `progress` is called
     with the finished part of the search, from 0 to 1. `unit`: the stream's, None = the recording's. `highpass_hz`:
-    `textures.highpass` removes the band below it first; None = the whole band is coded. `purpose`: one of
-    `shaping.PURPOSES`, None = the SNR; for "threshold", `snr_db` is that at the skin, weighted by the threshold.
+    `textures.highpass` removes the band below it first; None = the whole band is coded. `touch`: strength by
+    which the error is shaped for touch, 0 to 1; None = as `codec.shape_setting` says.
     `packet_s`: duration of packets, rounded up to whole blocks; None = the fewest bytes or, with `live`, 4 blocks.
 
     Raises CodecError (also when the target rate or SNR cannot be met), ModelError, ModelImageError, StreamError or
@@ -83,6 +84,7 @@ def encode_recording(  # noqa: PLR0913 - the options of the public `encode`, whi
         snr_db = DEFAULT_SNR_DB
 
     samples, coded_unit = resampled.samples, unit or resampled.unit
+    shape = codec.shape_setting(chosen, touch, stream_rate_hz, coded_unit, given)
 
     def source(candidate: models.Model | None, tell: codec.Progress | None = None) -> codec.Source:
         return codec.Source(
@@ -94,7 +96,7 @@ def encode_recording(  # noqa: PLR0913 - the options of the public `encode`, whi
             encoder_model(candidate),
             progress=tell,
             framing=None if packet_s is None else codec.timed_framing(packet_s, stream_rate_hz),
-            purpose=purpose,
+            shape=shape,
         )
 
     def code(candidate: models.Model | None, tell: codec.Progress | None) -> Encoding:
@@ -110,8 +112,7 @@ def encode_recording(  # noqa: PLR0913 - the options of the public `encode`, whi
         else:
             coded = source(candidate, tell).encode(given)
         stream = replace(as_stream(coded, coded_unit, image), runtime=runtime)
-        reached_db = codec.target_snrs_db(source(candidate), stream.decode()) if purpose == "threshold" else None
-        return measure_encoding(resampled, stream, rate_bps, snr_db, passed, reached_db)
+        return measure_encoding(resampled, stream, rate_bps, snr_db, passed)
 
     def excess(candidate: models.Model) -> float:
         return unsearched_excess(source(candidate), candidate, given, rate_bps, snr_db)
@@ -249,17 +250,14 @@ def measure_encoding(
     rate_bps: float | None = None,
     snr_db: float | None = None,
     passed: textures.HighPassed | None = None,
-    reached_db: Sequence[float | None] | None = None,
 ) -> Encoding:
     """Measure how near a stream comes to its recording, and whether it meets its target. Raises CodecError.
 
-    `passed`: result of the high-pass before; None = the high-pass removed nothing. `reached_db`: of each channel, the
-    SNR to which `snr_db` applies; None = that of the coded signal.
+    `passed`: result of the high-pass before; None = the high-pass removed nothing.
     """
     decoded = stream.decode()
     narrower = passed is not None and recording.rate_hz < passed.recording.rate_hz
     each_db = tuple(map(_finite, codec.channel_snrs_db(recording.samples, decoded)))
-    target_db = each_db if reached_db is None else tuple(map(_finite, reached_db))
     at_skin_db, weighted_db, felt = None, None, None
     if stream.header.unit in PHYSICAL_UNITS:
         judged = recording.samples, decoded, recording.rate_hz, stream.header.unit
@@ -271,7 +269,7 @@ def measure_encoding(
         tactile_snr_db=codec.tactile_snr_db(recording.samples, decoded, recording.rate_hz),
         skin_snr_db=at_skin_db,
         weighted_skin_snr_db=weighted_db,
-        note=_shortfall(stream, target_db, rate_bps, snr_db),
+        note=_shortfall(stream, each_db, rate_bps, snr_db),
         highpass_hz=None if passed is None else passed.highpass_hz,
         removed_below=0.0 if passed is None else passed.removed_energy,
         lowpass_hz=recording.rate_hz / 2 if narrower else None,

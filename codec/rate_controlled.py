@@ -149,13 +149,13 @@ def encode(
     model: models.Model | None = None,
     progress: Callable[[float], None] | None = None,
     highpass_hz: float | None = textures.HIGHPASS_HZ,
-    purpose: str | None = None,
+    touch: float | None = None,
 ) -> tuple[Stream, Outcome]:
     """Resample a recording to the stream's rate and code it as a live stream to a rate target.
 
     `codec_name`: None = the model's codec, or DEFAULT_CODEC. `model`: None = the built-in tables. A codec without such
-    takes the choice of `first_reachable` among the models that ship. `highpass_hz` and `purpose` as in
-    `codec.encoding.encode_recording`; the SNR of packets is always that of the signal. Raises CodecError, also if the
+    takes the choice of `first_reachable` among the models that ship. `highpass_hz` and `touch` as in
+    `codec.encoding.encode_recording`. Raises CodecError, also if the
     target is out of reach, and as `encode_recording`.
     """
     passed = textures.highpass(recording, highpass_hz)
@@ -163,7 +163,11 @@ def encode(
     samples = resampled.samples
     signal_format = recording_format(resampled)
     chosen = chosen_codec(codec_name, model)
-    given = {**(codec.equal_error(chosen, signal_format) if target.equal_error else {}), **(setting or {})}
+    given = {
+        **codec.shape_setting(chosen, touch, stream_rate_hz, resampled.unit, setting),
+        **(codec.equal_error(chosen, signal_format) if target.equal_error else {}),
+        **(setting or {}),
+    }
 
     def source(candidate: models.Model | None, tell: Callable[[float], None] | None = None) -> codec.Source:
         return codec.Source(
@@ -174,7 +178,6 @@ def encode(
             True,
             encoder_model(candidate),
             tell,
-            purpose=purpose,
         )
 
     def code(candidate: models.Model | None, tell: Callable[[float], None] | None) -> tuple[Stream, Outcome]:

@@ -27,6 +27,7 @@ from vibrocast.codec.interface import (
     SignalFormat,
 )
 from vibrocast.codec.rate_control import Policy, rate_controlled_encoder
+from vibrocast.codec.threshold import PHYSICAL_UNITS
 
 LIVE_PACKET_BLOCKS = 4
 LIVE_REFRESH_S = 0.25
@@ -244,15 +245,26 @@ def _check_model(codec: Codec, given: bool) -> None:
         raise CodecError(f"the codec {codec.name} needs a model; give one of its model images")
 
 
-def shape_setting(codec: Codec, purpose: str, samples: Signal | None, rate_hz: float, unit: str) -> Setting:
-    """Return the part of a codec's setting that codes a signal for a purpose; see `shaping.shape_for`.
+def shape_setting(
+    codec: Codec, touch: float | None, rate_hz: float, unit: str, setting: Setting | None = None
+) -> Setting:
+    """Return the part of a codec's setting that serves touch, with a strength from 0, flat, to 1.
 
-    Raises CodecError as it, and for a codec whose steps cannot differ over frequency.
+    `touch`: None = the default where the codec has shapes and the unit is physical, else 0. `setting`: what else is
+    given; a shape in it stands before the default. Raises CodecError as `shaping.touch_shape`, for a strength beside a
+    shape, and for one above 0 of a codec that has no shapes.
     """
-    if codec.shape_parameter is None:
-        raise CodecError(f"{codec.name} cannot code for a purpose; leave it out, or choose {DEFAULT_CODEC}")
-    octaves = shaping.shape_for(purpose, samples, rate_hz, unit)
-    return {codec.shape_parameter: shaping.shape_text(octaves)}
+    has_shapes = codec.shape_parameter is not None
+    given = has_shapes and codec.shape_parameter in (setting or {})
+    if touch is None:
+        touch = shaping.DEFAULT_TOUCH if has_shapes and not given and unit in PHYSICAL_UNITS else 0.0
+    elif given:
+        raise CodecError("a strength of touch and a shape are both given; give one of them")
+    if touch == 0 or codec.shape_parameter is None:
+        if touch != 0:
+            raise CodecError(f"{codec.name} cannot shape its error for touch; choose {DEFAULT_CODEC}, or a touch of 0")
+        return {}
+    return {codec.shape_parameter: shaping.shape_text(shaping.touch_shape(touch, rate_hz, unit))}
 
 
 _EXCERPT = 8
@@ -263,7 +275,7 @@ _EXCERPT_PIECE = 1024
 class Source:
     """A signal ready to be coded at any setting, as a file or as a live stream.
 
-    `format`: its properties for the encoder. `silent`: whether every channel is. `purpose`: what it is coded for.
+    `format`: its properties for the encoder. `silent`: whether every channel is.
     """
 
     def __init__(
@@ -276,11 +288,11 @@ class Source:
         model: Model | None = None,
         progress: Progress | None = None,
         framing: Framing | None = None,
-        purpose: str | None = None,
+        shape: Setting | None = None,
     ) -> None:
         """Take samples (n, channels) in a physical unit; the parameters are as in `encode`. Raises CodecError.
 
-        `purpose`: one of shaping.PURPOSES, by which the steps differ over frequency; None = the same at all.
+        `shape`: part of every setting that does not state it, as from `shape_setting`; None = the codec's default.
         """
         if samples.ndim != 2 or samples.shape[1] < 1:
             raise CodecError(f"samples of shape {samples.shape} do not fit; give (n, channels)")
@@ -305,8 +317,7 @@ class Source:
         rms = tuple(math.sqrt(energy / len(samples)) or 1.0 for energy in np.atleast_1d(energies))
         self.format = SignalFormat(rate_hz, unit, gains, rms, None if live else len(samples))
         self.silent = not np.any(energies)
-        self.purpose = purpose
-        self._shape = {} if purpose is None else shape_setting(self.codec, purpose, samples, rate_hz, unit)
+        self._shape = shape or {}
         self._trials = 0
         self._whole = self
         self._choices: dict[tuple[tuple[str, str], ...], Setting] = {}

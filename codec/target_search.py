@@ -17,7 +17,7 @@ from vibrocast.codec.registry import (
     parts,
     peak_of,
 )
-from vibrocast.codec.threshold import TACTILE_BAND_HZ, read_threshold, skin_power
+from vibrocast.codec.threshold import TACTILE_BAND_HZ
 
 SNR_TOLERANCE_DB = 0.2
 RATE_TOLERANCE = 0.02
@@ -85,28 +85,9 @@ def tactile_snr_db(reference: Signal, decoded: Signal, rate_hz: float) -> float 
     return 10 * math.log10(powers[0] / powers[1]) if min(powers) > 0 else None
 
 
-def target_snrs_db(source: Source, decoded: Signal) -> list[float | None]:
-    """Return the SNR in dB of each channel that a search for an SNR looks at; None and infinity as `channel_snrs_db`.
-
-    It is that of the signal or, for a source that is coded for the threshold of touch, of `skin_power` above it.
-    """
-    if source.purpose != "threshold":
-        return channel_snrs_db(source.samples, decoded)
-    powers = (_target_power(source, each).tolist() for each in (source.samples, source.samples - decoded))
-    return [(10 * math.log10(x / e) if e > 0 else math.inf) if x > 0 else None for x, e in zip(*powers, strict=True)]
-
-
-def _target_power(source: Source, samples: Signal) -> Signal:
-    """Return the mean power of each channel as the SNR of `target_snrs_db` takes it."""
-    if source.purpose != "threshold":
-        return np.asarray(np.mean(np.square(samples), axis=0))
-    return skin_power(samples, source.format.rate_hz, source.format.unit, read_threshold())
-
-
 def encode_to_snr(source: Source, target_db: float, setting: Setting | None = None) -> CodedSignal:
     """Code every channel at `target_db` of SNR, to within 0.2 dB; above it if no setting comes nearer.
 
-    Of a source that is coded for the threshold of touch, it is the SNR at the skin that the threshold weights.
     `setting`: the part of the codec's setting that is given, not searched for. A silent signal meets every target.
     Raises CodecError as `encode`, TargetUnreachable with the best SNR that this signal reaches.
     """
@@ -125,7 +106,7 @@ def encode_to_snr(source: Source, target_db: float, setting: Setting | None = No
 
     @lru_cache(maxsize=1)  # decoding takes nearly as long as coding
     def decoded_db(coded: CodedSignal) -> list[float | None]:
-        return target_snrs_db(source, decode(coded, tables))
+        return channel_snrs_db(source.samples, decode(coded, tables))
 
     def estimated_db(coded: CodedSignal) -> list[float | None]:
         """Return the SNR of each channel by the encoder's error, if it tells, at the level of the whole signal."""
@@ -134,9 +115,8 @@ def encode_to_snr(source: Source, target_db: float, setting: Setting | None = No
         ratios = coded.samples * np.square(levels) / np.array(coded.squared_errors)
         return [10 * math.log10(ratio) if each else None for each, ratio in zip(heard, ratios.tolist(), strict=True)]
 
-    estimates = source.purpose != "threshold"  # an encoder's error is not weighted
     # In a short signal, an encoder's error beyond the ends would count.
-    ratios_db = estimated_db if estimates and source.excerpt(_EXCERPT_SAMPLES) is not None else decoded_db
+    ratios_db = estimated_db if source.excerpt(_EXCERPT_SAMPLES) is not None else decoded_db
 
     def excesses_db(coded: CodedSignal) -> list[float]:
         """Return the excess of each channel over the target; 0 for silent ones, which have none."""
@@ -147,12 +127,12 @@ def encode_to_snr(source: Source, target_db: float, setting: Setting | None = No
 
     def in_excerpt(excerpt: Source) -> Callable[[CodedSignal], float]:
         """Return the mean excess that the noise in an excerpt leads to, at the level of the whole signal."""
-        powers = _target_power(source, source.samples)
+        powers = np.mean(np.square(source.samples), axis=0)
 
         def excess_db(coded: CodedSignal) -> float:
-            if estimates and coded.squared_errors is not None:
+            if coded.squared_errors is not None:
                 return _mean(estimated_db(coded)) - target_db
-            noise = _target_power(source, excerpt.samples - decode(coded, tables))
+            noise = np.mean(np.square(excerpt.samples - decode(coded, tables)), axis=0)
             noisy = (noise > 0) & (powers > 0)
             return float(np.mean(10 * np.log10(powers[noisy] / noise[noisy]))) - target_db if noisy.any() else math.inf
 

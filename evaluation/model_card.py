@@ -174,7 +174,9 @@ def _with_static_prior(image: bytes) -> bytes:
 
 def _encoded(recording: textures.Recording, model: Model) -> Encoding:
     setting = codec.CODECS["eva"].complete({})
-    return encode_recording(recording, round(recording.rate_hz), setting=setting, model=model, highpass_hz=None)
+    return encode_recording(
+        recording, round(recording.rate_hz), setting=setting, model=model, highpass_hz=None, touch=0
+    )
 
 
 def _bits_per_sample(encodings: Sequence[Encoding]) -> float:

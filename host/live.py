@@ -104,8 +104,9 @@ class LiveCoding:
     """How a live stream is coded.
 
     `codec_name`: None = that of the model, or the default. `model`: a trained model, which the controller must run.
-    `policy`: controls the quality, None = all packets are of the setting's. A policy with a rate
-    follows the link: quality falls before a packet is late, and rises again. The host never sends a late packet.
+    `touch`: as in `codec.encoding.encode_recording`. `policy`: controls the quality, None = all packets are of the
+    setting's. A policy with a rate follows the link: quality falls before a packet is late, and rises again. The host
+    never sends a late packet.
     `packet_samples`: the least samples per channel in a packet, rounded up to the codec's blocks. None: with a rate,
     the shortest packet to which the wire adds at most 12 %, within `max_packet_s`; else one block.
     `refresh_packets`: from one refresh to the next, None = those of REFRESH_S, or of RATE_CONTROLLED_REFRESH_S.
@@ -114,6 +115,7 @@ class LiveCoding:
     codec_name: str | None = None
     setting: codec.Setting | None = None
     model: models.Model | None = None
+    touch: float | None = None
     policy: codec.Policy | None = None
     packet_samples: int | None = None
     max_packet_s: float = math.inf
@@ -154,8 +156,10 @@ class LiveStream:
         self._wire_bytes: int | None = None
         self.earlier: list[Status] = []
         self._codec, self._model = chosen_codec(coding.codec_name, coding.model), coding.model
+        given = coding.setting or {}
+        shape = codec.shape_setting(self._codec, coding.touch, signal_format.rate_hz, signal_format.unit, given)
         defaults = {} if policy else self._codec.live_setting(signal_format.rate_hz)
-        self.setting = self._codec.complete({**defaults, **(coding.setting or {})})
+        self.setting = self._codec.complete({**defaults, **shape, **given})
         self._target_bps = policy.bits_per_second if isinstance(policy, codec.RatePolicy) else None
         self._needed_bps = needed_bps or self._target_bps or math.inf
         # To how many samples it is rounded up, an encoder says.

@@ -55,13 +55,13 @@ def encode(  # noqa: PLR0913 - a name for each option reads better than an objec
     stream_rate_hz: int = DEFAULT_STREAM_RATE_HZ,
     highpass_hz: float | None = HIGHPASS_HZ,
     live: bool = False,
-    purpose: str | None = None,
+    touch: float | None = None,
     progress: Progress | None = None,
 ) -> Stream:
     """Encode a recording, or an array of samples, into a coded stream.
 
-    Without `rate_bps` and `snr_db`, the target is an SNR of 15 dB, unless `setting` or `model` fixes the quality or the
-    codec keeps no waveform.
+    Without `rate_bps` and `snr_db`, the target is an SNR of 14.8 dB, unless `setting` or `model` fixes the quality, or
+    the codec keeps no waveform.
 
     Args:
         samples: A Recording, or an array (n,) or (n, channels) of any real dtype.
@@ -70,16 +70,15 @@ def encode(  # noqa: PLR0913 - a name for each option reads better than an objec
             full scale. None means "full scale" of unknown size. A Recording states its own.
         codec: A name in `codecs()`. None: the codec of `model`, or "mdct".
         rate_bps: Target size of the whole stream, in bits per second of signal.
-        snr_db: Target SNR of every channel in dB. Give this or `rate_bps`, not both. For "threshold", it is the SNR at
-            the skin, weighted by the threshold of touch.
+        snr_db: Target SNR of every channel in dB. Give this or `rate_bps`, not both.
         model: Name, folder or image of a trained model. None: the built-in tables, or a model that ships.
         setting: Parameters of the codec by name, as `codecs()` describes them.
         stream_rate_hz: Sample rate of the stream in Hz, 2800 by default. The samples are resampled to it.
         highpass_hz: Corner of the high-pass before coding, 20 Hz by default. It applies to acceleration and to "full
             scale". None keeps the whole band.
         live: Add random-access packets, for a link that loses packets.
-        purpose: "spqi" or "threshold": shape the error over frequency by the signal, or by the threshold of touch.
-            None: for the best SNR.
+        touch: Strength from 0, flat, to 1 by which the error is shaped over frequency for touch. None: 0.25 for a
+            physical unit and a codec that can, else 0.
         progress: Function to call with the part of the search that is done, from 0 to 1.
 
     Returns:
@@ -103,7 +102,7 @@ def encode(  # noqa: PLR0913 - a name for each option reads better than an objec
         setting=setting,
         model=_model(model),
         live=live,
-        purpose=purpose,
+        touch=arguments.optional_number("touch", touch),
         progress=progress,
         highpass_hz=textures.highpass_of(unit, arguments.optional_number("highpass_hz", highpass_hz)),
     )

@@ -37,8 +37,8 @@ from vibrocast.host.cli.options import (
     keep_dc_option,
     model_option,
     own_actuator,
-    purpose_option,
     setting_option,
+    touch_option,
 )
 from vibrocast.host.cli.rate_options import RateOptions, rate_controlled_options
 from vibrocast.host.cli.sections import CODING, CONTROLLER, INPUT, OUTPUT, SectionedCommand, section
@@ -79,7 +79,7 @@ class CodingOptions:
     setting: codec.Setting
     model: models.Model | None
     snr_db: float | None
-    purpose: str | None
+    touch: float | None
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ class DelayOptions:
             type=Number("dB"),
             help="Set the signal-to-noise ratio of packets, for --capped-rate-bps and --constant-quality.",
         ),
-        purpose_option,
+        touch_option,
     ),
 )
 @rate_controlled_options
@@ -224,9 +224,6 @@ def live(
     model = coding.model
     live_codec = chosen_codec(coding.codec_name, model)
     setting = coding.setting
-    if coding.purpose is not None:
-        known = texture.samples if source != STANDARD_INPUT else None
-        setting = {**codec.shape_setting(live_codec, coding.purpose, known, rate_hz, signal_format.unit), **setting}
     if live_codec.needs_model and model is None:
         model = default_model(live_codec)
     address = chosen.address
@@ -238,7 +235,7 @@ def live(
         if model is not None:
             uploader.provide(controller, address, model.image)
         shortest = live_codec.block_setting(live_codec.blocks[0]) if delay.low_delay and live_codec.blocks else {}
-        live_coding = streaming.LiveCoding(live_codec.name, {**shortest, **setting}, model)
+        live_coding = streaming.LiveCoding(live_codec.name, {**shortest, **setting}, model, coding.touch)
         if target is not None:
             equal = codec.equal_error(live_codec, signal_format) if target.equal_error else {}
             live_coding = replace(

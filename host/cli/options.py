@@ -221,11 +221,11 @@ setting_option = click.option(
     help="Fix a parameter that `vibrocast codecs` lists; may be repeated.",
 )
 
-purpose_option = click.option(
-    "--for",
-    "purpose",
-    type=click.Choice(codec.PURPOSES),
-    help="Shape the error by the signal, or by the threshold of touch. Default: the least error.",
+touch_option = click.option(
+    "--touch",
+    type=Number("strength from 0 to 1", 0, 1),
+    help="Shape the error for touch: 0 = flat, 1 = by the threshold. "
+    f"Default: {codec.DEFAULT_TOUCH:g} for physical units, if the codec can.",
 )
 
 actuator_option = click.option(
@@ -351,7 +351,7 @@ class QualityOptions:
     keep_dc: bool
     setting: codec.Setting
     model: models.Model | None
-    purpose: str | None
+    touch: float | None
 
     def arguments(self, unit: str | None = None) -> dict[str, Any]:
         """Return the arguments of `encode_recording` for a recording in a unit. Raises click.UsageError."""
@@ -373,10 +373,9 @@ quality_options = section(
         click.option(
             "--snr-db",
             type=Number("dB"),
-            help="Set the signal-to-noise ratio; for threshold, that at the skin, weighted. "
-            f"Default: {DEFAULT_SNR_DB:g} without --rate-bps.",
+            help=f"Set the signal-to-noise ratio. Default: {DEFAULT_SNR_DB:g} without --rate-bps.",
         ),
-        purpose_option,
+        touch_option,
         click.option(
             "--stream-rate-hz",
             type=Whole("Hz", 1, MAX_RATE_HZ),

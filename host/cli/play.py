@@ -487,7 +487,7 @@ def coded_already(file: Path, quality: QualityOptions, recording: RecordingOptio
     values = vars(replace(quality, model=None)) | vars(recording)
     given = [name for name, value in values.items() if value not in (None, {}, False, DEFAULT_STREAM_RATE_HZ)]
     if given:
-        option = "for" if given[0] == "purpose" else given[0].removesuffix("_name").replace("_", "-")
+        option = given[0].removesuffix("_name").replace("_", "-")
         raise click.UsageError(f"{file} is coded already; drop --{option}")
     return read_stream(file, quality.model.image if quality.model else None)
 

@@ -11,7 +11,7 @@ from vibrocast.codec.encoding import Encoding, encoder_model, families
 from vibrocast.codec.rate_control import DEFAULT_RATE_BUFFER_S
 from vibrocast.codec.rate_controlled import RateTarget, added_bytes
 from vibrocast.codec.registry import LIVE_REFRESH_S
-from vibrocast.codec.shaping import FLAT
+from vibrocast.codec.shaping import DEFAULT_TOUCH, FLAT
 from vibrocast.codec.target_search import settings
 from vibrocast.codec.threshold import read_threshold
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT, StreamHeader
@@ -47,8 +47,8 @@ SPQI_RATE_HZ = 2800
 BUFFERS_MS = (10.0, 8.0, 6.0, 4.0)
 """Playout delays, the usual one first; docs/benchmarks/latency.md has the shortest stable one of each controller."""
 
-_PURPOSES = {"spqi": ("spqi", "threshold"), "imperceptible": ("threshold",)}
-"""What a texture may be coded for, by the required quality."""
+_TOUCHES = {"spqi": (DEFAULT_TOUCH, 1.0), "imperceptible": (1.0,)}
+"""Strengths of the shape for touch that may need fewer bits than a flat one, by the required quality."""
 # In any second, a capped rate may exceed the cap by its rate buffer; half a packet may round that second. A larger
 # rate buffer would need a lower cap, and lose more than it brings.
 _CAP = 1 / (1 + DEFAULT_RATE_BUFFER_S / (1 - MAX_PACKET_S / 2))
@@ -57,7 +57,7 @@ _CAP = 1 / (1 + DEFAULT_RATE_BUFFER_S / (1 - MAX_PACKET_S / 2))
 @dataclass(frozen=True)
 class CodingOption:
     """A way to code a texture, without the quality. `family`: of models, None = no model. `block`: samples, None if the
-    codec has one length only. `purpose`: by which steps differ over frequency (codec.shaping), None = the same at all.
+    codec has one length only. `touch`: strength of the shape by which steps differ over frequency (codec.shaping).
 
     `rate_limit_bps`: limit over any second that a capped rate keeps; None = every packet has the setting.
     """
@@ -65,7 +65,7 @@ class CodingOption:
     codec: str
     family: str | None
     block: str | None
-    purpose: str | None = None
+    touch: float = 0.0
     rate_limit_bps: float | None = None
 
     @property
@@ -73,8 +73,8 @@ class CodingOption:
         """Name in the answer, such as "mdct, hop 32"."""
         block = "".join(f", {name} {value}" for name, value in self._known.block_setting(self.block).items())
         capped = "" if self.rate_limit_bps is None else f", capped to {self.rate_limit_bps:g} bit/s"
-        purpose = "" if self.purpose is None else f", for {self.purpose}"
-        return (self.codec if self.family is None else f"{self.codec} with {self.family}") + block + purpose + capped
+        touch = f", touch {self.touch:g}" if self.touch else ""
+        return (self.codec if self.family is None else f"{self.codec} with {self.family}") + block + touch + capped
 
     @property
     def decoder(self) -> str:
@@ -83,7 +83,7 @@ class CodingOption:
 
     @property
     def given(self) -> Setting:
-        """The part of the setting that the option fixes; a purpose replaces the shape of the steps."""
+        """The part of the setting that the option fixes; a strength of touch replaces the shape of the steps."""
         flat = {self._known.shape_parameter: FLAT} if self._known.shape_parameter else {}
         return {**self._known.planned_setting, **self._known.block_setting(self.block), **flat}
 
@@ -240,12 +240,12 @@ class Evaluator:
             shipped = [members[0].family for members in families(each)]
             names = shipped if each.needs_model else [None, *shipped]
             shapes = each.shape_parameter is not None and not self.over_position
-            purposes = [None, *(_PURPOSES.get(self._measure, ()) if shapes else ())]
+            touches = (0.0, *(_TOUCHES.get(self._measure, ()) if shapes else ()))
             found += [
-                CodingOption(name, family, block, purpose)
+                CodingOption(name, family, block, touch)
                 for family in names
                 for block in each.blocks or (None,)
-                for purpose in purposes
+                for touch in touches
             ]
         longest = MAX_PACKET_S * self.samples_per_second
         found = [option for option in found if option.block is None or int(option.block) <= longest]
@@ -275,11 +275,8 @@ class Evaluator:
 
     def _given(self, option: CodingOption) -> Setting:
         """Return the part of the setting that an option fixes for this texture. Raises CodecError."""
-        if option.purpose is None:
-            return option.given
-        part, chosen = self.excerpt, codec.codec_by_name(option.codec)
-        shape = codec.shape_setting(chosen, option.purpose, part.samples, round(part.rate_hz), part.unit)
-        return {**option.given, **shape}
+        chosen, part = codec.codec_by_name(option.codec), self.excerpt
+        return {**option.given, **codec.shape_setting(chosen, option.touch, part.rate_hz, part.unit)}
 
     def qualities(self, option: CodingOption) -> list[tuple[str | None, Setting, float | None]]:
         """Return models and settings of an option, the coarsest first; with a capped rate, for each SNR of a packet."""

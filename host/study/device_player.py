@@ -265,7 +265,7 @@ def _carried(stream: Stream) -> Stream:
     """Return a decoded stream, coded again by the default codec for a link."""
     recording = stream.recording()
     rate_hz = stream.header.rate_hz
-    return encode_recording(recording, rate_hz, snr_db=UNCODED_SNR_DB, live=True, highpass_hz=None).stream
+    return encode_recording(recording, rate_hz, snr_db=UNCODED_SNR_DB, live=True, highpass_hz=None, touch=0).stream
 
 
 class SilentPlayer(StimulusPlayer):

@@ -4,6 +4,7 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from hashlib import sha256
 from importlib.util import find_spec
 from pathlib import Path
@@ -121,13 +122,15 @@ def _coded(study: Study, recording: Recording, condition: Condition) -> tuple[St
             setting=condition.setting or None,
             rate_bps=condition.rate_bps,
             snr_db=condition.snr_db,
+            touch=condition.touch,
             model=model,
         )
     else:
+        flat = partial(encode_recording, recording, stream_rate_hz=study.stream_rate_hz, touch=0)
         try:
-            encoding = encode_recording(recording, stream_rate_hz=study.stream_rate_hz, snr_db=UNCODED_SNR_DB)
+            encoding = flat(snr_db=UNCODED_SNR_DB)
         except ValueError:  # 16 bits do not reach it in every channel
-            encoding = encode_recording(recording, stream_rate_hz=study.stream_rate_hz, snr_db=MAX_STREAM_SNR_DB)
+            encoding = flat(snr_db=MAX_STREAM_SNR_DB)
     return encoding.stream, encoding.recording
 
 

@@ -82,7 +82,8 @@ class StudyTexture(TextureTable, frozen=True, kw_only=True):
 class Condition(Table, frozen=True, kw_only=True):
     """An entry of [[conditions]]: how a texture is coded. Without `codec` and `model` it is the recording itself.
 
-    `role`: one of ROLES. `lowpass_hz`: an anchor's corner. `gain_db`: a change of level on purpose.
+    `role`: one of ROLES. `touch`: as in `vibrocast.encode`. `lowpass_hz`: an anchor's corner. `gain_db`: a change of
+    level on purpose.
     """
 
     name: Name
@@ -92,6 +93,7 @@ class Condition(Table, frozen=True, kw_only=True):
     setting: dict[str, str | int | float] = field(default_factory=dict)
     rate_bps: Annotated[float, within(1, 1e7, "rate in bit/s")] | None = None
     snr_db: Annotated[float, within(-20, 120, "SNR in dB")] | None = None
+    touch: Annotated[float, within(0, 1, "strength of the shape for touch")] | None = None
     lowpass_hz: Annotated[float, within(5, 5000, "corner of a low-pass in Hz")] | None = None
     gain_db: Annotated[float, within(-60, 60, "change of level in dB")] = 0.0
 
@@ -101,8 +103,9 @@ class Condition(Table, frozen=True, kw_only=True):
         if self.codec is not None and self.codec not in codec.CODECS:
             raise ValueError(f"there is no codec {self.codec!r}; choose one of {', '.join(codec.CODECS)}")
         coded = self.codec is not None or self.model is not None
-        if not coded and (self.setting or self.rate_bps is not None or self.snr_db is not None):
-            raise ValueError("setting, rate_bps and snr_db need a codec; add codec")
+        choices = (self.rate_bps, self.snr_db, self.touch)
+        if not coded and (self.setting or any(each is not None for each in choices)):
+            raise ValueError("setting, rate_bps, snr_db and touch need a codec; add codec")
 
     @property
     def is_coded(self) -> bool:

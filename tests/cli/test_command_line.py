@@ -734,30 +734,42 @@ def test_an_unusable_number_is_reported_in_one_line(arguments: list[str], error:
     )
 
 
-def test_play_tells_both_qualities_and_why_they_differ(tmp_path: Path) -> None:
+def test_play_tells_what_is_coded_what_is_felt_and_what_the_actuator_follows(tmp_path: Path) -> None:
     report_path, oak = tmp_path / "out.json", ROOT / "examples" / "oak.wav"
-    printed = succeeds("play", oak, "--report", report_path)
-    weighted = r"\([\d.]+ dB weighted by the threshold of touch\)"
-    pattern = rf"^at the skin +SNR [\d.]+ dB {weighted}, without the codec [\d.]+ dB, gain 0.82; the decoded"
-    assert re.search(pattern, printed, re.M)
+    coded, felt, actuator = succeeds("play", oak, "--report", report_path).splitlines()[:3]
+    assert re.fullmatch(r"coded +SNR 14\.\d+ dB; removed: 0\.\d+ % of the energy below 20 Hz", coded)
+    assert re.fullmatch(r"felt error +at most \+\d+ dB re threshold, at \d+ Hz; the texture there \+\d+ dB", felt)
+    follows = r"piezo-stack follows within 1 dB from 20 to \d+ Hz"
+    assert re.fullmatch(rf"actuator +{follows}; weighted SNR [\d.]+ dB with the codec, [\d.]+ dB without.*", actuator)
     report = json.loads(report_path.read_text())
-    assert report["skin"]["snr_db"] <= report["skin"]["decoded_snr_db"] < report["snr_db"] - 10
-    assert report["skin"]["playing_snr_db"] > 30
-    assert report["skin"]["weighted_snr_db"] > report["skin"]["snr_db"] + 5
-    assert "the noise of acceleration at low frequencies weighs most" in report["skin_note"]
-    assert (report["schema"], report["bad_frames"], report["run"]["bench_sha256"]) == (2, 0, None)
+    skin = report["skin"]
+    assert skin["snr_db"] == pytest.approx(skin["decoded_snr_db"], abs=0.5)
+    assert skin["weighted_snr_db"] == pytest.approx(skin["weighted_decoded_snr_db"], abs=0.3)
+    assert skin["playing_snr_db"] > 30 < skin["weighted_playing_snr_db"]
+    assert report["skin_note"] is None
+    assert (report["schema"], report["bad_frames"], report["run"]["bench_sha256"]) == (3, 0, None)
 
 
-def test_a_recording_is_coded_for_a_purpose(tmp_path: Path) -> None:
+@pytest.mark.parametrize("actuator", ["lra", "voice-coil"])
+def test_play_says_where_the_actuator_is_the_limit(actuator: str, tmp_path: Path) -> None:
+    report_path, oak = tmp_path / "out.json", ROOT / "examples" / "oak.wav"
+    printed = succeeds("play", oak, "--actuator", actuator, "--report", report_path)
+    assert f"; the actuator is the limit: {json.loads(report_path.read_text())['skin_note'][30:]}" in printed
+    skin = json.loads(report_path.read_text())["skin"]
+    assert skin["weighted_snr_db"] == pytest.approx(skin["weighted_playing_snr_db"], abs=1)
+
+
+def test_a_recording_is_coded_for_touch(tmp_path: Path) -> None:
     oak, out = ROOT / "examples" / "oak.wav", tmp_path / "oak.vct"
-    assert "weighted by the threshold of touch" not in succeeds("encode", oak, out)
-    plain_bytes = out.stat().st_size
-    assert "dB weighted by the threshold of touch)" in succeeds("encode", oak, out, "--for", "threshold")
-    assert out.stat().st_size < 0.7 * plain_bytes
-    assert "coded already; drop --for" in fails(2, "play", out, "--for", "spqi")
-    assert "slp cannot code for a purpose" in fails(2, "encode", oak, out, "--codec", "slp", "--for", "spqi")
-    assert "as displacement" in succeeds("encode", oak, out, "--for", "spqi", "--rate-bps", 3000)
-    succeeds("encode", oak, out, "--for", "threshold", "--constant-rate-bps", 3000)
+    sizes = {}
+    for touch in (0, 0.25, 1):
+        assert "SNR 12." in succeeds("encode", oak, out, "--touch", touch, "--snr-db", 12.1)
+        sizes[touch] = out.stat().st_size
+    succeeds("encode", oak, out, "--snr-db", 12.1)
+    assert sizes[0] < sizes[0.25] == out.stat().st_size < sizes[1]
+    assert "coded already; drop --touch" in fails(2, "play", out, "--touch", 1)
+    assert "slp cannot shape its error for touch" in fails(2, "encode", oak, out, "--codec", "slp", "--touch", 1)
+    assert "felt error" in succeeds("encode", oak, out, "--touch", 1, "--constant-rate-bps", 3000)
 
 
 def test_limits_of_a_bench_file_judge_a_playback(texture: Path, tmp_path: Path) -> None:

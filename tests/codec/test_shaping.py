@@ -1,10 +1,9 @@
-"""Step shapes: from a signal, from the threshold of touch, as a parameter; and streams that are coded for a purpose."""
+"""Step shapes: from the threshold of touch, as a parameter; and streams that are coded for touch."""
 
 import numpy as np
 import pytest
 
 import vibrocast
-from tests.codec.signals import texture
 from vibrocast import codec
 from vibrocast.codec import CodecError, mdct, shaping
 from vibrocast.codec.encoding import encode_recording
@@ -18,36 +17,20 @@ def rough(unit: str = "m/s^2") -> Recording:
     return Recording(GENERATORS["rough"](seconds=2.0, rate_hz=2800).samples, 2800.0, unit, "rough")
 
 
-def test_steps_follow_the_fourth_root_of_the_power() -> None:
-    time_s = np.arange(5600) / 2800
-    tone, noise = np.sin(2 * np.pi * 87.5 * time_s), np.random.default_rng(1).normal(0, 1.0, 5600)
-    assert shaping.signal_shape(noise[:, None]) == pytest.approx([0] * 7, abs=0.2)
-    shape = shaping.signal_shape((tone + 0.001 * noise)[:, None])
-    assert int(np.argmin(shape)) == 2  # the node at 1/16 of half the rate
-    # All others lie at the floor, 15 dB below it.
-    assert max(shape) == pytest.approx(0.25 * np.log2(1 + 10**1.5), abs=0.01)
-    assert shaping.signal_shape(np.zeros((100, 2))) == (0.0,) * 7
+def test_steps_follow_the_threshold_in_the_unit_of_the_stream_up_to_10_db() -> None:
+    acceleration, displacement = (np.array(shaping.touch_shape(1, 2800, unit)) for unit in ("m/s^2", "um"))
+    db = 20 * np.log10(2)
+    # Nodes 3 to 6 are 175, 350, 700 and 1400 Hz; from node to node, displacement of one acceleration falls by 12 dB.
+    assert db * (acceleration[3:] - acceleration[3]) == pytest.approx([0, 8.8, 10, 10], abs=0.1)
+    assert db * (acceleration[3] - acceleration[2]) == pytest.approx(6)
+    assert db * (displacement[0] - displacement[4]) == pytest.approx(7, abs=0.1)
+    assert min(acceleration) == min(displacement) == 0
 
 
-def test_the_level_of_a_signal_does_not_matter() -> None:
-    signal = texture(3000, 2)
-    louder = signal * np.array([3.0, 100.0])
-    assert shaping.signal_shape(louder) == pytest.approx(shaping.signal_shape(signal))
-    one, other = (shaping.threshold_shape(2800, "m/s^2", each) for each in (signal, louder))
-    assert one == pytest.approx(other)
-
-
-def test_steps_follow_the_threshold_in_the_unit_of_the_stream() -> None:
-    acceleration, displacement = (np.array(shaping.threshold_shape(8000, unit)) for unit in ("m/s^2", "um"))
-    # From node 2 to node 3, 250 to 500 Hz, displacement of one acceleration falls by two octaves.
-    assert acceleration[3] - acceleration[2] - (displacement[3] - displacement[2]) == pytest.approx(2.0)
-
-
-def test_steps_are_fine_below_40_hz_only_where_the_recording_is_weak() -> None:
-    time_s = np.arange(5600) / 2800
-    fast, slow = (np.sin(2 * np.pi * hz * time_s)[:, None] for hz in (100.0, 30.0))
-    weak, strong = (np.array(shaping.threshold_shape(2800, "m/s^2", fast + part * slow)) for part in (0.0, 1.0))
-    assert weak[2] - weak[0] > 3 + strong[2] - strong[0]
+@pytest.mark.parametrize("touch", [0.0, 0.25, 0.5])
+def test_the_strength_scales_the_shape(touch: float) -> None:
+    whole = np.array(shaping.touch_shape(1, 2800, "m/s^2"))
+    assert shaping.touch_shape(touch, 2800, "m/s^2") == pytest.approx(touch * whole)
 
 
 def test_a_shape_is_text_with_seven_octaves() -> None:
@@ -68,69 +51,64 @@ def test_a_packed_shape_keeps_octaves_within_its_unit() -> None:
     assert mdct.packed_shape(None) == mdct.packed_shape((0.0,) * 7) == (b"", 0.0)
 
 
-@pytest.mark.parametrize("purpose", shaping.PURPOSES)
-def test_a_purpose_gives_more_of_its_quality_at_equal_rate(purpose: str) -> None:
+def test_more_touch_gives_more_of_what_is_felt_at_equal_rate() -> None:
     recording = vibrocast.load("examples/oak.wav")
-    plain, shaped = (vibrocast.encode(recording, rate_bps=3000, purpose=each) for each in (None, purpose))
-    assert plain.quality is not None
-    assert shaped.quality is not None
-    assert shaped.quality.weighted_skin_snr_db is not None
-    assert plain.quality.weighted_skin_snr_db is not None
-    assert shaped.quality.weighted_skin_snr_db > plain.quality.weighted_skin_snr_db + 0.5
+    streams = [vibrocast.encode(recording, rate_bps=3000, touch=each) for each in (0, None, 1)]
+    qualities = [each.quality for each in streams]
+    weighted_db = [each.weighted_skin_snr_db for each in qualities if each]
+    snrs_db = [each.snr_db for each in qualities if each]
+    assert weighted_db == sorted(weighted_db)  # type: ignore[type-var]
+    assert snrs_db == sorted(snrs_db, reverse=True)  # type: ignore[type-var]
     spqis = [
         vibrocast.measure(recording.samples[: len(each.decode())], each.decode(), 2800, recording.unit).spqi
-        for each in (plain, shaped)
+        for each in streams
     ]
-    assert spqis[0] is not None
-    assert spqis[1] is not None
-    assert spqis[1] > spqis[0] + 0.02
+    assert spqis == sorted(spqis)  # type: ignore[type-var]
 
 
-@pytest.mark.parametrize("snr_db", [8.0, 20.0])
-def test_for_the_threshold_the_target_is_the_weighted_snr(snr_db: float) -> None:
-    encoding = encode_recording(rough(), snr_db=snr_db, purpose="threshold")
-    quality = encoding.quality
+@pytest.mark.parametrize("touch", [0.0, None, 1.0])
+def test_a_target_snr_is_that_of_the_signal_at_every_strength(touch: float | None) -> None:
+    quality = encode_recording(rough(), snr_db=12.0, touch=touch).quality
     assert quality.note is None
-    assert quality.weighted_skin_snr_db == pytest.approx(snr_db, abs=0.2)
-    assert quality.snr_db is not None
-    assert abs(quality.snr_db - snr_db) > 1
+    assert quality.snr_db == pytest.approx(12, abs=0.2)
 
 
-def test_a_long_recording_meets_the_weighted_snr_too() -> None:
-    samples = np.tile(rough().samples, (60, 1))
-    encoding = encode_recording(Recording(samples, 2800.0, "m/s^2", "long"), snr_db=12.0, purpose="threshold")
-    assert encoding.quality.weighted_skin_snr_db == pytest.approx(12.0, abs=0.2)
+def shape_of(unit: str, codec_name: str = "mdct", setting: codec.Setting | None = None) -> codec.Setting:
+    return codec.shape_setting(codec.codec_by_name(codec_name), None, 2800, unit, setting)
+
+
+def test_the_default_shapes_where_the_unit_is_physical_and_the_codec_can() -> None:
+    default = shaping.shape_text(shaping.touch_shape(shaping.DEFAULT_TOUCH, 2800, "m/s^2"))
+    assert shape_of("m/s^2") == {"shape": default}
+    assert shape_of("full scale") == shape_of("m/s^2", "slp") == shape_of("m/s^2", setting={"shape": "flat"}) == {}
+    mdct_codec = codec.codec_by_name("mdct")
+    assert codec.shape_setting(mdct_codec, 0, 2800, "m/s^2") == {}
+    source = codec.Source(rough().samples, 2800, unit="m/s^2", shape={"shape": default})
+    assert source.resolved({"shape": "flat"})["shape"] == "flat"
+    assert source.resolved({})["shape"] == default
 
 
 @pytest.mark.parametrize(
-    ("unit", "codec_name", "purpose", "flaw"),
+    ("unit", "codec_name", "touch", "setting", "flaw"),
     [
-        ("full scale", "mdct", "threshold", "relative to full scale"),
-        ("m/s^2", "slp", "spqi", "slp cannot code for a purpose"),
-        ("m/s^2", "mdct", "touch", "'touch'; choose one of spqi, threshold"),
+        ("full scale", "mdct", 0.5, None, "relative to full scale; give `unit` and `full_scale`, or a touch of 0"),
+        ("m/s^2", "slp", 0.5, None, "slp cannot shape its error for touch; choose mdct"),
+        ("m/s^2", "mdct", 1.5, None, "1.5 is not possible; give 0, flat, to 1"),
+        ("m/s^2", "mdct", float("nan"), None, "nan is not possible"),
+        ("m/s^2", "mdct", 0.5, {"shape": "flat"}, "both given; give one of them"),
     ],
 )
-def test_a_purpose_that_cannot_be_met_is_an_error(unit: str, codec_name: str, purpose: str, flaw: str) -> None:
+def test_a_strength_that_cannot_be_met_is_an_error(
+    unit: str, codec_name: str, touch: float, setting: codec.Setting | None, flaw: str
+) -> None:
     with pytest.raises(CodecError, match=flaw):
-        encode_recording(rough(unit), codec_name=codec_name, purpose=purpose)
-
-
-def test_a_live_stream_does_not_know_its_spectrum() -> None:
-    with pytest.raises(CodecError, match="whole recording"):
-        shaping.shape_for("spqi", None, 2800, "m/s^2")
-    assert len(shaping.shape_for("threshold", None, 2800, "m/s^2")) == 7
+        encode_recording(rough(unit), codec_name=codec_name, touch=touch, setting=setting)
 
 
 def test_a_rate_controlled_stream_keeps_its_shape() -> None:
-    stream, outcome = encode_rate_controlled(rough(), RateTarget(constant_rate_bps=6000), purpose="threshold")
+    stream, outcome = encode_rate_controlled(rough(), RateTarget(constant_rate_bps=6000), touch=1)
     assert outcome.sent_bps == pytest.approx(6000, rel=0.05)
     assert stream.header.configuration[-5] == 5  # features: rate control and a shape
-
-
-def test_a_given_shape_stands_before_a_purpose() -> None:
-    source = codec.Source(rough().samples, 2800, unit="m/s^2", purpose="threshold")
-    assert source.resolved({"shape": "flat"})["shape"] == "flat"
-    assert source.resolved({})["shape"] != "flat"
 
 
 def test_skin_power_is_that_of_displacement() -> None:

@@ -176,18 +176,18 @@ def test_what_nobody_can_feel_needs_a_physical_unit_or_the_actuators_stroke(tmp_
 
 
 def test_a_texture_may_be_coded_for_touch_where_the_required_quality_gains(tmp_path: Path) -> None:
-    for asked, purposes in (
-        ("imperceptible = true", {None, "threshold"}),
-        ("spqi = 0.5", {None, "spqi", "threshold"}),
-        ("snr_db = 10", {None}),
+    for asked, touches in (
+        ("imperceptible = true", {0, 1}),
+        ("spqi = 0.5", {0, 0.25, 1}),
+        ("snr_db = 10", {0}),
     ):
         read = scene(tmp_path, asked=f"[asked]\n{asked}\n")
         evaluator = Evaluator(read, read.textures[0])
         options = evaluator.options("M4F")
-        assert {option.purpose for option in options} == purposes
+        assert {option.touch for option in options} == touches
         for option in options:
-            assert (option.purpose is None) == (", for " not in option.name)
-            if option.purpose is not None:
+            assert (option.touch > 0) == (", touch " in option.name)
+            if option.touch:
                 assert all(setting["shape"] != "flat" for _, setting in evaluator.settings(option))
 
 
