@@ -57,13 +57,13 @@ def test_raw_samples_are_streamed_to_their_end(name: str, kind: str) -> None:
     assert result.exit_code == 0, result.output
 
 
-def test_raw_samples_are_coded_for_touch_and_not_for_spqi() -> None:
+def test_raw_samples_are_coded_for_touch() -> None:
     data = (3000 * np.random.default_rng(1).standard_normal(800)).astype("<i2").tobytes()
     given = ("-", "--unit", "m/s^2", "--full-scale", "20", "--playout-delay-ms", "300")
-    assert run(*given, "--for", "threshold", data=data).exit_code == 0
-    rejected = run(*given, "--for", "spqi", data=data)
+    assert run(*given, "--touch", "1", data=data).exit_code == 0
+    rejected = run(*given, "--touch", "1", "--codec", "slp", data=data)
     assert rejected.exit_code == 2
-    assert "which a live stream does not know" in rejected.output
+    assert "slp cannot shape its error for touch" in rejected.output
 
 
 def test_low_delay_means_blocks_of_2_ms(tmp_path: Path) -> None:

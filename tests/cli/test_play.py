@@ -55,7 +55,7 @@ def test_a_playback_that_is_cut_leaves_report_and_trace(
     told = json.loads(report.read_text())
     assert told["error"] == (str(cut) or "interrupted")
     assert told["device"] == {"address": "sim"} and told["played_s"] == pytest.approx(4.0, abs=0.1)
-    assert told["underruns"] >= 0 and told["lost_packets"] >= 0 and told["schema"] == 2
+    assert told["underruns"] >= 0 and told["lost_packets"] >= 0 and told["schema"] == 3
     assert json.loads(result.stdout) == {**told, "exit_code": exit_code}
     assert (tmp_path / "cut.pcapng").exists()
 

@@ -83,7 +83,7 @@ def test_says_why_a_target_cannot_be_met() -> None:
 def test_says_how_far_from_a_target_it_came() -> None:
     """Of a constant a few coefficients remain, and its quality jumps; above the finest step there is no more rate."""
     constant = textures.Recording(np.full((2800, 1), 0.5), 2800, "um", "constant")
-    finer = encode_recording(constant, snr_db=15)
+    finer = encode_recording(constant, snr_db=15, touch=0)
     assert finer.quality.snr_db is not None
     assert finer.quality.snr_db > 15.2
     assert finer.quality.note is not None
@@ -220,7 +220,7 @@ def test_says_how_far_encoding_and_decoding_are() -> None:
 
 def test_names_the_channel_furthest_from_the_target_quality() -> None:
     samples = np.hstack([noise().samples, np.full((1400, 1), 0.5)])
-    encoding = encode_recording(textures.Recording(samples, 2800, "um", "one constant channel"), snr_db=15)
+    encoding = encode_recording(textures.Recording(samples, 2800, "um", "one constant channel"), snr_db=15, touch=0)
     misses_db = [abs(ratio - 15) for ratio in encoding.quality.snr_db_per_channel if ratio is not None]
     assert len(misses_db) == 2 and max(misses_db) > 0.2
     assert encoding.quality.note is not None

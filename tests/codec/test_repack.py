@@ -94,8 +94,8 @@ def test_a_file_keeps_its_length_and_its_signal_but_for_noise(codec_name: str) -
     assert (short.samples, short.image) == (stream.samples, stream.image)
     assert short.size_bytes < stream.size_bytes + 12 * len(short.packets)
     signal, difference = stream.decode(), short.decode() - stream.decode()
-    # Coded at 15 dB: the noise is far below the error of coding.
-    assert 0 < np.sum(difference**2) < 1e-3 * np.sum(signal**2)
+    # Coded at 14.8 dB: the noise is far below the error of coding.
+    assert 0 < np.sum(difference**2) < 2e-3 * np.sum(signal**2)
     assert Stream.from_bytes(bytes(short)) == short
 
 

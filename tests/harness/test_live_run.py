@@ -41,7 +41,7 @@ def flipped(message: Message) -> Message:
     if not isinstance(message, SinglePacket):
         return message
     *before, last = message.packet
-    return replace(message, packet=bytes([*before, last ^ 0x40]))
+    return replace(message, packet=bytes([*before, last ^ 0x10]))
 
 
 def test_a_stream_is_read_back_and_judged() -> None:
