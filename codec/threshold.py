@@ -24,6 +24,8 @@ PHYSICAL_UNITS = ("um", "m/s^2")
 SKIN_MIN_HZ = 20.0
 """The lowest frequency that counts at the skin: controllers remove what lies below (output.rendering.HIGH_PASS_HZ)."""
 _BLOCKS_AT_ONCE = 256
+_FILTER_S = 0.3
+_FILTER_POINTS = 8193
 DATA = Path(__file__).parent / "data"
 DETECTION_THRESHOLD = DATA / "detection_threshold.csv"
 MASKING = DATA / "masking.csv"
@@ -196,15 +198,6 @@ def felt_error(
     return FeltError(float(levels_db[worst]), float(frequencies_hz[worst]), float(texture_db[worst]))
 
 
-def in_thresholds(displacement_um: NDArray[np.float64], rate_hz: float) -> NDArray[np.float64]:
-    """Return displacement (n,) from 20 to 1000 Hz, each frequency in parts of the least felt there, without delay."""
-    frequency_hz: NDArray[np.float64] = np.fft.rfftfreq(len(displacement_um), 1 / rate_hz)
-    within = (frequency_hz >= SKIN_MIN_HZ) & (frequency_hz <= MAX_HZ)
-    spectrum = np.where(within, np.fft.rfft(displacement_um), 0)
-    spectrum[within] /= threshold_amplitude(read_threshold(), frequency_hz[within], "um")
-    return np.fft.irfft(spectrum, len(displacement_um))
-
-
 def _overlapping(samples: NDArray[np.float64], block: int) -> NDArray[np.float64]:
     """Return blocks of samples (n, channels) that overlap by half, (blocks, channels, block).
 
@@ -214,35 +207,44 @@ def _overlapping(samples: NDArray[np.float64], block: int) -> NDArray[np.float64
     return np.lib.stride_tricks.sliding_window_view(padded, block, axis=0)[:: max(1, block // 2)]
 
 
-def skin_density(
-    samples: NDArray[np.float64], rate_hz: float, unit: str
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return frequencies from 20 to 1000 Hz, (n,), and the power density of displacement there, (n, channels).
+def skin_filter(rate_hz: float, unit: str, threshold: NDArray[np.float64] | None, samples: int) -> NDArray[np.float64]:
+    """Return an FIR filter of odd length: from samples in `unit`, "um" or "m/s^2", to displacement, 20 to 1000 Hz.
 
-    It is that of the displacement in um that samples (n, channels) in `unit`, "um" or "m/s^2", stand for: acceleration
-    is divided by (2 pi f)^2. Welch's estimate over frames of 1 s. Raises CodecError for another unit.
+    The displacement is in um or, with a `threshold` (rows as from `read_threshold`), in parts of the least that is felt
+    at its frequency. Acceleration is divided by (2 pi f)^2. The filter has linear phase and lasts 0.3 s, or half of
+    the `samples` that it is for if that is shorter. Raises CodecError for a unit that is not physical.
     """
     from scipy import signal
 
-    frame = max(1, min(len(samples), math.ceil(rate_hz)))
-    frequency_hz, density = signal.welch(samples, rate_hz, nperseg=frame, detrend=False, axis=0)
+    frequency_hz: NDArray[np.float64] = np.linspace(0, rate_hz / 2, _FILTER_POINTS)
     within = (frequency_hz >= SKIN_MIN_HZ) & (frequency_hz <= MAX_HZ)
-    one_um = threshold_amplitude(np.array([[1.0, 0.0]]), frequency_hz[within], unit)
-    return frequency_hz[within], density[within] / np.square(one_um)[:, None]
+    rows = np.array([[1.0, 0.0]]) if threshold is None else threshold
+    gain = np.zeros(_FILTER_POINTS)
+    gain[within] = 1 / threshold_amplitude(rows, frequency_hz[within], unit)
+    half = max(1, min(round(_FILTER_S * rate_hz), samples // 2) // 2)
+    return np.asarray(signal.firwin2(2 * half + 1, frequency_hz, gain, nfreqs=2**15 + 1, fs=rate_hz))
+
+
+def filtered(samples: NDArray[np.float64], taps: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return samples (n,) or (n, channels) through an FIR filter (m,): as many, late by half the filter.
+
+    What a cut at the end would add comes after them, so it is left out.
+    """
+    from scipy import signal
+
+    shaped = taps if samples.ndim == 1 else taps[:, None]
+    return np.asarray(signal.oaconvolve(samples, shaped, axes=0)[: len(samples)])
 
 
 def skin_power(
     samples: NDArray[np.float64], rate_hz: float, unit: str, threshold: NDArray[np.float64] | None = None
 ) -> NDArray[np.float64]:
-    """Return the power of the displacement of samples (n, channels), the sum of `skin_density`: float64 (channels,).
+    """Return the energy of samples (n, channels) through `skin_filter`, the sum of squares: float64 (channels,).
 
-    `threshold`: rows as from `read_threshold`; the displacement counts in parts of the least that is felt at its
-    frequency then, otherwise in um. Raises CodecError for a unit that is not physical.
+    Raises CodecError for a unit that is not physical.
     """
-    frequency_hz, density = skin_density(samples, rate_hz, unit)
-    if threshold is not None:
-        density = density / np.square(threshold_amplitude(threshold, frequency_hz, "um"))[:, None]
-    power: NDArray[np.float64] = np.sum(density, axis=0)
+    taps = skin_filter(rate_hz, unit, threshold, len(samples))
+    power: NDArray[np.float64] = np.sum(np.square(filtered(samples, taps)), axis=0)
     return power
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from vibrocast.codec import CodecError
 from vibrocast.codec.encoding import Encoding
 from vibrocast.codec.stream import Stream
-from vibrocast.codec.threshold import felt_error, over_threshold_db, read_threshold
+from vibrocast.codec.threshold import PHYSICAL_UNITS, felt_error, over_threshold_db, read_threshold
 from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader
 from vibrocast.device_protocol.messages import ActuatorDescription, HelloResponse, Status
 from vibrocast.device_protocol.transports import TransportError
@@ -314,8 +314,10 @@ def _with_skin(report: Report, traces: Sequence[Trace]) -> Report:
     """Return a report with the error that is felt and, as the mean over its channels, the quality at the skin."""
     *asked, skin = (trace.displacement_um for trace in traces)
     if len(asked) > 1:
-        sent, decoded = asked
-        report = replace(report, felt_error=felt_error(sent, decoded, report.stream_rate_hz, "um"))
+        unit = traces[0].unit
+        sent, decoded = (each.values for each in traces[:2]) if unit in PHYSICAL_UNITS else asked
+        unit = unit if unit in PHYSICAL_UNITS else "um"
+        report = replace(report, felt_error=felt_error(sent, decoded, report.stream_rate_hz, unit))
     skin_quality = compare_channels(asked, report.stream_rate_hz, skin, traces[-1].displacement_rate_hz)
     if skin_quality is None:
         return report
@@ -457,7 +459,8 @@ def _equal(read_back: NDArray[np.int16] | None, computed: NDArray[np.int16], pas
 
 def _from_start(values: NDArray[Any], rate_hz: float, late_s: float, seconds: float) -> NDArray[np.float64]:
     """Return the `seconds` of values (n, channels) from `late_s` on; zeros before (late_s < 0) and behind them."""
-    first, count = round(late_s * rate_hz), math.ceil(seconds * rate_hz)
+    # Seconds are a number of samples over a rate, so their product misses a whole number by rounding alone.
+    first, count = round(late_s * rate_hz), math.ceil(round(seconds * rate_hz, 6))
     aligned = np.zeros((count, values.shape[1]))
     piece = values[max(0, first) : max(0, first + count)]
     start = max(0, -first)

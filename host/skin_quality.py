@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast import textures
-from vibrocast.codec.threshold import in_thresholds, read_threshold, skin_snr_db
+from vibrocast.codec.threshold import filtered, read_threshold, skin_filter, skin_snr_db
 from vibrocast.evaluation import metrics
 from vibrocast.host.alignment import Alignment, AlignmentError, align
 from vibrocast.host.bench_limits import Judged
@@ -67,9 +67,10 @@ def compare_skin(
     """
     margin = np.zeros(rate_hz // 10)  # a model's skin has no time before and after
     padded = np.concatenate((margin, skin_um, margin))
-    laid = align(in_thresholds(decoded_um, rate_hz), in_thresholds(padded, rate_hz), rate_hz, drifts)
-    aligned_um = laid.aligned(padded, len(decoded_um), rate_hz)
     threshold = read_threshold()
+    taps = skin_filter(rate_hz, "um", threshold, len(decoded_um))
+    laid = align(filtered(decoded_um, taps), filtered(padded, taps), rate_hz, drifts)
+    aligned_um = laid.aligned(padded, len(decoded_um), rate_hz)
 
     def snrs_db(reference_um: Samples | None, other_um: Samples) -> tuple[float | None, float | None]:
         """Return the SNR in dB, and the one that the threshold weights."""
@@ -101,7 +102,7 @@ def compare_channels(
     for channel in range(skin_um.shape[1]):
         moved = Recording(skin_um[:, channel : channel + 1], skin_rate_hz, "um", "skin")
         *sent, decoded = (high_passed(each[: COMPARED_S * rate_hz, channel], rate_hz) for each in asked_um)
-        at_skin = displacement_above_20_hz(moved, rate_hz)[: len(decoded)]
+        at_skin = high_passed(textures.resample(moved, rate_hz).samples[: len(decoded), 0], rate_hz)
         with contextlib.suppress(AlignmentError):
             quality, *_ = compare_skin(sent[0] if sent else None, decoded, at_skin, rate_hz, perceptual=False)
             qualities.append(quality)

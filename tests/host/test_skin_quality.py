@@ -6,6 +6,7 @@ import pytest
 import vibrocast
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.threshold import PHYSICAL_UNITS, felt_error, read_threshold, skin_snr_db, threshold_amplitude
+from vibrocast.host import devices, end_to_end
 from vibrocast.host.alignment import AlignmentError
 from vibrocast.host.skin_quality import compare_channels, compare_skin, limit_note
 from vibrocast.output.actuator import ACTUATORS, PIEZO_STACK, VOICE_COIL, followed_band_hz, octave_gains_db
@@ -42,6 +43,27 @@ def test_lag_and_gain_are_those_of_playing_alone(gain: float) -> None:
     assert laid.lag_s == pytest.approx(0.01, abs=1e-5)
     assert quality.weighted_snr_db == pytest.approx(quality.weighted_decoded_snr_db, abs=0.1)
     assert np.std(aligned[100:-100] - decoded[100:-100]) < 0.05
+
+
+def test_a_texture_that_is_cut_in_its_movement_is_aligned() -> None:
+    """A step at the end would outweigh what touch is sensitive to."""
+    moved = tone(25, 20) + tone(190, 0.1)
+    skin = np.concatenate([moved, np.zeros(RATE_HZ)])
+    quality, *_ = compare_skin(moved[:9000], moved[:9000], skin[:9000], RATE_HZ, perceptual=False)
+    assert abs(moved[8999]) > 5
+    assert quality.gain == pytest.approx(1, abs=2e-3)
+
+
+@pytest.mark.parametrize("rate_hz", [2800, 2000, 997])
+def test_any_length_of_a_recording_is_compared(rate_hz: int) -> None:
+    """The duration in seconds times the rate need not give the number of samples again."""
+    rng = np.random.default_rng(6)
+    for samples in (7593, 1999, 333):
+        recording = Recording(rng.standard_normal((samples, 1)), rate_hz, "m/s^2", "odd")
+        encoding = encode_recording(recording, rate_hz, live=True)
+        with devices.connect("sim") as controller:
+            outcome = end_to_end.play(controller, "sim", "odd", encoding.stream, encoding)
+        assert outcome.report.felt_error is not None
 
 
 def test_a_skin_that_does_not_follow_has_no_figures() -> None:
