@@ -251,8 +251,8 @@ def shape_setting(
     """Return the part of a codec's setting that serves touch, with a strength from 0, flat, to 1.
 
     `touch`: None = the default where the codec has shapes and the unit is physical, else 0. `setting`: what else is
-    given; a shape in it stands before the default. Raises CodecError as `shaping.touch_shape`, for a strength beside a
-    shape, and for one above 0 of a codec that has no shapes.
+    given; a shape in it stands before the default. Raises CodecError as `shaping.touch_shape`, where both a strength
+    and a shape are given, and for a strength above 0 of a codec without shapes.
     """
     has_shapes = codec.shape_parameter is not None
     given = has_shapes and codec.shape_parameter in (setting or {})

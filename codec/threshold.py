@@ -228,7 +228,7 @@ def skin_filter(rate_hz: float, unit: str, threshold: NDArray[np.float64] | None
 def filtered(samples: NDArray[np.float64], taps: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return samples (n,) or (n, channels) through an FIR filter (m,): as many, late by half the filter.
 
-    What a cut at the end would add comes after them, so it is left out.
+    A cut at the end of the signal adds nothing before that end.
     """
     from scipy import signal
 

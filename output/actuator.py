@@ -222,8 +222,8 @@ ACTUATORS = {actuator.name: actuator for actuator in (PIEZO_STACK, LRA, VOICE_CO
 def followed_gain(frequency_hz: Samples, driven: Actuator, skin: Actuator | None = None) -> Samples:
     """Return the amplitude of the displacement over the one asked for, at each frequency: (n,).
 
-    It is that between the limits: the compensation of `driven`, by which the controller works, the DAC's hold, which is
-    sin(pi f / rate) / (pi f / rate), and the response of `skin`, the actuator that moves; None = the same.
+    No limit acts. The gain is the product of three: the compensation of `driven`, by which the controller works; the
+    DAC's hold, sin(pi f / rate) / (pi f / rate); the response of `skin`, the actuator that moves; None = the same.
     """
     from scipy import signal
 
