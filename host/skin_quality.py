@@ -29,9 +29,9 @@ class SkinQuality:
 
     Each SNR is 10 log10(sum x^2 / sum (x - y)^2), by `codec.threshold.skin_snr_db`. `decoded_snr_db` is that of the
     decoded signal against the texture, `snr_db` that of the skin against the texture. `playing_snr_db` compares the
-    skin with the decoded signal, which leaves the codec out. The `weighted_` ones count each frequency in parts of the threshold of
-    touch. `gain`: of the skin over the decoded signal, weighted alike; lag and gain are removed before an SNR is taken.
-    `st_sim`: of the skin against the texture. None: not known, or an exact copy.
+    skin with the decoded signal, which leaves the codec out. The `weighted_` ones count each frequency in parts of the
+    threshold of touch. `gain`: of the skin over the decoded signal, weighted alike; lag and gain are removed before an
+    SNR is taken. `st_sim`: of the skin against the texture. None: not known, or an exact copy.
     """
 
     snr_db: float | None

@@ -222,8 +222,9 @@ ACTUATORS = {actuator.name: actuator for actuator in (PIEZO_STACK, LRA, VOICE_CO
 def followed_gain(frequency_hz: Samples, driven: Actuator, skin: Actuator | None = None) -> Samples:
     """Return the amplitude of the displacement over the one asked for, at each frequency: (n,).
 
-    No limit acts. The gain is the product of three: the compensation of `driven`, by which the controller works; the
-    DAC's hold, sin(pi f / rate) / (pi f / rate); the response of `skin`, the actuator that moves; None = the same.
+    No limit acts. The gain is the product of the compensation of `driven`, of the DAC's hold, and of the response of
+    `skin`. The hold is sin(pi f / rate) / (pi f / rate). `driven`: the actuator by which the controller works. `skin`:
+    the one that moves; None = the same.
     """
     from scipy import signal
 
