@@ -59,7 +59,6 @@ from vibrocast.codec.target_search import (
     encode_to_rate,
     encode_to_snr,
     snr_db,
-    tactile_snr_db,
 )
 
 __all__ = [
@@ -117,6 +116,5 @@ __all__ = [
     "rate_controlled_framing",
     "shape_setting",
     "snr_db",
-    "tactile_snr_db",
     "timed_framing",
 ]

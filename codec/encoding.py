@@ -266,7 +266,6 @@ def measure_encoding(
     quality = CodingQuality(
         snr_db=_finite(codec.snr_db(recording.samples, decoded)),
         snr_db_per_channel=each_db,
-        tactile_snr_db=codec.tactile_snr_db(recording.samples, decoded, recording.rate_hz),
         skin_snr_db=at_skin_db,
         weighted_skin_snr_db=weighted_db,
         note=_shortfall(stream, each_db, rate_bps, snr_db),

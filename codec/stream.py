@@ -32,7 +32,6 @@ class CodingQuality:
     Attributes:
         snr_db: Mean SNR of the channels in dB; None for silence, and where nothing was lost.
         snr_db_per_channel: The same of each channel.
-        tactile_snr_db: SNR within 40 to 800 Hz in dB.
         skin_snr_db: SNR of the displacement that the samples stand for, 20 to 1000 Hz, in dB; None without a unit.
         weighted_skin_snr_db: The same, with each frequency weighted by the threshold of touch.
         note: Why the target was missed; None where it was met.
@@ -45,7 +44,6 @@ class CodingQuality:
 
     snr_db: float | None
     snr_db_per_channel: tuple[float | None, ...]
-    tactile_snr_db: float | None
     skin_snr_db: float | None = None
     weighted_skin_snr_db: float | None = None
     note: str | None = None

@@ -17,7 +17,6 @@ from vibrocast.codec.registry import (
     parts,
     peak_of,
 )
-from vibrocast.codec.threshold import TACTILE_BAND_HZ
 
 SNR_TOLERANCE_DB = 0.2
 RATE_TOLERANCE = 0.02
@@ -66,23 +65,6 @@ def snr_db(reference: Signal, decoded: Signal) -> float | None:
     """Return the mean of `channel_snrs_db` over the channels that are not silent; None when every channel is silent."""
     ratios = [ratio for ratio in channel_snrs_db(reference, decoded) if ratio is not None]
     return _mean(ratios) if ratios else None
-
-
-def tactile_snr_db(reference: Signal, decoded: Signal, rate_hz: float) -> float | None:
-    """Return the SNR in dB within TACTILE_BAND_HZ, over all channels of arrays (n, channels).
-
-    Both powers are integrals of Welch's estimate over frames of 1 s (P. D. Welch, IEEE Trans. Audio Electroacoust. 15,
-    1967). None if the reference has no energy there, or if nothing was lost.
-    """
-    from scipy import signal
-
-    frame = min(len(reference), math.ceil(rate_hz))
-    powers = []
-    for samples in (reference, reference - decoded):
-        frequencies, density = signal.welch(samples, rate_hz, nperseg=frame, detrend=False, axis=0)
-        band = (TACTILE_BAND_HZ[0] <= frequencies) & (frequencies <= TACTILE_BAND_HZ[1])
-        powers.append(float(np.sum(density[band])))
-    return 10 * math.log10(powers[0] / powers[1]) if min(powers) > 0 else None
 
 
 def encode_to_snr(source: Source, target_db: float, setting: Setting | None = None) -> CodedSignal:

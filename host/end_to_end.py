@@ -228,7 +228,6 @@ def _compared(
         bits_per_sample=stream.bits_per_second / header.rate_hz / header.channels,
         snr_db=quality.snr_db if quality else None,
         snr_db_per_channel=quality.snr_db_per_channel if quality else (None,) * header.channels,
-        tactile_snr_db=quality.tactile_snr_db if quality else None,
         highpass_hz=quality.highpass_hz if quality else None,
         removed_below=quality.removed_below if quality else None,
         lowpass_hz=quality.lowpass_hz if quality else None,

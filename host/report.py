@@ -88,7 +88,6 @@ class Report:
     bits_per_sample: float
     snr_db: float | None
     snr_db_per_channel: tuple[float | None, ...]
-    tactile_snr_db: float | None
     highpass_hz: float | None
     removed_below: float | None
     lowpass_hz: float | None
