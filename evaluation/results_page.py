@@ -170,7 +170,7 @@ def _message(
         "headline": shown,
         "best_peer": next((row for row in reached if row.codec in peers() and anchor not in peers()), None),
         "held_out": {row.codec: by_group[group] for row in shown if (group := charts.group_of(row.codec)) in by_group},
-        "kept_apart": by_group.get(ALL_PEERS),
+        "kept_apart": [row for row in held_out if (row.codec, row.peer) == (anchor, ALL_PEERS)],
         "decoding": decoding,
         "losses": _losses(anchor, means, reached, decoding),
         "max_named": MAX_NAMED,

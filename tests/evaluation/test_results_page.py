@@ -467,13 +467,19 @@ def test_the_table_has_bd_rate_by_the_papers_method_too(written: Path) -> None:
 
 
 def test_recordings_kept_apart_lead_the_page(copied: Path) -> None:
-    rows = ["mdct,SNR,VC-PWQ,-61.9,-47.8", "mdct,SNR,all peers,-47,-30.7", "slp,SNR,VC-PWQ,-55.8,-40.7"]
+    rows = [
+        "mdct,SNR,VC-PWQ,-61.9,-47.8",
+        "mdct,SNR,all peers,-47,-30.7",
+        "mdct,SPQI,all peers,-41,-5",
+        "slp,SNR,VC-PWQ,-55.8,-40.7",
+    ]
     path = copied / "results" / results_page.HELD_OUT
     path.write_text("\n".join(["codec,measure,peer,mean_percent,worst_percent", *rows]))
     result = CliRunner().invoke(results_page.main, [str(copied)])
     assert result.exit_code == 0, result.output
     page = (copied / "results.md").read_text()
-    assert "`mdct` needs 47 % fewer bits than the best of all peers, and 31 % fewer on the worst recording." in page
+    peers = "`mdct` needs fewer bits than the best of all peers at equal quality: "
+    assert f"{peers}by SNR 47 % (31 % on the worst recording), by SPQI 41 % (5 % on the worst recording)." in page
     assert "| VC-PWQ | 3.74 | -75.0 % | -61.9 % (worst -47.8 %) |" in page
     path.write_text("codec,measure\n")
     result = CliRunner().invoke(results_page.main, [str(copied)])
