@@ -12,6 +12,7 @@ from vibrocast.codec.threshold import filtered, read_threshold, skin_filter, ski
 from vibrocast.evaluation import metrics
 from vibrocast.host.alignment import Alignment, AlignmentError, align
 from vibrocast.host.bench_limits import Judged
+from vibrocast.output.actuator import FOLLOWED_DB
 from vibrocast.output.rendering import HIGH_PASS_HZ, displacement_filter
 from vibrocast.textures import Recording
 
@@ -143,6 +144,8 @@ def limit_note(quality: SkinQuality, gains_db: Mapping[str, float], limited_samp
     decoded_db, playing_db = quality.weighted_decoded_snr_db, quality.weighted_playing_snr_db
     if decoded_db is None or playing_db is None or playing_db >= decoded_db + _NOTICEABLE_DB:
         return None
-    gains = ", ".join(f"{gain_db:+.0f} dB at {frequency} Hz" for frequency, gain_db in gains_db.items())
-    limited = f"; its limits held back {limited_samples} DAC samples" if limited_samples else ""
-    return f"the actuator is the limit: {gains}{limited}"
+    missed = {each: gain_db for each, gain_db in gains_db.items() if abs(gain_db) > FOLLOWED_DB}
+    reasons = [f"{gain_db:+.0f} dB at {frequency} Hz" for frequency, gain_db in missed.items()]
+    if limited_samples:
+        reasons.append(f"its limits held back {limited_samples} DAC samples")
+    return f"the actuator is the limit: {', '.join(reasons) or 'it begins and ends at rest'}"

@@ -100,7 +100,8 @@ def test_the_actuator_is_named_where_it_is_the_limit() -> None:
         "the actuator is the limit: +6 dB at 31.5 Hz, +3 dB at 63 Hz, -3 dB at 125 Hz, -11 dB at 250 Hz, "
         "-22 dB at 500 Hz"
     )
-    assert (limit_note(heard, gains_db, 7) or "").endswith("; its limits held back 7 DAC samples")
+    assert (limit_note(heard, gains_db, 7) or "").endswith("-22 dB at 500 Hz, its limits held back 7 DAC samples")
+    assert limit_note(heard, {"250": -0.4}, 0) == "the actuator is the limit: it begins and ends at rest"
     exact, *_ = compare_skin(sent, decoded, decoded, RATE_HZ, perceptual=False)
     assert limit_note(exact, octave_gains_db(PIEZO_STACK), 0) is None
 

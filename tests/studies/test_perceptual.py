@@ -1,50 +1,34 @@
-"""The page of the perceptual modes: what it measures of one recording, and the page as it stands."""
+"""The page of the shape for touch: what it measures of one recording, and the page as it stands."""
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import vibrocast
 from studies import perceptual as study
-from vibrocast.textures import Recording
+from vibrocast.codec.threshold import read_threshold, threshold_amplitude
 
 
-@pytest.fixture(scope="module")
-def recording() -> Recording:
-    return replace(vibrocast.load("examples/oak.wav"), name="oak")
+def test_the_page_compares_the_default_with_flat_and_with_other_codecs() -> None:
+    recording = replace(vibrocast.load("examples/oak.wav"), name="oak")
+    points = {touch: study.measured(recording, touch) for touch in (0.0, 0.25)}
+    twice = [[2 * point[0], *point[1:]] for point in points[0.0]]
+    bits = study.compared("oak", points, [twice, twice[:2]])
+    percent = {(row["touch"], row["quality"], row["anchor"]): row["percent"] for row in bits}
+    assert percent[0.25, "SPQI", study.FLAT] < -5
+    assert percent[0.0, "SNR", study.BEST_OTHER] == pytest.approx(-50, abs=0.01)
+    coded = study.as_coded(recording)
+    assert coded[1]["spqi"] > coded[0]["spqi"]
+    assert coded[0]["lower_draws"] == 0
+    unfelt = [study.least_unfelt(recording, touch) for touch in (0.0, 1.0)]
+    other_strengths = [{**row, "touch": touch} for row in bits for touch in study.TOUCHES if row["touch"] == 0.25]
+    page = study.page(other_strengths, coded, unfelt, ["twice"])
+    assert f"takes {-percent[0.25, 'SPQI', study.FLAT]:.1f} % fewer bits than flat" in page
+    assert f"in {coded[1]['lower_draws']} of 20 draws" in page
 
 
-def test_a_purpose_is_compared_with_none_at_equal_quality(recording: Recording) -> None:
-    curves = {purpose: study.curve(recording, purpose) for purpose in (None, "spqi", "threshold")}
-    rows = study.compared("oak", curves)
-    percent = {(row.purpose, row.quality): row.percent for row in rows}
-    assert percent["threshold", "weighted SNR at the skin"] < 0 < percent["threshold", "SNR"]
-    skins = {(row.snr_db, row.purpose): row for row in study.skins("oak", curves)}
-    assert skins[10.0, ""].coded_snr_db == pytest.approx(10.0, abs=0.1)
-    assert skins[10.0, "threshold"].weighted_db > skins[10.0, ""].weighted_db
-
-
-def test_slow_noise_is_relative_to_the_recording_there(recording: Recording) -> None:
-    assert study.slow_noise_db(recording, 0 * recording.samples) == pytest.approx(0.0)
-    assert study.slow_noise_db(recording, 0.9 * recording.samples) == pytest.approx(-20.0)
-
-
-def test_the_page_states_the_worst_recording() -> None:
-    bd = [study.BdRow(name, "spqi", "SPQI", percent) for name, percent in (("a", -20.0), ("b", -10.0))]
-    bd += [replace(row, quality="SNR", percent=4.0) for row in bd]
-    skins = [
-        study.SkinRow(name, snr_db, purpose, 1.0, snr_db, 5.0, snr_db + more, -3.0)
-        for name in ("a", "b")
-        for snr_db in study.QUALITIES_DB
-        for purpose, more in (("", 1.0), ("spqi", 1.0), ("threshold", 6.0))
-    ]
-    unfelt = [
-        study.UnfeltRow(name, purpose, masking, 2.0 - masking - 0.5 * bool(purpose), 30.0 - 10 * masking)
-        for name in ("a", "b")
-        for purpose in ("", "threshold")
-        for masking in (False, True)
-    ]
-    page = study.page(bd, skins, unfelt)
-    assert "takes 15.0 % fewer bits at equal SPQI, and 4.0 % more at equal SNR" in page
-    assert "brings 5.0 dB more weighted SNR" in page
-    assert "falls from 30 to 20 dB" in page
+def test_the_stationary_level_of_a_sine_is_that_over_the_threshold() -> None:
+    sine = np.sin(2 * np.pi * 250 * np.arange(28_000) / 2800)[:, None]
+    amplitude = threshold_amplitude(read_threshold(), np.array([20 * 2 ** (11 / 3)]), study.UNIT)
+    assert study.stationary_db(sine, 2800)[0] == pytest.approx(-20 * np.log10(amplitude[0]), abs=0.1)
