@@ -1,266 +1,228 @@
-"""Writes the page of the perceptual modes, and its tables: `python -m studies.perceptual FOLDER --out docs/benchmarks`.
+"""Writes the page of the shape for touch, and its tables: `python -m studies.perceptual FOLDER --out docs/benchmarks`.
 
-FOLDER holds WAV files of acceleration, such as the development recordings.
+FOLDER holds WAV files of acceleration, such as the development recordings. `--peers` names a CSV of other codecs on
+them: rows of trace, codec, bits_per_sample and the fields of SCALES.
 """
 
-import statistics
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import csv
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from statistics import fmean
+from typing import Any
 
 import click
 import numpy as np
+import polars as pl
+from numpy.typing import NDArray
 from scipy import signal
 
-from studies.page import FOLDER, OUT, errors_in_one_line, render, results_folder, write, write_rows
+from studies.page import FOLDER, OUT, errors_in_one_line, render, results_folder, write
 from vibrocast import codec, textures
-from vibrocast.codec import shaping
+from vibrocast.codec.encoding import DEFAULT_SNR_DB, encode_recording
 from vibrocast.codec.stream import as_stream
-from vibrocast.codec.threshold import over_threshold_db, read_threshold, skin_snr_db
-from vibrocast.evaluation import metrics
-from vibrocast.evaluation.bd_rate import SNR, SPQI, BdRate, bd_rate, bits_per_sample_at, quality_at
-from vibrocast.host.planner.band import MARGIN_DB, at_the_skin, error_over_threshold_db
+from vibrocast.codec.threshold import MAX_HZ, SKIN_MIN_HZ, band_parts, read_threshold, threshold_amplitude
+from vibrocast.evaluation import bd_rate, metrics
+from vibrocast.evaluation.bd_rate import SNR, SPQI, ST_SIM_2800
+from vibrocast.evaluation.curves import Curve, Panel, curves
+from vibrocast.evaluation.tables import write_table
+from vibrocast.host.planner.band import MARGIN_DB, error_over_threshold_db
 from vibrocast.output.actuator import PIEZO_STACK
-from vibrocast.output.rendering import displacement_filter
 from vibrocast.textures import Recording
 
-CODEC = codec.DEFAULT_CODEC
 UNIT = "m/s^2"
 LEVELS = {"lmt": 30.0, "p1918": 10.0, "textsense": 3.0, "vibtac12": 30.0}
 """Assumed acceleration of full scale in m/s^2 by the beginning of a recording's name; 10 for others. The gains of these
-recordings are not known. Only the rates at which nobody feels the error depend on it."""
-STEPS = tuple(2 ** (exponent / 2) for exponent in range(5, -15, -1))
-QUALITIES_DB = (10.0, 15.0)
-SLOW_HZ = 40.0
-PAGE = "perceptual.md"
-TABLE = "perceptual.csv"
-SKIN_TABLE = "perceptual_skin.csv"
-UNFELT_TABLE = "perceptual_unfelt.csv"
+recordings are not known."""
+TOUCHES = (0.0, 0.1, codec.DEFAULT_TOUCH, 0.5, 0.75, 1.0)
+SCALES = (SNR, ST_SIM_2800, SPQI)
+STEPS = tuple(2 ** (exponent / 2) for exponent in range(5, -14, -1))
+FLAT_SNR_DB = 15.0
+SHIFTS_DB = (-0.6, -0.3, 0.3, 0.6, 0.0)  # the last is the coding to report
+DRAWS, DRAW_DB = 20, 4.0
+FLAT, BEST_OTHER = "flat", "best other codec"
 
-
-@dataclass(frozen=True)
-class Coded:
-    """One coding of a recording; `slow_db`: noise below 40 Hz at the skin, re the recording there."""
-
-    bits_per_sample: float
-    snr_db: float
-    spqi: float
-    skin_db: float
-    weighted_db: float
-    slow_db: float
-
-
-@dataclass(frozen=True)
-class BdRow:
-    """Bits of a purpose relative to those without one, at equal quality, in percent."""
-
-    recording: str
-    purpose: str
-    quality: str
-    percent: float
-
-
-@dataclass(frozen=True)
-class SkinRow:
-    """Quality at the skin, at the rate at which the coding without a purpose has `snr_db`."""
-
-    recording: str
-    snr_db: float
-    purpose: str
-    bits_per_sample: float
-    coded_snr_db: float
-    skin_db: float
-    weighted_db: float
-    slow_db: float
-
-
-@dataclass(frozen=True)
-class UnfeltRow:
-    """The least rate at which nobody feels the error, with and without a purpose and masking."""
-
-    recording: str
-    purpose: str
-    masking: bool
-    bits_per_sample: float
-    snr_db: float
+Row = dict[str, Any]
+Points = Sequence[Sequence[float]]
+"""Bits per sample of one codec on one recording, each with the qualities of SCALES."""
 
 
 @click.command()
 @FOLDER
 @OUT
-def main(folder: Path, out: Path) -> None:
-    """Measure the perceptual modes on a folder of recordings, and write the page perceptual.md."""
-    bd_rows: list[BdRow] = []
-    skin_rows: list[SkinRow] = []
-    unfelt_rows: list[UnfeltRow] = []
+@click.option("--peers", type=click.Path(exists=True, dir_okay=False, path_type=Path), help="CSV of other codecs.")
+def main(folder: Path, out: Path, peers: Path | None) -> None:
+    """Measure the shape for touch on a folder of recordings, and write the page perceptual.md."""
+    bits, coded, unfelt = [], [], []
     with errors_in_one_line():
+        others = read_peers(peers) if peers else {}
         for path in sorted(folder.glob("*.wav")):
-            recording = loaded(path)
-            curves = {purpose: curve(recording, purpose) for purpose in (None, *shaping.PURPOSES)}
-            bd_rows += compared(recording.name, curves)
-            skin_rows += skins(recording.name, curves)
-            unfelt_rows += unfelt(recording)
-            click.echo(recording.name, err=True)
-        if not bd_rows:
+            recording = textures.load(path, unit=UNIT, full_scale=LEVELS.get(path.stem.partition("-")[0], 10.0))
+            of_touches = {touch: measured(recording, touch) for touch in TOUCHES}
+            bits += compared(path.stem, of_touches, others.get(path.stem, {}).values())
+            coded += as_coded(recording)
+            unfelt += [least_unfelt(recording, touch) for touch in (0.0, 1.0)]
+            click.echo(path.stem, err=True)
+        if not bits:
             raise click.ClickException(f"{folder} holds no WAV file; give a folder of recordings")
         results = results_folder(out)
-        write_rows(results / TABLE, bd_rows, BdRow)
-        write_rows(results / SKIN_TABLE, skin_rows, SkinRow)
-        write_rows(results / UNFELT_TABLE, unfelt_rows, UnfeltRow)
-        write(out / PAGE, page(bd_rows, skin_rows, unfelt_rows))
-
-
-def loaded(path: Path) -> Recording:
-    """Return a recording at the level that is assumed for it."""
-    level = next((level for begin, level in LEVELS.items() if path.stem.startswith(begin)), 10.0)
-    return textures.load(path, unit=UNIT, full_scale=level)
-
-
-def source_of(recording: Recording, purpose: str | None) -> codec.Source:
-    """Return a recording, ready to be coded for a purpose."""
-    return codec.Source(recording.samples, round(recording.rate_hz), CODEC, recording.unit, purpose=purpose)
-
-
-def curve(recording: Recording, purpose: str | None) -> list[Coded]:
-    """Code a recording with steps from the coarsest to the finest, and measure each."""
-    source, found = source_of(recording, purpose), []
-    for step in STEPS:
-        coded = source.encode({"step": step})
-        decoded = codec.decode(coded)
-        quality = metrics.measure(recording.samples, decoded, recording.rate_hz, UNIT)
-        judged = recording.samples, decoded, recording.rate_hz, UNIT
-        weighted_db = skin_snr_db(*judged, read_threshold())
-        if quality.snr_db is None or quality.spqi is None or weighted_db is None or quality.snr_db <= 0:
-            continue
-        found.append(
-            Coded(
-                8 * as_stream(coded, UNIT).size_bytes / recording.samples.size,
-                quality.snr_db,
-                quality.spqi,
-                skin_snr_db(*judged) or 0.0,
-                weighted_db,
-                slow_noise_db(recording, decoded),
-            )
+        for name, rows in {"perceptual": bits, "perceptual_default": coded, "perceptual_unfelt": unfelt}.items():
+            write_table(results / f"{name}.csv", pl.DataFrame(rows))
+        means = over_recordings(bits)
+        lines = [
+            Curve(f"at equal {scale.name}", TOUCHES, [means[touch, scale.name, FLAT][0] for touch in TOUCHES])
+            for scale in SCALES
+        ]
+        curves(results / "perceptual.svg", [Panel("", "strength", "bits re flat, %", lines, lines=(0,))])
+        write(
+            out / "perceptual.md",
+            page(bits, coded, unfelt, sorted({each for some in others.values() for each in some})),
         )
+
+
+def read_peers(path: Path) -> dict[str, dict[str, list[list[float]]]]:
+    """Return the points of other codecs, by recording and codec. Raises OSError."""
+    found: dict[str, dict[str, list[list[float]]]] = {}
+    with path.open(newline="", encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            if row["codec"] != "flac":  # which is lossless
+                values = [float(row[name] or "nan") for name in ("bits_per_sample", *(each.field for each in SCALES))]
+                found.setdefault(row["trace"], {}).setdefault(row["codec"], []).append(values)
     return found
 
 
-def slow_noise_db(recording: Recording, decoded: codec.Signal) -> float:
-    """Return the power of the error below 40 Hz re that of the recording, both as displacement behind the high-pass."""
-    powers = []
-    for samples in (recording.samples - decoded, recording.samples):
-        moved = signal.lfilter(*displacement_filter(round(recording.rate_hz)), samples, axis=0)
-        frame = min(len(moved), round(recording.rate_hz))
-        frequency_hz, density = signal.welch(moved, recording.rate_hz, nperseg=frame, detrend=False, axis=0)
-        powers.append(float(np.sum(density[frequency_hz < SLOW_HZ])))
-    return float(10 * np.log10(max(powers[0], 1e-60) / max(powers[1], 1e-60)))
+def source_of(recording: Recording, touch: float) -> codec.Source:
+    """Return a recording, ready to be coded with a strength."""
+    rate_hz = round(recording.rate_hz)
+    shape = codec.shape_setting(codec.codec_by_name(codec.DEFAULT_CODEC), touch, rate_hz, UNIT)
+    return codec.Source(recording.samples, rate_hz, unit=UNIT, shape=shape)
 
 
-def compared(name: str, curves: dict[str | None, list[Coded]]) -> list[BdRow]:
-    """Return the BD-rates of each purpose at equal SNR, SPQI and weighted SNR at the skin."""
-    rows = []
-    scales: dict[str, tuple[Callable[[Coded], float], object]] = {
-        "SNR": (lambda each: each.snr_db, SNR),
-        "SPQI": (lambda each: each.spqi, SPQI),
-        "weighted SNR at the skin": (lambda each: each.weighted_db, SNR),
-    }
-    for purpose in shaping.PURPOSES:
-        for label, (quality, scale) in scales.items():
-            pair = [[(each.bits_per_sample, quality(each)) for each in curves[which]] for which in (None, purpose)]
-            rate: BdRate | None = bd_rate(pair[0], pair[1], scale)  # type: ignore[arg-type]
-            if rate is not None:
-                rows.append(BdRow(name, purpose, label, round(rate.percent, 2)))
+def coded_at(source: codec.Source, step: float) -> tuple[float, codec.Signal]:
+    """Return the bits per sample of a whole file with this step, and the decoded signal."""
+    coded = source.encode({"step": step})
+    return 8 * as_stream(coded, UNIT).size_bytes / source.samples.size, codec.decode(coded)
+
+
+def measured(recording: Recording, touch: float) -> Points:
+    """Code a recording with steps from the coarsest to the finest."""
+    source, points = source_of(recording, touch), []
+    for step in STEPS:
+        bits, decoded = coded_at(source, step)
+        quality = metrics.measure(recording.samples, decoded, recording.rate_hz, UNIT)
+        points.append([bits, *(getattr(quality, scale.field) or math.nan for scale in SCALES)])
+    return points
+
+
+def compared(name: str, of_touches: Mapping[float, Points], peers: Iterable[Points]) -> list[Row]:
+    """Return the bits of each strength re those of the flat one and, if known, of the best other codec."""
+    rows: list[Row] = []
+    for place, scale in enumerate(SCALES, 1):
+        others, own = (
+            [[(point[0], point[place]) for point in points] for points in some] for some in (peers, of_touches.values())
+        )
+        grid = np.linspace(scale.low, scale.high, 151)
+        others = [curve for curve in others if len(bd_rate.monotone_envelope(curve)) >= bd_rate.MIN_POINTS]
+        least = np.fmin.reduce([bd_rate.bits_per_sample_at(curve, grid) for curve in others]) if others else None
+        for touch, curve in zip(of_touches, own, strict=True):
+            percents = {}
+            if (rate := bd_rate.bd_rate(own[0], curve, scale)) is not None:
+                percents[FLAT] = rate.percent
+            if least is not None:
+                ratio = np.nanmean(np.log(bd_rate.bits_per_sample_at(curve, grid) / least))
+                percents[BEST_OTHER] = 100 * math.expm1(ratio)
+            for anchor, percent in percents.items():
+                row: Row = {"recording": name, "touch": touch, "quality": scale.name, "anchor": anchor}
+                rows.append(row | {"percent": round(percent, 2)})
     return rows
 
 
-def skins(name: str, curves: dict[str | None, list[Coded]]) -> list[SkinRow]:
-    """Return what reaches the skin with each purpose, at the rates of QUALITIES_DB without a purpose."""
-    rows = []
-    plain = [(each.bits_per_sample, each.snr_db) for each in curves[None]]
-    for snr_db in QUALITIES_DB:
-        bits = float(bits_per_sample_at(plain, snr_db))
-        for purpose, points in curves.items():
-            values = []
-            for field in ("snr_db", "skin_db", "weighted_db"):
-                values.append(
-                    float(quality_at([(each.bits_per_sample, getattr(each, field)) for each in points], bits))
-                )
-            rates = np.log([each.bits_per_sample for each in points])
-            slow_db = float(np.interp(np.log(bits), rates, [each.slow_db for each in points]))
-            rounded = [round(value, 2) for value in (*values, slow_db)]
-            rows.append(SkinRow(name, snr_db, purpose or "", round(bits, 3), *rounded))
+def stationary_db(error: NDArray[np.float64], rate_hz: float) -> NDArray[np.float64]:
+    """Return the level of an error (n, channels) in dB re threshold: one row as it is, and one for each draw.
+
+    It is that of the loudest third octave from SKIN_MIN_HZ, in the mean power over time and channels. A draw adds
+    a normal deviation of DRAW_DB to the threshold in each third octave.
+    """
+    highest_hz = min(MAX_HZ, rate_hz / 2 / 2 ** (1 / 6))
+    middle_hz = SKIN_MIN_HZ * 2 ** (np.arange(1 + math.floor(3 * math.log2(highest_hz / SKIN_MIN_HZ))) / 3)
+    frame = min(len(error), round(rate_hz))
+    _, density = signal.welch(error, rate_hz, nperseg=frame, detrend=False, axis=0)
+    parts = band_parts(len(density), rate_hz / frame, middle_hz / 2 ** (1 / 6), middle_hz * 2 ** (1 / 6))
+    power = density.mean(axis=1) @ parts * rate_hz / frame
+    levels_db = 10 * np.log10(2 * power / threshold_amplitude(read_threshold(), middle_hz, UNIT) ** 2)
+    deviations_db = np.random.default_rng(1).normal(0, DRAW_DB, (DRAWS, len(middle_hz)))
+    return np.array([np.max(levels_db), *np.max(levels_db - deviations_db, axis=1)])
+
+
+def as_coded(recording: Recording) -> list[Row]:
+    """Return a recording as `encode_recording` codes it: flat at FLAT_SNR_DB, and by default.
+
+    Levels are of the error in its loudest third octave, in dB re threshold: in the loudest block, its mean over the
+    targets of SHIFTS_DB, and stationary. `lower_draws`: draws in which the stationary level is lower than flat.
+    """
+    rows: list[Row] = []
+    flat_db, rate_hz = np.zeros(0), round(recording.rate_hz)
+    for touch, target_db in ((0.0, FLAT_SNR_DB), (codec.DEFAULT_TOUCH, DEFAULT_SNR_DB)):
+        blocks_db = []
+        for shift_db in SHIFTS_DB:
+            coded = encode_recording(recording, rate_hz, snr_db=target_db + shift_db, highpass_hz=None, touch=touch)
+            assert coded.quality.felt_error is not None, "the error is not zero"
+            blocks_db.append(coded.quality.felt_error.level_db)
+        decoded = coded.stream.decode()
+        quality = metrics.measure(recording.samples, decoded, rate_hz, UNIT)
+        levels_db = stationary_db(recording.samples - decoded, rate_hz)
+        flat_db = flat_db if rows else levels_db
+        row: Row = {"recording": recording.name, "touch": touch, "bytes": coded.stream.size_bytes}
+        row |= {scale.field: round(getattr(quality, scale.field), 4) for scale in SCALES}
+        row["weighted_skin_snr_db"] = round(coded.quality.weighted_skin_snr_db or 0.0, 2)
+        levels = {"stationary_db": levels_db[0], "block_db": blocks_db[-1], "mean_block_db": fmean(blocks_db)}
+        row |= {name: round(float(level_db), 2) for name, level_db in levels.items()}
+        rows.append(row | {"lower_draws": int(np.sum(levels_db[1:] < flat_db[1:]))})
     return rows
 
 
-def unfelt(recording: Recording) -> list[UnfeltRow]:
-    """Return the rates at which the error stays MARGIN_DB below what is felt, of the actuator `piezo-stack`."""
-    threshold = read_threshold()
-
-    def without_masking_db(decoded: codec.Signal) -> float:
-        error = Recording(recording.samples - decoded, recording.rate_hz, recording.unit, "error")
-        skin = at_the_skin(error, PIEZO_STACK)
-        return float(np.max(over_threshold_db(skin, recording.rate_hz, threshold)[1]))
-
-    def with_masking_db(decoded: codec.Signal) -> float:
-        return error_over_threshold_db(recording, decoded, PIEZO_STACK, threshold)
-
-    rows = []
-    for purpose in (None, "threshold"):
-        source = source_of(recording, purpose)
-        for masking, error_db in ((False, without_masking_db), (True, with_masking_db)):
-            coarse, fine = 16 * 3, -16 * 12  # in 1/16 octave of the step
-            while coarse - fine > 1:
-                middle = (coarse + fine) // 2
-                decoded = codec.decode(source.encode({"step": 2 ** (middle / 16)}))
-                coarse, fine = (coarse, middle) if error_db(decoded) <= MARGIN_DB else (middle, fine)
-            coded = source.encode({"step": 2 ** (fine / 16)})
-            snr_db = codec.snr_db(recording.samples, codec.decode(coded))
-            bits = 8 * as_stream(coded, UNIT).size_bytes / recording.samples.size
-            rows.append(UnfeltRow(recording.name, purpose or "", masking, round(bits, 3), round(snr_db or 0.0, 2)))
-    return rows
+def least_unfelt(recording: Recording, touch: float) -> Row:
+    """Return the least rate at which nobody feels the error, by MARGIN_DB and of the actuator `piezo-stack`."""
+    source, threshold = source_of(recording, touch), read_threshold()
+    coarse, fine = 16 * 3, -16 * 12  # in 1/16 octave of the step
+    while coarse - fine > 1:
+        middle = (coarse + fine) // 2
+        _, decoded = coded_at(source, 2 ** (middle / 16))
+        kept = error_over_threshold_db(recording, decoded, PIEZO_STACK, threshold) <= MARGIN_DB
+        coarse, fine = (coarse, middle) if kept else (middle, fine)
+    bits, decoded = coded_at(source, 2 ** (fine / 16))
+    snr_db = round(codec.snr_db(recording.samples, decoded) or 0.0, 2)
+    return {"recording": recording.name, "touch": touch, "bits_per_sample": round(bits, 3), "snr_db": snr_db}
 
 
-def page(bd_rows: Sequence[BdRow], skin_rows: Sequence[SkinRow], unfelt_rows: Sequence[UnfeltRow]) -> str:
-    """Return the page."""
-    recordings = list(dict.fromkeys(row.recording for row in bd_rows))
+def over_recordings(bits: Sequence[Row]) -> dict[tuple[float, str, str], tuple[float, float]]:
+    """Return the mean and the most of the percents, by strength, quality and anchor."""
+    keys = ("touch", "quality", "anchor")
+    table = pl.DataFrame(bits).group_by(keys).agg(pl.col("percent").mean(), pl.col("percent").max().alias("most"))
+    return {row[:3]: row[3:] for row in table.iter_rows()}
 
-    def percents(purpose: str, quality: str) -> list[float]:
-        return [row.percent for row in bd_rows if (row.purpose, row.quality) == (purpose, quality)]
 
-    qualities = list(dict.fromkeys(row.quality for row in bd_rows))
-    bd = {(row.recording, row.purpose, row.quality): row.percent for row in bd_rows}
-    means = {
-        (purpose, quality): (statistics.fmean(found), max(found))
-        for purpose in shaping.PURPOSES
-        for quality in qualities
-        if (found := percents(purpose, quality))
-    }
-    skin = {(row.recording, row.snr_db, row.purpose): row for row in skin_rows}
-    plain = [row for row in unfelt_rows if not row.purpose and not row.masking]
-    best = [row for row in unfelt_rows if row.purpose and row.masking]
-    shaped = [row for row in skin_rows if row.purpose == "threshold"]
+def page(bits: Sequence[Row], coded: Sequence[Row], unfelt: Sequence[Row], peers: Sequence[str]) -> str:
+    """Return the page; `peers`: the names of the other codecs."""
+    flat, shaped = (pl.DataFrame(coded[first::2]) for first in (0, 1))
     return render(
         "perceptual",
-        codec=CODEC,
-        levels=LEVELS,
-        recordings=recordings,
-        qualities=qualities,
-        purposes=shaping.PURPOSES,
-        bd=bd,
-        means=means,
-        skin=skin,
-        snrs_db=QUALITIES_DB,
-        worst_weighted_db=min(row.weighted_db - row.snr_db for row in shaped),
-        worst_slow_db=max(row.slow_db for row in shaped),
-        mean_gain_db=statistics.fmean(
-            row.weighted_db - skin[row.recording, row.snr_db, ""].weighted_db for row in shaped
-        ),
-        unfelt={(row.recording, row.purpose, row.masking): row for row in unfelt_rows},
-        unfelt_less=100
-        * (statistics.fmean(b.bits_per_sample / a.bits_per_sample for a, b in zip(plain, best, strict=True)) - 1),
-        highest_before_db=max(row.snr_db for row in plain),
-        highest_after_db=max(row.snr_db for row in best),
+        codec=codec.DEFAULT_CODEC,
+        default=codec.DEFAULT_TOUCH,
+        snrs_db=(FLAT_SNR_DB, DEFAULT_SNR_DB),
+        touches=TOUCHES,
+        anchors=[FLAT, *([BEST_OTHER] if peers else [])],
+        scales=[scale.name for scale in SCALES],
+        bits=over_recordings(bits),
+        pairs=list(zip(coded[::2], coded[1::2], strict=True)),
+        larger=100 * (sum(shaped["bytes"]) / sum(flat["bytes"]) - 1),
+        changes_db={name: shaped[name] - flat[name] for name in ("block_db", "mean_block_db", "stationary_db")},
+        lower_draws=shaped["lower_draws"].sum(),
+        draws=(DRAWS * len(shaped), DRAW_DB),
+        unfelt=list(zip(unfelt[::2], unfelt[1::2], strict=True)),
         margin_db=MARGIN_DB,
+        peers=peers,
+        levels=LEVELS,
     )
 
 
