@@ -368,7 +368,12 @@ def at_the_skin(stream: Stream, actuator: Actuator) -> Recording:
 
 
 def output_delay_s(header: StreamHeader, actuator: Actuator) -> float:
-    """Return the delay of the output stage and the DAC. Raises ControllerError where they cannot play the stream."""
+    """Return the delay of the output stage and the DAC. Raises ControllerError where they cannot play the stream.
+
+    One DAC sample of it stands for the hold, which takes half a sample, and for the response with its inverse. At the
+    sampling instants that is exact. Between them too, a first-order actuator takes 1 - d / 12 samples at low
+    frequencies, where d = 2 pi corner_hz / rate is below 1. So the result is 16 us too long for PIEZO_STACK.
+    """
     try:
         return float(Drive(header, actuator, compensation=True).delay_seconds) + 1 / actuator.dac_rate_hz
     except ValueError as error:
