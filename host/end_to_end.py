@@ -25,7 +25,14 @@ from vibrocast.host.picture import Trace
 from vibrocast.host.provenance import Provenance
 from vibrocast.host.report import SCHEMA, ActuatorUse, DeviceDescription, Latency, Report, Touch
 from vibrocast.host.skin_quality import compare_channels, limit_note
-from vibrocast.output.actuator import ACTUATORS, Actuator, Codes, followed_band_hz, octave_gains_db
+from vibrocast.output.actuator import (
+    ACTUATORS,
+    SKIN_OVERSAMPLING,
+    Actuator,
+    Codes,
+    followed_band_hz,
+    octave_gains_db,
+)
 from vibrocast.output.rendering import Drive, displacement_filter, render
 from vibrocast.textures import Recording
 
@@ -36,8 +43,6 @@ _Key = TypeVar("_Key", bound=Hashable)
 MAX_COMPARED_SAMPLES = 2**24
 # Of decoded int16 samples.
 DECODED_FULL_SCALE = 32768
-# The skin moves between the DAC's samples too, and the picture shows it.
-SKIN_OVERSAMPLING = 4
 # The skin is compared over the first minute of a playback.
 
 
@@ -363,7 +368,12 @@ def at_the_skin(stream: Stream, actuator: Actuator) -> Recording:
 
 
 def output_delay_s(header: StreamHeader, actuator: Actuator) -> float:
-    """Return the delay of the output stage and the DAC. Raises ControllerError where they cannot play the stream."""
+    """Return the delay of the output stage and the DAC. Raises ControllerError where they cannot play the stream.
+
+    One DAC sample of it stands for the hold, which takes half a sample, and for the response with its inverse. At the
+    sampling instants that is exact. Between them too, a first-order actuator takes 1 - d / 12 samples at low
+    frequencies, where d = 2 pi corner_hz / rate is below 1. So the result is 16 us too long for PIEZO_STACK.
+    """
     try:
         return float(Drive(header, actuator, compensation=True).delay_seconds) + 1 / actuator.dac_rate_hz
     except ValueError as error:
@@ -379,8 +389,8 @@ def _skin_um(actuator: Actuator, codes: Codes, late_s: float, missed_s: float, s
 
 def touch_of(actuator: Actuator, codes: Codes) -> Touch:
     """Return how far DAC codes (n, channels) through an actuator exceed the detection threshold, where most."""
-    displacement_um = actuator.displacement_um(codes)
-    frequencies_hz, levels_db = over_threshold_db(displacement_um, actuator.dac_rate_hz, read_threshold())
+    moved_um, rate_hz = actuator.displacement_um(codes, SKIN_OVERSAMPLING), SKIN_OVERSAMPLING * actuator.dac_rate_hz
+    frequencies_hz, levels_db = over_threshold_db(moved_um, rate_hz, read_threshold())
     loudest = int(np.argmax(levels_db))
     return Touch(float(levels_db[loudest]), float(frequencies_hz[loudest]))
 

@@ -23,7 +23,7 @@ from vibrocast.host.report import SCHEMA, StrokeReport
 from vibrocast.host.skin_quality import COMPARED_S, SkinQuality, compare_channels
 from vibrocast.host.stream_session import StreamSession, configure_steps, read_capture
 from vibrocast.output import profile as rendering
-from vibrocast.output.actuator import Actuator, Codes
+from vibrocast.output.actuator import SKIN_OVERSAMPLING, Actuator, Codes
 from vibrocast.textures import Recording
 
 _POSITION_RATE_HZ = 500
@@ -324,8 +324,8 @@ def _skin_quality(
         whole = np.rint(texture.samples / np.array(stream.header.gains) * _FULL_SCALE)
         heights = np.clip(whole, -_FULL_SCALE, _FULL_SCALE - 1).astype(np.int16)
         asked.insert(0, _rendered(stream, heights, 0, played, end, actuator).heights_um[first:])
-    moved = skin.displacement_um(played.dac_codes[: end - first])
-    return compare_channels(asked, actuator.dac_rate_hz, moved, actuator.dac_rate_hz)
+    moved = skin.displacement_um(played.dac_codes[: end - first], SKIN_OVERSAMPLING)
+    return compare_channels(asked, actuator.dac_rate_hz, moved, SKIN_OVERSAMPLING * actuator.dac_rate_hz)
 
 
 def as_computed(played: Played, expected: Computed, actuator: Actuator) -> bool | None:
@@ -347,9 +347,9 @@ def pictured(played: Played, expected: Computed, actuator: Actuator) -> tuple[st
     """Return the caption and the traces of a picture: the profile under the hand, and what the actuator makes of it."""
     rate_hz = actuator.dac_rate_hz
     heights_um = expected.heights_um[played.captured_from :]
-    skin_um = actuator.displacement_um(played.dac_codes)
+    skin_um, skin_rate_hz = actuator.displacement_um(played.dac_codes, SKIN_OVERSAMPLING), SKIN_OVERSAMPLING * rate_hz
     caption = f"skin: the DAC's codes, read back, through the model of the actuator {actuator.name}"
     return caption, (
         Trace("profile under the hand", heights_um, rate_hz, "um", heights_um, rate_hz),
-        Trace("skin", skin_um, rate_hz, "um", skin_um, rate_hz),
+        Trace("skin", skin_um, skin_rate_hz, "um", skin_um, skin_rate_hz),
     )

@@ -32,7 +32,7 @@ from vibrocast.host.controller import MAX_DAC_RATE_HZ, ControllerError
 from vibrocast.host.end_to_end import DECODED_FULL_SCALE, actuator_model, displacement_um
 from vibrocast.host.frame_lines import COUNTERS
 from vibrocast.host.picture import third_octave_levels
-from vibrocast.output.actuator import Actuator
+from vibrocast.output.actuator import SKIN_OVERSAMPLING, Actuator
 
 Integers = NDArray[np.int16]
 KEPT_S = 2.0
@@ -239,8 +239,8 @@ class WireView:
                 self._sent.rate_hz,
             )
         if self._played is not None and len(self._played.samples):
-            moved = self._actuator.displacement_um(self._played.samples)[:, 0]
-            signals["read back"] = moved, self._played.rate_hz
+            moved = self._actuator.displacement_um(self._played.samples, SKIN_OVERSAMPLING)[:, 0]
+            signals["read back"] = moved, SKIN_OVERSAMPLING * self._played.rate_hz
         return signals
 
     def _hints(self, signals: dict[str, tuple[NDArray[np.float64], float]]) -> Iterable[str]:

@@ -30,7 +30,7 @@ PARTS = {
     "packet": "packet: a sample waits for the others of its packet",
     "overlap": "overlap of the codec's blocks",
     "drive": "output processing: resampling to the DAC's rate, low-pass of the compensation",
-    "dac": "one DAC sample, by which the compensation looks back",
+    "dac": "one DAC sample: half the hold, half the compensated response",
 }
 """In the order in which a sample goes through them."""
 

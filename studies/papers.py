@@ -29,6 +29,7 @@ from vibrocast.evaluation.comparison import (
 from vibrocast.evaluation.points import MEASURED, PointsError, read_rows
 from vibrocast.evaluation.speed import RATES, RATIO, Speed
 from vibrocast.evaluation.tables import as_rows, frame
+from vibrocast.host.planner.band import rendering_gain
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.textures import dataset
 
@@ -207,18 +208,14 @@ def dct_claims(rows: Sequence[Result]) -> Iterator[Claim]:
 def display() -> tuple[float, bool, float]:
     """Return what the model of the paper's display does.
 
-    Its gain at 270 Hz in dB; whether its gain only falls up to HIGHEST_HZ; and the largest deviation of the gain from
-    0 dB up to there when the compensation drives it, in dB.
+    Its gain at 270 Hz in dB; whether its gain only falls up to HIGHEST_HZ; and the largest deviation of the compensated
+    gain from 0 dB up to there, in dB. The last includes the DAC's hold.
     """
     frequency_hz = np.linspace(1.0, HIGHEST_HZ, 400)
-
-    def gain_db(at_hz: Any, rate_hz: float, *filters: tuple[Any, Any]) -> Any:
-        responses = [np.abs(signal.freqz(b, a, at_hz, fs=rate_hz)[1]) for b, a in filters]
-        return 20 * np.log10(np.prod(responses, axis=0))
-
-    fine_hz, dac_hz = 1e6, PIEZO_STACK.dac_rate_hz  # at a high rate the hold between samples has no effect
-    alone = gain_db(np.append(frequency_hz, 270.0), fine_hz, PIEZO_STACK.response(fine_hz))
-    driven = gain_db(frequency_hz, dac_hz, PIEZO_STACK.response(dac_hz), PIEZO_STACK.inverse())
+    fine_hz = 1e6  # at a high rate the hold between samples has no effect
+    _, response = signal.freqz(*PIEZO_STACK.response(fine_hz), np.append(frequency_hz, 270.0), fs=fine_hz)
+    alone = 20 * np.log10(np.abs(response))
+    driven = 20 * np.log10(rendering_gain(PIEZO_STACK, frequency_hz))
     return float(alone[-1]), bool(np.all(np.diff(alone[:-1]) < 0)), float(np.max(np.abs(driven)))
 
 

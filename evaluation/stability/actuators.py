@@ -14,6 +14,7 @@ from vibrocast.evaluation.stability.trials import Measured, Trial, Verdict, grad
 from vibrocast.output.actuator import (
     LRA,
     PIEZO_STACK,
+    SKIN_OVERSAMPLING,
     VOICE_COIL,
     Actuator,
     Samples,
@@ -63,9 +64,10 @@ def measure_sine(actuator: Actuator, frequency_hz: float, amplitude_um: float, c
     decoded = np.rint(32767 * wanted).astype(np.int16).reshape(-1, 1)
     header = StreamHeader(1, _RATE_HZ, len(decoded), "um", (actuator.excursion_um,), b"")
     codes, counts = render(header, decoded, 0, actuator, compensation=compensation)
-    middle = slice(_RATE_HZ // 10, _RATE_HZ // 10 + _RATE_HZ // 4)
-    displacement_um = actuator.displacement_um(codes)[middle, 0]
-    basis = np.exp(-2j * np.pi * frequency_hz * np.arange(len(displacement_um)) / _RATE_HZ)
+    skin_rate_hz = SKIN_OVERSAMPLING * _RATE_HZ
+    middle = slice(skin_rate_hz // 10, skin_rate_hz // 10 + skin_rate_hz // 4)
+    displacement_um = actuator.displacement_um(codes, SKIN_OVERSAMPLING)[middle, 0]
+    basis = np.exp(-2j * np.pi * frequency_hz * np.arange(len(displacement_um)) / skin_rate_hz)
     reached_um = 2 * abs(np.mean(displacement_um * basis))
     error_db = 20 * math.log10(max(float(reached_um), 1e-6) / amplitude_um)
     shares = {

@@ -31,7 +31,7 @@ PARTS = {
     "buffer": "the packet lies ready until it is needed",
     "codec": "the packet's length and the overlap of blocks, after its first sample is due",
     "drive": "resampling to the DAC's rate and the compensation's low-pass",
-    "dac": "one DAC sample, by which the compensation looks back",
+    "dac": "one DAC sample: half the hold, half the compensated response",
 }
 # A trial of the search is as long as some hundred packets; what it finds is measured once more, for longer.
 TRIAL_S = 1.5

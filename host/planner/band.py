@@ -11,7 +11,7 @@ from vibrocast.codec.stream import Stream
 from vibrocast.codec.threshold import MAX_HZ, over_threshold_db, threshold_amplitude
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.host.end_to_end import displacement_um
-from vibrocast.output.actuator import Actuator, Codes
+from vibrocast.output.actuator import SKIN_OVERSAMPLING, Actuator, Codes
 from vibrocast.output.rendering import Drive, render
 from vibrocast.textures import Profile, Recording
 
@@ -200,10 +200,11 @@ def played_error_over_threshold_db(
     wanted = played_codes(stream, exact, driven)
     length, rate_hz = min(len(wanted), len(codes)), driven.dac_rate_hz
     late = round(rendering_s(stream, driven) * rate_hz)
-    heard = slice(late, late + math.ceil(recording.seconds * rate_hz))
-    masker_um = skin_model.displacement_um(wanted[:length])[heard]
-    error_um = skin_model.displacement_um(codes[:length])[heard] - masker_um
-    return float(np.max(over_threshold_db(error_um, rate_hz, threshold, masker_um)[1]))
+    end = min(length, late + math.ceil(recording.seconds * rate_hz))
+    heard = slice(SKIN_OVERSAMPLING * late, None)
+    masker_um = skin_model.displacement_um(wanted[:end], SKIN_OVERSAMPLING)[heard]
+    error_um = skin_model.displacement_um(codes[:end], SKIN_OVERSAMPLING)[heard] - masker_um
+    return float(np.max(over_threshold_db(error_um, SKIN_OVERSAMPLING * rate_hz, threshold, masker_um)[1]))
 
 
 def _edges(levels: tuple[Level, ...], name: str) -> tuple[float, float]:

@@ -21,7 +21,7 @@ from vibrocast.files import atomic_folder
 from vibrocast.host.end_to_end import check_unit
 from vibrocast.host.study.study_file import REFERENCE, Condition, Study
 from vibrocast.host.study.trials import Stimulus, StudyError
-from vibrocast.output.actuator import Actuator, Codes
+from vibrocast.output.actuator import SKIN_OVERSAMPLING, Actuator, Codes
 from vibrocast.output.rendering import LimitCounts, render
 from vibrocast.textures import Recording
 from vibrocast.toml_tables import located
@@ -165,9 +165,11 @@ def skin_level_db(codes: Codes, actuator: Actuator) -> float:
     MAX_HZ counts relative to that of a sine at the detection threshold there, and the sum is the level. So 0 dB is a
     vibration as strong as a sine at its threshold. -inf for silence.
     """
-    displacement_um = actuator.displacement_um(codes)
+    displacement_um = actuator.displacement_um(codes, SKIN_OVERSAMPLING)
     spectrum = np.fft.rfft(displacement_um, axis=0)
-    frequency_hz = np.asarray(np.fft.rfftfreq(len(displacement_um), 1 / actuator.dac_rate_hz), np.float64)
+    frequency_hz = np.asarray(
+        np.fft.rfftfreq(len(displacement_um), 1 / (SKIN_OVERSAMPLING * actuator.dac_rate_hz)), np.float64
+    )
     felt = (frequency_hz >= MIN_HZ) & (frequency_hz <= MAX_HZ)
     power = 2 * np.abs(spectrum[felt]) ** 2 / len(displacement_um) ** 2
     threshold = threshold_amplitude(read_threshold(), frequency_hz[felt], "um")[:, None] ** 2 / 2

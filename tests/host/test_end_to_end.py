@@ -6,10 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from vibrocast import models, textures
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import Stream
+from vibrocast.codec.threshold import over_threshold_db, read_threshold
 from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.device_protocol.messages import CaptureData, SlotState, Tap
 from vibrocast.host import devices, end_to_end
@@ -126,3 +128,14 @@ def test_a_known_actuator_at_other_volts_is_known_too(volts: float) -> None:
     with devices.connect("sim", actuator=driven) as controller:
         described = controller.description.actuator
     assert constants(actuator_model(described)) == constants(driven)
+
+
+@pytest.mark.parametrize("frequency_hz", [100, 200, 400])
+def test_touch_is_that_of_the_displacement_asked_for(frequency_hz: int) -> None:
+    rate_hz = PIEZO_STACK.dac_rate_hz
+    asked_um = 10 * np.sin(2 * np.pi * frequency_hz * np.arange(2 * rate_hz) / rate_hz)[:, None]
+    drive = signal.lfilter(*PIEZO_STACK.inverse(), asked_um / PIEZO_STACK.excursion_um, axis=0)
+    touch = end_to_end.touch_of(PIEZO_STACK, np.rint(drive * PIEZO_STACK.full_scale).astype(np.int16))
+    frequencies_hz, levels_db = over_threshold_db(asked_um, rate_hz, read_threshold())
+    assert touch.level_db == pytest.approx(max(levels_db), abs=0.1)
+    assert touch.frequency_hz == pytest.approx(frequencies_hz[np.argmax(levels_db)])

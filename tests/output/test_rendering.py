@@ -18,6 +18,7 @@ from vibrocast.output.actuator import (
     ACTUATORS,
     LRA,
     PIEZO_STACK,
+    SKIN_OVERSAMPLING,
     Actuator,
     Codes,
     Samples,
@@ -395,8 +396,8 @@ def test_skin_follows_a_displacement_recording_with_compensation() -> None:
     decoded = np.rint(wanted_um / 40.0 * 32768).astype(np.int16)
     codes, counts = render(header(2800, "um", (40.0,), len(decoded)), decoded, 0, PIEZO_STACK)
     assert counts == LimitCounts()
-    skin_um = PIEZO_STACK.displacement_um(codes[:-100])
-    assert amplitude_at(skin_um, 200, 3000) == pytest.approx(20.0, rel=0.01)
+    skin_um = PIEZO_STACK.displacement_um(codes[:-100], SKIN_OVERSAMPLING)
+    assert amplitude_at(skin_um, 200, 3000 * SKIN_OVERSAMPLING) == pytest.approx(20.0, rel=0.01)
 
 
 def test_compensation_clips_and_says_so() -> None:

@@ -16,10 +16,10 @@ const vc_actuator vc_piezo_stack = {
     .code_step_limit = 43690,
     .power_limit = 697932185,
     .compensation = {
-        .tangent = 596255554,
-        .damping = 169438210,
-        .gain = 282258840,
-        .weight = {0, 24507275, 16777216, 24507275},
+        .tangent = 478060661,
+        .damping = 136548215,
+        .gain = 381864805,
+        .weight = {0, 19649233, 16777216, 19649233},
         .shift = 0,
     },
 };
@@ -39,10 +39,10 @@ const vc_actuator vc_piezo_stack_12_bits = {
     .code_step_limit = 2730,
     .power_limit = 697932185,
     .compensation = {
-        .tangent = 596255554,
-        .damping = 169438210,
-        .gain = 282258840,
-        .weight = {0, 24507275, 16777216, 24507275},
+        .tangent = 478060661,
+        .damping = 136548215,
+        .gain = 381864805,
+        .weight = {0, 19649233, 16777216, 19649233},
         .shift = 0,
     },
 };
