@@ -29,8 +29,7 @@ from vibrocast.evaluation.comparison import (
 from vibrocast.evaluation.points import MEASURED, PointsError, read_rows
 from vibrocast.evaluation.speed import RATES, RATIO, Speed
 from vibrocast.evaluation.tables import as_rows, frame
-from vibrocast.host.planner.band import rendering_gain
-from vibrocast.output.actuator import PIEZO_STACK
+from vibrocast.output.actuator import PIEZO_STACK, followed_gain
 from vibrocast.textures import dataset
 
 EVA, DCT = "EVA", "DCT"
@@ -215,7 +214,7 @@ def display() -> tuple[float, bool, float]:
     fine_hz = 1e6  # at a high rate the hold between samples has no effect
     _, response = signal.freqz(*PIEZO_STACK.response(fine_hz), np.append(frequency_hz, 270.0), fs=fine_hz)
     alone = 20 * np.log10(np.abs(response))
-    driven = 20 * np.log10(rendering_gain(PIEZO_STACK, frequency_hz))
+    driven = 20 * np.log10(followed_gain(frequency_hz, PIEZO_STACK))
     return float(alone[-1]), bool(np.all(np.diff(alone[:-1]) < 0)), float(np.max(np.abs(driven)))
 
 

@@ -11,7 +11,7 @@ from vibrocast.codec.stream import Stream
 from vibrocast.codec.threshold import MAX_HZ, over_threshold_db, threshold_amplitude
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.host.end_to_end import displacement_um
-from vibrocast.output.actuator import SKIN_OVERSAMPLING, Actuator, Codes
+from vibrocast.output.actuator import SKIN_OVERSAMPLING, Actuator, Codes, followed_gain
 from vibrocast.output.rendering import Drive, render
 from vibrocast.textures import Profile, Recording
 
@@ -126,13 +126,9 @@ def at_the_skin(recording: Recording, actuator: Actuator) -> Samples:
 
 def rendering_gain(actuator: Actuator, frequencies_hz: Samples) -> Samples:
     """Return displacement at the skin over the displacement asked for; 0 above half the DAC's rate."""
-    from scipy import signal
-
     passed = frequencies_hz < actuator.dac_rate_hz / 2
-    within_hz = frequencies_hz[passed]
-    _, inverse = signal.freqz(*actuator.inverse(), worN=within_hz, fs=actuator.dac_rate_hz)
     gain = np.zeros(len(frequencies_hz))
-    gain[passed] = np.abs(inverse) * _response(actuator, within_hz)
+    gain[passed] = followed_gain(frequencies_hz[passed], actuator)
     return gain
 
 
