@@ -72,7 +72,7 @@ def test_a_proxy_damages_frames_and_pulls_the_cable(tmp_path: Path) -> None:
     with serving("proxy", "sim", "--faults", str(schedule)) as (address, _):
         cut = run("live", "rough", "--seconds", "2", "--device", address, "--report", tmp_path / "live.json")
     assert cut.exit_code == 3
-    assert "cannot open serial port" in cut.output
+    assert re.search("cannot open serial port|broke off", cut.output)  # it may notice while it opens the port again
 
 
 def test_a_trace_is_shown_and_sent_again(tmp_path: Path) -> None:
