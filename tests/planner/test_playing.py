@@ -138,7 +138,7 @@ def test_a_texture_that_is_over_at_once_has_no_delay_to_be_measured(tmp_path: Pa
         ),
         (
             lambda texture: structs.replace(texture, packet_samples=1 << 20),
-            "needs a buffer of 1048590 samples, and one holds 32768",
+            "needs a buffer of 1048591 samples, and one holds 32768",
         ),
     ],
 )
