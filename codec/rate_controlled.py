@@ -155,8 +155,7 @@ def encode(
 
     `codec_name`: None = the model's codec, or DEFAULT_CODEC. `model`: None = the built-in tables. A codec without such
     takes the choice of `first_reachable` among the models that ship. `highpass_hz` and `touch` as in
-    `codec.encoding.encode_recording`. Raises CodecError, also if the
-    target is out of reach, and as `encode_recording`.
+    `codec.encoding.encode_recording`. Raises CodecError, also if the target is out of reach, and as `encode_recording`.
     """
     passed = textures.highpass(recording, highpass_hz)
     resampled = textures.resample(passed.recording, stream_rate_hz)

@@ -43,7 +43,6 @@ _Key = TypeVar("_Key", bound=Hashable)
 MAX_COMPARED_SAMPLES = 2**24
 # Of decoded int16 samples.
 DECODED_FULL_SCALE = 32768
-# The skin is compared over the first minute of a playback.
 
 
 @dataclass(frozen=True)
@@ -326,8 +325,7 @@ def _with_skin(report: Report, traces: Sequence[Trace]) -> Report:
     if skin_quality is None:
         return report
     use = report.actuator
-    limited = use.clipped_samples + use.voltage_limited + use.slew_limited + use.power_limited
-    return replace(report, skin=skin_quality, skin_note=limit_note(skin_quality, use.gains_db, limited))
+    return replace(report, skin=skin_quality, skin_note=limit_note(skin_quality, use.gains_db, use.limited_samples))
 
 
 def _unread_reason(controller: Controller, stream: Stream, loops: int) -> str | None:

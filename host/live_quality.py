@@ -11,11 +11,10 @@ from vibrocast import codec, models
 from vibrocast.codec import Signal
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import Tap
-from vibrocast.host.end_to_end import Member, at_the_skin, displacement_um, known_actuator
+from vibrocast.host.end_to_end import Member, actuator_use, at_the_skin, displacement_um, known_actuator
 from vibrocast.host.live import LiveResult, LiveStream
 from vibrocast.host.skin_quality import COMPARED_S, SkinQuality, compare_channels, limit_note
 from vibrocast.host.stream_session import read_capture
-from vibrocast.output.actuator import octave_gains_db
 from vibrocast.output.rendering import render
 
 _MIN_S = 0.5
@@ -113,14 +112,10 @@ class CodedSignal:
         moved = at_the_skin(stream, actuator)
         asked_um = [displacement_um(each, header.unit, header.rate_hz, actuator) for each in (sent, decoded)]
         skin = compare_channels(asked_um, header.rate_hz, moved.samples, moved.rate_hz)
-        limited = (
-            sum(getattr(self._stream.status, f"{name}_limited") for name in ("voltage", "slew", "power"))
-            + self._stream.status.compensation_clipped
-        )
-        driven = known_actuator(member) or actuator
         if skin is None:
             return LiveQuality(snr_db)
-        return LiveQuality(snr_db, skin, limit_note(skin, octave_gains_db(driven, actuator), limited))
+        use = actuator_use(known_actuator(member) or actuator, actuator, self._stream.status)
+        return LiveQuality(snr_db, skin, limit_note(skin, use.gains_db, use.limited_samples))
 
     def _as_sent(self, member: Member, stream: Stream) -> tuple[bool | None, bool | None]:
         """Return whether the controller decoded the end of the stream and computed its DAC codes as this computer."""

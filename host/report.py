@@ -43,6 +43,11 @@ class ActuatorUse:
     slew_limited: int
     power_limited: int
 
+    @property
+    def limited_samples(self) -> int:
+        """DAC samples that the limits held back, all together."""
+        return self.clipped_samples + self.voltage_limited + self.slew_limited + self.power_limited
+
 
 @dataclass(frozen=True)
 class Touch:
