@@ -7,6 +7,7 @@ A predictor a (order) stands for x[n] ~ a[0] x[n-1] + a[1] x[n-2] + ...; its syn
 from collections.abc import Callable, Mapping
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from vibrocast.codec.interface import CodecError, Signal
@@ -19,40 +20,47 @@ _MIN_RESIDUAL = 0.01
 _MIN_COEFFICIENT = 0.01
 
 
-def windows(signal: Signal, samples: int, hop: int, order: int) -> tuple[Signal, Signal]:
-    """Cut a signal (n,) into windows for fitting predictors, `samples` long and `hop` apart.
+def sparse_predictors(signal: Signal, samples: int, hop: int, order: int) -> Signal:
+    """Fit predictors a by min ||x - X a||_1 / s + gamma ||a||_1 to windows x of a signal (n,).
 
-    Returns the samples that predict, (windows, samples, order), and the samples to predict, (windows, samples). The
-    first window begins at sample `hop + order`.
+    X holds the `order` samples before each of x; s is the RMS value of x. The problem is that of Giacobello,
+    Christensen, Murthi, Jensen and Moonen, "Sparse Linear Prediction and Its Applications to Speech Processing", IEEE
+    Trans. Audio, Speech and Language Processing 20, 2012. Iteratively reweighted least squares solve it (Daubechies,
+    DeVore, Fornasier and Gunturk, "Iteratively reweighted least squares minimization for sparse recovery", 2010). The
+    weights 1 / |residual| and gamma / |a| of the last solution turn both norms into sums of squares.
+
+    `samples`: length of a window, a multiple of `hop`, by which windows are apart. The first one begins at sample
+    `hop + order`. Returns (windows, order).
     """
-    held = np.lib.stride_tricks.sliding_window_view(signal, samples + order)[hop::hop]
-    return np.stack([held[:, order - lag : -lag] for lag in range(1, order + 1)], axis=2), held[:, order:]
-
-
-def sparse_predictors(rows: Signal, targets: Signal) -> Signal:
-    """Fit predictors a by min ||x - X a||_1 / s + gamma ||a||_1; rows X (windows, n, order), targets x (windows, n).
-
-    s is the RMS value of x. The problem is that of Giacobello, Christensen, Murthi, Jensen and Moonen, "Sparse Linear
-    Prediction and Its Applications to Speech Processing", IEEE Trans. Audio, Speech and Language Processing 20, 2012.
-    Iteratively reweighted least squares solve it (Daubechies, DeVore, Fornasier and Gunturk, "Iteratively reweighted
-    least squares minimization for sparse recovery", 2010). The weights 1 / |residual| and gamma / |a| of the last
-    solution turn both norms into sums of squares. Returns (windows, order).
-    """
-    count, _, order = rows.shape
-    scale: Signal = np.sqrt(np.mean(np.square(targets), axis=1))[:, None] + 1e-9
-    predictors: Signal = np.zeros((count, order))
-    weights = np.ones_like(targets)
-    penalty = np.zeros((count, order))
+    holders, blocks = samples // hop, (len(signal) - hop - order) // hop
+    windows = blocks - holders + 1
+    # All windows that hold a block of `hop` samples share its products, and differ only in the weights.
+    # Single precision suffices: it moves predictors by 0.001 at most, far less than a step of their quantiser.
+    starts = hop * np.arange(1, blocks + 1)[:, None] + order - np.arange(order + 1)
+    lagged = sliding_window_view(signal.astype(np.float32), hop)[starts]
+    one, other = np.triu_indices(order + 1)
+    products = np.swapaxes(lagged[:, one] * lagged[:, other], 1, 2)
+    pair = np.zeros((order + 1, order + 1), dtype=np.intp)
+    pair[one, other] = pair[other, one] = np.arange(len(one))
+    energies = sliding_window_view(np.sum(products[:, :, 0], axis=1), holders)
+    scale: Signal = np.sqrt(np.mean(energies, axis=1, keepdims=True, dtype=np.float64) / hop) + 1e-9
+    predictors: Signal = np.zeros((windows, order))
+    filters = np.zeros((blocks + holders - 1, order + 1), dtype=np.float32)
+    filters_of_blocks = np.swapaxes(sliding_window_view(filters, holders, axis=0), 1, 2)
+    weights = np.ones((blocks, holders, hop), dtype=np.float32)
+    penalty = np.zeros((windows, order))
     diagonal = np.arange(order)
     for _ in range(_ITERATIONS):
-        weighted = np.swapaxes(rows * weights[:, :, None], 1, 2)
-        normal: Signal = weighted @ rows
+        sums = weights @ products
+        parts = [sums[k : k + windows, holders - 1 - k] for k in range(holders)]
+        covariances: Signal = np.sum(parts, axis=0)[:, pair].astype(np.float64)
+        normal = covariances[:, 1:, 1:]
         # This keeps the equations solvable in silence, and the poles of pure tones off the unit circle.
         regularisation = 1e-4 * np.trace(normal, axis1=1, axis2=2)[:, None] / order + 1e-12
         normal[:, diagonal, diagonal] += regularisation + penalty
-        predictors = np.asarray(np.linalg.solve(normal, weighted @ targets[:, :, None])[:, :, 0], dtype=np.float64)
-        residual = targets - (rows @ predictors[:, :, None])[:, :, 0]
-        weights = 1 / np.maximum(np.abs(residual) / scale, _MIN_RESIDUAL)
+        predictors = np.asarray(np.linalg.solve(normal, covariances[:, 1:, :1])[:, :, 0], dtype=np.float64)
+        filters[holders - 1 : blocks] = np.concatenate([np.ones((windows, 1)), -predictors], axis=1) / scale
+        weights = 1 / np.maximum(np.abs(filters_of_blocks @ lagged), _MIN_RESIDUAL)
         penalty = SPARSITY * scale**2 / (np.abs(predictors) + _MIN_COEFFICIENT)
     return predictors
 

@@ -24,7 +24,7 @@ from vibrocast.codec.interface import (
     SignalFormat,
     number,
 )
-from vibrocast.codec.linear_prediction import reflection_codes, sparse_predictors, stabilised, windows
+from vibrocast.codec.linear_prediction import reflection_codes, sparse_predictors, stabilised
 from vibrocast.codec.mdct import RATE_CONTROLLED
 from vibrocast.codec.packetwise import PacketwiseEncoder
 from vibrocast.firmware.native_core import library
@@ -41,8 +41,8 @@ LEVELS = 32
 """Levels of `quality`, the coarsest 0."""
 _ANALYSIS_SAMPLES = 512
 """Samples to which a predictor is fitted: those up to the end of its frame."""
-_CHUNK_FRAMES = 256
-_KEPT_CHUNKS = 128
+_CHUNK_FRAMES = 128
+_KEPT_CHUNKS = 256
 """Chunks whose predictors are kept, about 16 MB of them."""
 
 
@@ -133,10 +133,10 @@ class SlpEncoder(PacketwiseEncoder):
 def _predictors(samples: bytes, frame: int, order: int) -> bytes:
     """Return the reflection codes, int8 (frames, order), of a chunk of float64 samples.
 
-    They take six times as long as the rest of the encoder, and a search needs the same at each of its settings.
+    They take longer than the rest of the encoder, and a search needs the same at each of its settings.
     """
-    rows, targets = windows(np.frombuffer(samples), _ANALYSIS_SAMPLES, frame, order)
-    return reflection_codes(stabilised(sparse_predictors(rows, targets))).astype(np.int8).tobytes()
+    predictors = sparse_predictors(np.frombuffer(samples), _ANALYSIS_SAMPLES, frame, order)
+    return reflection_codes(stabilised(predictors)).astype(np.int8).tobytes()
 
 
 def make_encoder(

@@ -25,8 +25,8 @@ def predictors(order: int) -> Signal:
     for make in (wood, grating, stick_slip):
         samples = make(0, SECONDS, 50.0, RATE_HZ).samples[:, 0]
         samples = samples / np.abs(samples).max()
-        rows, targets = linear_prediction.windows(samples, WINDOW_SAMPLES, HOP_SAMPLES, order)
-        fitted.append(linear_prediction.stabilised(linear_prediction.sparse_predictors(rows, targets)))
+        found = linear_prediction.sparse_predictors(samples, WINDOW_SAMPLES, HOP_SAMPLES, order)
+        fitted.append(linear_prediction.stabilised(found))
     return linear_prediction.predictors_of(np.concatenate(fitted))
 
 

@@ -151,8 +151,7 @@ def frames_of_texture(order: int) -> codec.Signal:
     narrow = lfilter(
         [1.0], np.poly([0.97 * np.exp(1j * x) for x in (0.3, -0.3, 0.45, -0.45)]).real, texture(8000)[:, 0]
     )
-    rows, targets = linear_prediction.windows(narrow / np.max(np.abs(narrow)), 512, 256, order)
-    fitted = linear_prediction.sparse_predictors(rows, targets)
+    fitted = linear_prediction.sparse_predictors(narrow / np.max(np.abs(narrow)), 512, 256, order)
     return linear_prediction.predictors_of(linear_prediction.stabilised(fitted))
 
 
@@ -207,8 +206,7 @@ def test_sparse_prediction_finds_the_predictor_of_a_signal_with_outliers() -> No
     generator = np.random.default_rng(4)
     excitation = np.where(generator.random(4096) < 0.03, 30.0, 1.0) * generator.standard_normal(4096)
     signal = lfilter([1.0], [1.0, -1.2, 0.72], excitation)
-    rows, targets = linear_prediction.windows(signal, 2048, 1024, 2)
-    found = linear_prediction.sparse_predictors(rows, targets)
+    found = linear_prediction.sparse_predictors(signal, 2048, 1024, 2)
     np.testing.assert_allclose(found, np.tile([1.2, -0.72], (len(found), 1)), atol=0.15)
 
 

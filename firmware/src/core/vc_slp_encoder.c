@@ -87,17 +87,22 @@ static void encode_frame(vc_slp_encoder *encoder, vc_range_coder *coder, unsigne
     candidate kept, fresh, *chosen = &kept;
     vc_slp_frame frame;
     int32_t residual[VC_SLP_MAX_FRAME], output[VC_SLP_MAX_FRAME];
+    int differs = 0;
     uint32_t k;
     memcpy(kept.reflections, channel->reflections, sizeof kept.reflections);
     memcpy(kept.log_steps, channel->log_steps, sizeof kept.log_steps);
     measure(&kept, encoder, channel, samples);
     memset(fresh.reflections, 0, sizeof fresh.reflections);
     memcpy(fresh.reflections, reflections, configuration->order);
-    vc_slp_log_steps(configuration, number, fresh.reflections, fresh.log_steps);
-    measure(&fresh, encoder, channel, samples);
-    if (fresh.cost + predictor_cost(fresh.reflections, kept.reflections, configuration->order) / PREDICTOR_LIFE <
-        kept.cost)
-        chosen = &fresh;
+    for (k = 0; k < configuration->order; k++)
+        differs |= fresh.reflections[k] != kept.reflections[k];
+    if (differs) {
+        vc_slp_log_steps(configuration, number, fresh.reflections, fresh.log_steps);
+        measure(&fresh, encoder, channel, samples);
+        if (fresh.cost + predictor_cost(fresh.reflections, kept.reflections, configuration->order) / PREDICTOR_LIFE <
+            kept.cost)
+            chosen = &fresh;
+    }
     memcpy(frame.reflections, chosen->reflections, sizeof frame.reflections);
     frame.silent = 1;
     for (k = 0; k < configuration->frame; k++) {

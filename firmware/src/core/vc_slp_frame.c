@@ -279,13 +279,24 @@ static int32_t basis(uint32_t frame, uint32_t n, uint32_t k)
 
 void vc_slp_dct(const int32_t *values, uint32_t frame, int32_t *spectrum)
 {
-    uint32_t n, k;
-    for (k = 0; k < frame; k++) {
-        int64_t sum = 0;
-        for (n = 0; n < frame; n++)
-            sum += (int64_t)values[n] * basis(frame, n, k);
-        spectrum[k] = vc_limited(scaled(scaled(sum, 24) * norm(frame, k), 24));
+    int64_t folded[VC_SLP_MAX_FRAME], differences[VC_SLP_MAX_FRAME / 2];
+    uint32_t n, k, half;
+    for (n = 0; n < frame; n++)
+        folded[n] = values[n];
+    /* Odd bins take the differences of opposite values. Even bins are a transform, half as long, of their sums. */
+    for (half = frame / 2; half > 0; half /= 2) {
+        for (n = 0; n < half; n++) {
+            differences[n] = folded[n] - folded[2 * half - 1 - n];
+            folded[n] += folded[2 * half - 1 - n];
+        }
+        for (k = frame / half / 2; k < frame; k += frame / half) {
+            int64_t sum = 0;
+            for (n = 0; n < half; n++)
+                sum += differences[n] * basis(frame, n, k);
+            spectrum[k] = vc_limited(scaled(scaled(sum, 24) * norm(frame, k), 24));
+        }
     }
+    spectrum[0] = vc_limited(scaled(folded[0] * norm(frame, 0), 24));
 }
 
 void vc_slp_inverse_dct(const int32_t *spectrum, uint32_t frame, int32_t *values)
