@@ -344,11 +344,10 @@ class LiveStream:
 
     def coded(self, samples: Signal) -> list[bytes]:
         """Code what completes the next packet, or less; return that packet, unless it would come too late."""
-        if self._refresh_is_due and not self._gathered:
-            self._begin_encoder(self.packets_sent)
         if len(samples) == self.left_samples and not self.fits():
             self._drop()
             return []
+        self._refresh()
         return self.code(samples)
 
     def fits(self, drained: float = 0.25) -> bool:
@@ -385,7 +384,13 @@ class LiveStream:
             self._ask_s = self.controller.clock() + _ASK_S
             self._link.asking()
             self.controller.ask_status()
-        self._begin_encoder(self.packets_sent)
+        self._gathered = 0
+        self._refresh_is_due = True
+
+    def _refresh(self) -> None:
+        """Make an encoder if a refresh is due: not for each dropped packet, as a host that is late has no time."""
+        if self._refresh_is_due and not self._gathered:
+            self._begin_encoder(self.packets_sent)
 
     def _reject_floods(self) -> None:
         """Raise LiveError for a source that does not keep its own rate: what is ahead of time would be lost."""
@@ -433,6 +438,7 @@ class LiveStream:
     def finish(self) -> LiveResult:
         """Send what is left and the end, unless that was said; wait until it has been played; return what happened."""
         if self._wire_bytes is None:
+            self._refresh()
             self.send_packets([renumbered(packet, self._refreshed_at) for packet in self._encoder.finish()])
             self.say_end()
         if self.packets_sent:

@@ -8,7 +8,7 @@ import pytest
 from vibrocast import codec
 from vibrocast.codec import CodecError, Signal
 from vibrocast.codec.live_format import live_format
-from vibrocast.device_protocol.coded_stream import StreamError
+from vibrocast.device_protocol.coded_stream import StreamError, packet_sequence
 from vibrocast.device_protocol.messages import Start, State, Tap
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import live
@@ -141,6 +141,22 @@ def test_a_source_that_pauses_goes_on_with_little_delay() -> None:
         assert stream.status.state == State.PLAYING
         assert 0 < stream.status.buffered_samples < 0.05 * RATE_HZ
     assert stream.finish().streams == 3
+
+
+@pytest.mark.parametrize("late_at", [30, 83])  # packets of 84
+def test_a_program_that_is_late_leaves_packets_out_and_goes_on_with_a_refresh(late_at: int) -> None:
+    link, controller = bench()
+    stream = LiveStream(controller, FORMAT)
+    sent: list[tuple[int, bool]] = []
+    stream.on_packets = lambda packets: sent.extend(packet_sequence(packet) for packet in packets)
+    for number, block in enumerate(blocks(stream, noise(0.48))):
+        if number == late_at:
+            link.sleep(0.1)
+        stream.send(block)
+    result = stream.finish()
+    assert (result.streams, result.dropped_packets > 0) == (1, True)
+    goes_on_at = late_at + result.dropped_packets
+    assert sent[late_at:][:1] == ([(goes_on_at, True)] if goes_on_at < 84 else [])
 
 
 def test_a_pulled_cable_is_opened_again() -> None:
