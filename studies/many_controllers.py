@@ -12,8 +12,10 @@ from pathlib import Path
 import click
 import numpy as np
 
+from studies.latency import PARTS
 from studies.page import OUT, errors_in_one_line, render, results_folder, write, write_rows
 from vibrocast.codec.encoding import encode_recording
+from vibrocast.codec.live_format import recording_format
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.coded_stream import MAX_CHANNELS
 from vibrocast.device_protocol.transports import SerialTransport
@@ -23,7 +25,8 @@ from vibrocast.host.cli.option_types import Whole, positive
 from vibrocast.host.controller import Controller
 from vibrocast.host.event_loop import run_all
 from vibrocast.host.harness import machine
-from vibrocast.textures import Recording
+from vibrocast.host.live import LiveStream, paced
+from vibrocast.textures import GENERATORS, Recording
 
 KINDS = {
     "firmware": "firmware",
@@ -32,6 +35,23 @@ KINDS = {
 RATE_HZ = 2800
 PAGE = "many_controllers.md"
 TABLE = "many_controllers.csv"
+LIVE_TABLE = "many_live_streams.csv"
+LIVE_STREAMS = (1, 10, 100)
+LIVE_TEXTURE = "wood"
+LIVE_FIGURES = {
+    "median_ms": ("**sample to wire: median**, ms", ".2f"),
+    "p99_ms": ("99 % are below, ms", ".2f"),
+    "max_ms": ("maximum, ms", ".2f"),
+    "jitter_ms": ("jitter of the stream with the most, ms", ".2f"),
+    "wake_ms": (f"{PARTS['wake']}, ms", ".2f"),
+    "turn_ms": ("waiting for the streams before it, ms", ".2f"),
+    "encode_ms": (f"{PARTS['encode']}, ms", ".2f"),
+    "send_ms": (f"{PARTS['send']}, ms", ".2f"),
+    "round_ms": ("work for a packet of every stream, receiving included, ms", ".2f"),
+    "host_share": ("host's share", ".3f"),
+    "unsent_percent": ("packets left out, because too late, %", ".1f"),
+    "restarts": ("streams begun again", "d"),
+}
 
 
 @dataclass(frozen=True)
@@ -56,6 +76,30 @@ class Measured:
             f"{self.host_share:.3f} of a core, the controllers {self.controllers_share:.3f}; underruns "
             f"{self.underruns}, lost packets {self.lost_packets}, failed {self.failed}"
         )
+
+
+@dataclass(frozen=True)
+class LiveMeasured:
+    """Live streams of one channel: the times from a packet's last sample to the end of its write, and their parts.
+
+    `jitter_ms`: between the 5 % and the 95 % of a stream's times. Parts, `wake_ms` to `send_ms`, are medians.
+    `round_ms`: the median work for a packet, receiving included, times the streams. `host_share`: as in Measured.
+    """
+
+    streams: int
+    restarts: int
+    packet_ms: float
+    median_ms: float
+    p99_ms: float
+    max_ms: float
+    jitter_ms: float
+    wake_ms: float
+    turn_ms: float
+    encode_ms: float
+    send_ms: float
+    round_ms: float
+    host_share: float
+    unsent_percent: float
 
 
 def noise(channels: int, seconds: float) -> Stream:
@@ -88,27 +132,33 @@ def ports(commands: Sequence[Sequence[str]], count: int, cores: Sequence[int]) -
             process.communicate()
 
 
+@contextlib.contextmanager
+def pinned() -> Iterator[list[int]]:
+    """Keep this process on one core; yield the others."""
+    cores = sorted(os.sched_getaffinity(0))
+    os.sched_setaffinity(0, cores[:1])
+    try:
+        yield cores[1:]
+    finally:
+        os.sched_setaffinity(0, cores)
+
+
 def measure(kind: str, count: int, channels: int, seconds: float, buffer_s: float) -> Measured:
     """Stream to `count` controllers at once, without reading back; this process on one core, theirs on the others."""
     stream = noise(channels, seconds)
     packet_samples = stream.decoder().packet_samples
     settings = player.PlaybackSettings(buffer_s=buffer_s)
     commands = commands_of(kind, count, channels)
-    cores = sorted(os.sched_getaffinity(0))
-    os.sched_setaffinity(0, cores[:1])
     children_s = os.times().children_user + os.times().children_system
-    try:
-        with ports(commands, count, cores[1:]) as names, contextlib.ExitStack() as stack:
-            controllers = [Controller(stack.enter_context(SerialTransport(name))) for name in names]
-            works = {
-                number: (each, player.play_steps(each, stream.header, stream.packets, packet_samples, settings))
-                for number, each in enumerate(controllers)
-            }
-            began_s = time.process_time()
-            results = run_all(works).values()
-            took_s = time.process_time() - began_s
-    finally:
-        os.sched_setaffinity(0, cores)
+    with pinned() as others, ports(commands, count, others) as names, contextlib.ExitStack() as stack:
+        controllers = [Controller(stack.enter_context(SerialTransport(name))) for name in names]
+        works = {
+            number: (each, player.play_steps(each, stream.header, stream.packets, packet_samples, settings))
+            for number, each in enumerate(controllers)
+        }
+        began_s = time.process_time()
+        results = run_all(works).values()
+        took_s = time.process_time() - began_s
     children_s = os.times().children_user + os.times().children_system - children_s
     for result in results:
         if isinstance(result, Exception):
@@ -118,19 +168,63 @@ def measure(kind: str, count: int, channels: int, seconds: float, buffer_s: floa
         kind,
         count,
         channels,
-        took_s / seconds,
-        children_s / seconds,
+        round(took_s / seconds, 3),
+        round(children_s / seconds, 3),
         sum(result.underruns for result in played),
         sum(result.lost_packets for result in played),
         count - len(played),
     )
 
 
-def page(rows: Sequence[Measured], seconds: float, buffer_s: float) -> str:
+def measure_live(count: int, seconds: float) -> LiveMeasured:
+    """Stream to `count` controllers as a program does that reads blocks of all channels and sends each its own."""
+    sources = [GENERATORS[LIVE_TEXTURE](seed=seed, seconds=seconds, rate_hz=RATE_HZ) for seed in range(count)]
+    commands = commands_of("null", count, 1)
+    with pinned() as others, ports(commands, count, others) as names, contextlib.ExitStack() as stack:
+        controllers = [Controller(stack.enter_context(SerialTransport(name))) for name in names]
+        streams = [LiveStream(*each) for each in zip(controllers, map(recording_format, sources), strict=True)]
+        packet_samples, clock = streams[0].packet_samples, controllers[0].clock
+        rounds = len(sources[0].samples) // packet_samples
+        samples = np.hstack([source.samples for source in sources])[: rounds * packet_samples]
+        times_s = np.full((rounds, count, 6), np.nan)
+        began_s = time.process_time()
+        for (due_s, block), times_of_round in zip(paced(streams[0], samples, packet_samples), times_s, strict=True):
+            awake_s = clock()
+            for number, stream in enumerate(streams):  # the steps of `LiveStream.send`, to time each
+                turn_s = clock()
+                packets = stream.coded(block[:, [number]])
+                coded_s = clock()
+                stream.send_packets(packets)
+                sent_s = clock()
+                stream.keep_up()
+                if packets:
+                    times_of_round[number] = due_s, awake_s, turn_s, coded_s, sent_s, clock()
+        took_s = time.process_time() - began_s
+    times_ms = 1e3 * times_s[1:]  # the first packet waited for the start of its stream
+    totals_ms = times_ms[..., 4] - times_ms[..., 0]
+    early_ms, late_ms = np.nanquantile(totals_ms, (0.05, 0.95), axis=0)
+    figures = [
+        1e3 * streams[0].packet_s,
+        *np.nanquantile(totals_ms, (0.5, 0.99, 1)),
+        np.nanmax(late_ms - early_ms),
+        *np.nanmedian(np.diff(times_ms), axis=(0, 1))[:4],
+        count * np.nanmedian(times_ms[..., 5] - times_ms[..., 2]),
+        took_s / seconds,
+        100 * sum(stream.dropped_packets for stream in streams) / (rounds * count),
+    ]
+    restarts = sum(stream.begun - 1 for stream in streams)
+    return LiveMeasured(count, restarts, *(round(float(each), 3) for each in figures))
+
+
+def page(rows: Sequence[Measured], live: Sequence[LiveMeasured], seconds: float, buffer_s: float) -> str:
     """Return the page with the table."""
     return render(
         "many_controllers",
         rows=rows,
+        live=live,
+        live_figures=LIVE_FIGURES,
+        live_texture=LIVE_TEXTURE,
+        rate_hz=RATE_HZ,
         kinds=KINDS,
         seconds=seconds,
         buffer_s=buffer_s,
@@ -176,8 +270,13 @@ def main(
             for count in counts:
                 rows.append(measure(kind, count, channels, seconds, buffer_s))
                 click.echo(rows[-1])
+        live = []
+        for count in LIVE_STREAMS:
+            live.append(measure_live(count, seconds))
+            click.echo(live[-1])
         write_rows(results_folder(out) / TABLE, rows, Measured)
-        write(out / PAGE, page(rows, seconds, buffer_s))
+        write_rows(results_folder(out) / LIVE_TABLE, live, LiveMeasured)
+        write(out / PAGE, page(rows, live, seconds, buffer_s))
 
 
 if __name__ == "__main__":

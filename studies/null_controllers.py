@@ -3,6 +3,7 @@
 `python -m studies.null_controllers COUNT` prints the name of each port on a line, and serves them until its input ends.
 """
 
+import math
 import os
 import selectors
 import sys
@@ -40,7 +41,7 @@ BUFFER_SAMPLES = 32768
 HELLO = HelloResponse(
     build="null",
     hardware="null",
-    limits=Limits(4096, 4084, BUFFER_SAMPLES, 0, MAX_CHANNELS, 100, 48_000, 2000),
+    limits=Limits(4096, 4084, BUFFER_SAMPLES, 0, MAX_CHANNELS, 100, 48_000, 2000, packet_samples=BUFFER_SAMPLES),
     actuator=ActuatorDescription("none", 80.0, 150.0, 0.0, 270.0, 0.0, 16, 8000),
     codecs=(CodecDescription(1, "mdct"),),
 )
@@ -59,6 +60,7 @@ class NullController:
     configure: Configure | None = None
     rate_hz: int = 1
     packet_samples: int = 1
+    packets: float = math.inf
     state: State = State.IDLE
     began_s: float = 0.0
     told_s: float = 0.0
@@ -84,11 +86,13 @@ class NullController:
         """Let time pass; tell the status when the state changes, and often enough."""
         state = self.state
         if state == State.ARMED and self.configure is not None:
-            if self.received >= min(self.configure.packets, self.configure.prebuffer_samples // self.packet_samples):
-                self.state, self.began_s = State.PLAYING, now_s
-        elif state == State.PLAYING and self.configure is not None:
+            if self.received < min(self.packets, self.configure.prebuffer_samples // self.packet_samples):
+                self.began_s = max(self.began_s, now_s)
+            elif now_s >= self.began_s:
+                self.state = State.PLAYING
+        elif state == State.PLAYING:
             behind = self._position(now_s) // self.packet_samples - self.received
-            if self.received == self.configure.packets and behind >= 0:
+            if self.received >= self.packets and behind >= 0:
                 self.state = State.FINISHED
             elif behind > 0:
                 self.underruns += 1
@@ -106,8 +110,8 @@ class NullController:
                 self.received = max(self.received, number + 1)
 
     def _position(self, now_s: float) -> int:
-        if self.state == State.PLAYING and self.configure is not None:
-            return min(int((now_s - self.began_s) * self.rate_hz), self.configure.packets * self.packet_samples)
+        if self.state == State.PLAYING:
+            return int(min((now_s - self.began_s) * self.rate_hz, self.packets * self.packet_samples))
         return self.received * self.packet_samples if self.state == State.FINISHED else 0
 
     def _answer(self, message: Message, now_s: float) -> Message:
@@ -118,9 +122,10 @@ class NullController:
             codec = codec_by_identifier(header.codec_identifier, header.configuration)
             of_stream = decoder(codec.identifier, header.configuration, header.channels)
             self.configure, self.rate_hz, self.packet_samples = message, header.rate_hz, of_stream.packet_samples
+            self.packets = message.packets or math.inf  # a live stream has no end
             self.state, self.received, self.underruns, self.lost_packets = State.BUFFERING, 0, 0, 0
         elif isinstance(message, Start):
-            self.state = State.ARMED
+            self.state, self.began_s = State.ARMED, max(now_s, message.device_time_us / 1e6)
         elif isinstance(message, Stop):
             self.state = State.STOPPED
         elif not isinstance(message, StatusRequest):
