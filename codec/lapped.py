@@ -1,12 +1,13 @@
 """The codec `lapped`: `mdct` with learned windows of four hops; layout in docs/reference/bitstream.md."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cache, partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vibrocast.codec import mdct
-from vibrocast.codec.core import CoreDecoder
+from vibrocast.codec.core import UNIT, CoreDecoder
 from vibrocast.codec.interface import (
     Codec,
     CodecError,
@@ -73,17 +74,27 @@ def check_tables(payload: bytes) -> None:
 def resolve(samples: Signal, signal_format: SignalFormat, model: Model | None, words: Setting) -> Setting:
     """Choose the hop and the rotation of a file with the model's windows; see codec.interface.Codec."""
     payload = parts(model.tables if model else None)[0] + mdct.built_in_tables()
-    return mdct.best_choice(samples, signal_format, words, _analysis(model), partial(LappedDecoder, payload=payload))
+    return mdct.best_choice(samples, signal_format, words, _transform(model), partial(LappedDecoder, payload=payload))
 
 
 def estimate(samples: Signal, signal_format: SignalFormat, setting: Setting, model: Model | None) -> Estimate:
     """Estimate bits and error of coding a signal, by the step; see codec.interface.Codec."""
-    return mdct.estimate(samples, signal_format, setting, model, _analysis(model))
+    return mdct.estimate(samples, signal_format, setting, model, _transform(model))
 
 
-def _analysis(model: Model | None) -> Callable[[int], Signal]:
-    """Return the function that makes a model's transform at a hop. Raises CodecError without a model."""
-    return partial(analysis_matrix, parts(model.tables if model else None)[0])
+def transform(windows: bytes) -> mdct.Transform:
+    """Return the transform with the windows of a model image."""
+
+    def spectra(samples: Signal, hop: int) -> NDArray[np.int32]:
+        every = np.lib.stride_tricks.sliding_window_view(samples, 4 * hop, axis=0)[::hop]
+        return mdct.limited(every @ analysis_matrix(windows, hop) * UNIT)
+
+    return mdct.Transform(4, spectra)
+
+
+def _transform(model: Model | None) -> mdct.Transform:
+    """Return the transform of a model. Raises CodecError without one."""
+    return transform(parts(model.tables if model else None)[0])
 
 
 def make_encoder(
@@ -95,8 +106,7 @@ def make_encoder(
 ) -> MdctEncoder:
     """Make an encoder: that of `mdct` with the model's windows. Raises CodecError like it, and without a model."""
     windows, tables = parts(model.tables if model else None)
-    analysis = partial(analysis_matrix, windows)
-    return mdct.make_encoder(setting, signal_format, framing, Model(tables), rate_control, analysis)
+    return mdct.make_encoder(setting, signal_format, framing, Model(tables), rate_control, transform(windows))
 
 
 def repack(

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from functools import cache, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,14 +36,14 @@ from vibrocast.firmware.native_core import ffi, library
 NAME = "mdct"
 IDENTIFIER = 1
 HOPS = (16, 32, 64, 128)
-MAX_PACKET_BLOCKS = 4095
+MAX_PACKET_BLOCKS = 2047
 STEP_CODES = 21 * 64
 STEP_CODES_OF_QUANTISER_OFFSET = 4
 """Step codes in one unit of the quantiser offset."""
 RATE_CONTROLLED = b"\x01"
 """Features of a stream whose packets state their quantiser offsets; it ends the configuration of `slp` and `eva`."""
-STEP_SHAPE = 4
-"""Bit of the features of a stream whose steps differ over frequency."""
+SHAPED = 4
+"""Bit of a configuration's first number whose stream has steps that differ over frequency."""
 ROTATION = 2
 """Bit of the features of a stream whose channels are rotated."""
 NONE = "none"
@@ -54,9 +54,10 @@ LAMBDA = 108
 
 _MAX_COEFFICIENT = 2**28
 _CHUNK_BLOCKS = 8192
-_RESOLVING_SAMPLES = 1 << 16
+_RESOLVING_SAMPLES = 1 << 15
 _RESOLVING_STEP = 0.5
 _RESOLVING_PACKET = 1024
+_SAME_COST = 1.001
 _LEAST_GAIN = 0.01
 """Part of the cost by which a rotation, and then its delays, must lower it: the gain at one step shrinks at others."""
 _NOISE_FILLING_UNIT = 128
@@ -70,7 +71,9 @@ TABLES = np.dtype(
     ]
 )
 """Initial tables; docs/reference/bitstream.md describes them. A cell that nothing was coded with is UNTRAINED."""
-_SHAPE_UNITS_PER_OCTAVE = 16
+_BLOCKS_SHIFT = 3
+_SHAPE_UNITS = (14 / 64, 28 / 64, 42 / 64, 56 / 64)
+"""Octaves: of the shapes for touch at the strengths 0.25, 0.5, 0.75 and 1, a third of the greatest."""
 
 
 MIN_STEP = 2.0**-18
@@ -107,23 +110,26 @@ def configuration(
 
     `shape`: as from `packed_shape`, empty = none. `rotation`: the section of one, empty = none.
     """
-    head = pack_varint(packet_blocks << 2 | HOPS.index(hop))
+    head = pack_varint(packet_blocks << _BLOCKS_SHIFT | SHAPED * bool(shape) | HOPS.index(hop))
     steps = b"".join((noise_filling_code << 11 | code).to_bytes(2, "little") for code in step_codes)
-    features = RATE_CONTROLLED[0] * rate_controlled | ROTATION * bool(rotation) | STEP_SHAPE * bool(shape)
-    return head + steps + bytes([features] if features else []) + rotation + shape
+    features = RATE_CONTROLLED[0] * rate_controlled | ROTATION * bool(rotation)
+    return head + steps + shape + bytes([features] if features else []) + rotation
 
 
 def packed_shape(octaves: Sequence[float] | None) -> tuple[bytes, float]:
-    """Return a step shape for a configuration, empty for one that is flat, and the mean octaves of its nodes."""
+    """Return a step shape for a configuration, empty for one that is flat, and the mean octaves of its nodes.
+
+    Nodes are 0 to 3 times a unit; of the four units, the one that comes nearest.
+    """
     if octaves is None:
         return b"", 0.0
-    unit = min(max(1, math.ceil(max(octaves) * _SHAPE_UNITS_PER_OCTAVE / 15)), 15)
-    values = [min(round(each * _SHAPE_UNITS_PER_OCTAVE / unit), 15) for each in octaves]
-    if not any(values):
+    wanted = np.array(octaves)
+    shapes = [(code, np.clip(np.rint(wanted / unit), 0, 3).astype(int), unit) for code, unit in enumerate(_SHAPE_UNITS)]
+    code, values, unit = min(shapes, key=lambda each: float(np.sum(np.square(each[1] * each[2] - wanted))))
+    if not values.any():
         return b"", 0.0
-    nibbles = [unit, *values]
-    packed = bytes(low | high << 4 for low, high in zip(nibbles[::2], nibbles[1::2], strict=True))
-    return packed, unit * sum(values) / len(values) / _SHAPE_UNITS_PER_OCTAVE
+    section = code << 2 * len(values) | sum(int(value) << 2 * node for node, value in enumerate(values))
+    return section.to_bytes(2, "little"), unit * float(np.mean(values))
 
 
 def built_in_tables() -> bytes:
@@ -157,11 +163,38 @@ def modulated(window: Signal, hop: int) -> Signal:
     return matrix
 
 
-def spectra(samples: Signal, analysis: Signal) -> Signal:
-    """Return the coefficients (blocks, channels, hop) of samples (n, channels) by a transform (window, hop)."""
-    window, hop = analysis.shape
-    coefficients: Signal = np.lib.stride_tricks.sliding_window_view(samples, window, axis=0)[::hop] @ analysis
+def limited(coefficients: Signal) -> NDArray[np.int32]:
+    """Return coefficients in the core's unit, rounded, within what the core takes."""
+    rounded = np.rint(coefficients)
+    return np.clip(rounded, -_MAX_COEFFICIENT, _MAX_COEFFICIENT, out=rounded).astype(np.int32, order="C")
+
+
+def spectra(samples: Signal, hop: int) -> NDArray[np.int32]:
+    """Return the MDCT (blocks, channels, hop) of samples (n, channels), by the core, in its unit; full scale is 1."""
+    units = limited(samples * UNIT)
+    channels = samples.shape[1]
+    coefficients = np.empty((len(samples) // hop - 1, channels, hop), np.int32)
+    library().vc_mdct_analyse(
+        ffi.cast("int32_t *", units.ctypes.data),
+        len(coefficients),
+        channels,
+        hop,
+        ffi.cast("int32_t *", coefficients.ctypes.data),
+    )
     return coefficients
+
+
+class Transform(NamedTuple):
+    """A lapped transform.
+
+    `window_hops`: hops that a window covers. `spectra`: returns the coefficients of samples at a hop, as `spectra`.
+    """
+
+    window_hops: int
+    spectra: Callable[[Signal, int], NDArray[np.int32]]
+
+
+MDCT = Transform(2, spectra)
 
 
 class MdctEncoder(PacketwiseEncoder):
@@ -177,7 +210,7 @@ class MdctEncoder(PacketwiseEncoder):
         hop: int | None = None,
         noise_filling: float = 0.0,
         rate_control: RateControl | None = None,
-        analysis: Callable[[int], Signal] = analysis_matrix,
+        transform: Transform = MDCT,
         shape: Sequence[float] | None = None,
         rotation: Rotation | None = None,
     ) -> None:
@@ -186,21 +219,18 @@ class MdctEncoder(PacketwiseEncoder):
         `rd_weight`: weight of bits against squared error in rounding, 1 = the best for its rate, 0 = the least error.
         `hop`: one of HOPS, None = the one of live streams. `noise_filling`: magnitude that replaces coefficients
         rounded to zero, in quantiser steps. `rate_control`: chooses the quantiser offset of each packet, in 1/16 octave
-        of the steps; None = no offsets. `analysis`: returns the transform at a hop, (samples of a window, hop).
-        `shape`: octaves by which steps are coarser at `shaping.NODES`; their mean stays that of `steps`. `rotation`:
-        mixes the channels, None = each is coded alone. Raises CodecError for a channel count, step, packet length, hop,
-        noise filling or tables that the codec cannot have.
+        of the steps; None = no offsets. `shape`: octaves by which steps are coarser at `shaping.NODES`; their mean
+        stays that of `steps`. `rotation`: mixes the channels, None = each is coded alone. Raises CodecError for a
+        channel count, step, packet length, hop, noise filling or tables that the codec cannot have.
         """
         self._hop = hop_samples(rate_hz) if hop is None else hop
         if self._hop not in HOPS:
             raise CodecError(f"hop {self._hop} is not possible; give one of {HOPS}")
         if not all(math.isfinite(step) and step > 0 for step in steps):
             raise CodecError("a quantiser step is not positive; give positive numbers")
-        self._analysis = analysis(self._hop)
+        self._transform = transform
         self._rotation = rotation
-        self._history = self.delay_samples = (
-            len(self._analysis) - self._hop + (rotation.delay_samples if rotation else 0)
-        )
+        self._history = self.delay_samples = _delay_samples(transform, self._hop, rotation)
         self._chunk_samples = max(1, _CHUNK_BLOCKS * self._hop // max(1, len(steps)))
         super().__init__(len(steps), framing, self._hop, MAX_PACKET_BLOCKS)
         if not 0 <= noise_filling <= MAX_NOISE_FILLING:
@@ -254,11 +284,10 @@ class MdctEncoder(PacketwiseEncoder):
     def _code_packets(self, samples: Signal) -> list[bytes]:
         count = (len(samples) - self._history) // self.packet_samples
         if self._rotation is None:
-            exact = spectra(samples, self._analysis) * UNIT
+            coefficients = self._transform.spectra(samples, self._hop)
         else:
-            rotated = spectra(aligned(samples, self._rotation.delays), self._analysis)
-            exact = self._rotation.coded(rotated * self._relative_steps[None, :, None]) * UNIT
-        coefficients = np.clip(np.rint(exact), -_MAX_COEFFICIENT, _MAX_COEFFICIENT).astype(np.int32)
+            rotated = self._transform.spectra(aligned(samples, self._rotation.delays), self._hop)
+            coefficients = limited(self._rotation.coded(rotated * self._relative_steps[None, :, None]))
         return [
             self._packet_of(part, samples[index * self.packet_samples : (index + 1) * self.packet_samples])
             for index, part in enumerate(np.split(coefficients, count))
@@ -298,14 +327,14 @@ def check_tables(tables: bytes) -> None:
 
 def resolve(samples: Signal, signal_format: SignalFormat, model: Model | None, words: Setting) -> Setting:
     """Choose the hop and the rotation of a file by the built-in tables; see codec.interface.Codec."""
-    return best_choice(samples, signal_format, words, analysis_matrix, MdctDecoder)
+    return best_choice(samples, signal_format, words, MDCT, MdctDecoder)
 
 
 def best_choice(
     samples: Signal,
     signal_format: SignalFormat,
     words: Setting,
-    analysis: Callable[[int], Signal],
+    transform: Transform,
     decoder_of: Callable[[bytes, int], CoreDecoder],
 ) -> Setting:
     """Choose a hop and a rotation for a whole signal (n, channels) in its physical unit, where they are left open.
@@ -319,14 +348,14 @@ def best_choice(
 
     def estimated_cost(hop: int) -> float:
         filling_steps = _RESOLVING_STEP * steps
-        filling = water_filling(normalised, analysis(hop))
+        filling = water_filling(normalised, transform, hop)
         errors = filling.squared_errors(filling_steps) / np.square(filling_steps)
         return float(np.sum(errors) + LAMBDA / 256 * filling.bits(filling_steps))
 
     def cost(hop: int, rotation: Rotation | None) -> float:
         framing = Framing(_RESOLVING_PACKET, 0)
         encoder = MdctEncoder(
-            list(steps), signal_format.rate_hz, framing, hop=hop, analysis=analysis, rotation=rotation
+            list(steps), signal_format.rate_hz, framing, hop=hop, transform=transform, rotation=rotation
         )
         decoder = decoder_of(encoder.configuration, signal_format.channels)
         packets = encoder.encode(normalised) + encoder.finish()
@@ -339,11 +368,15 @@ def best_choice(
     given = _rotation(rotation, signal_format.channels)
     mixable = rotation == AUTO and signal_format.channels > 1
     if hop == AUTO:
-        hop = str(min(HOPS, key=estimated_cost))
-    transform = analysis(int(hop))
-    if mixable and len(normalised) >= len(transform) + MAX_DELAY:
+        costs = {each: estimated_cost(each) for each in HOPS}
+        # Of hops that cost the same, the shortest has the least delay.
+        hop = str(next(each for each in HOPS if costs[each] <= _SAME_COST * min(costs.values())))
+    if mixable and len(normalised) >= transform.window_hops * int(hop) + MAX_DELAY:
         least = cost(int(hop), None)
-        for trial in candidates(normalised / steps, int(hop), lambda part: spectra(part, transform)):
+        quietest = np.min(steps)  # by which no sample passes full scale
+        for trial in candidates(
+            normalised / steps, int(hop), lambda part: transform.spectra(part * quietest, int(hop)) / (UNIT * quietest)
+        ):
             if (reached := cost(int(hop), trial)) < (1 - _LEAST_GAIN) * least:
                 least, given = reached, trial
     return {"hop": hop, "rotation": given.pack().hex() if given else NONE}
@@ -360,23 +393,23 @@ def _rotation(text: str, channels: int) -> Rotation | None:
     return Rotation.unpack(section, channels)
 
 
-def water_filling(normalised: Signal, analysis: Signal) -> WaterFilling:
-    """Return the estimate of coding samples (n, channels), full scale = 1, with a transform (window, hop)."""
-    window, hop = analysis.shape
-    end = window - hop + -len(normalised) % hop
-    return WaterFilling(spectra(np.pad(normalised, ((window - hop, end), (0, 0))), analysis))
+def _delay_samples(transform: Transform, hop: int, rotation: Rotation | None) -> int:
+    return (transform.window_hops - 1) * hop + (rotation.delay_samples if rotation else 0)
+
+
+def water_filling(normalised: Signal, transform: Transform, hop: int) -> WaterFilling:
+    """Return the estimate of coding samples (n, channels), full scale = 1, with a transform at a hop."""
+    before = (transform.window_hops - 1) * hop
+    padded = np.pad(normalised, ((before, before + -len(normalised) % hop), (0, 0)))
+    return WaterFilling(transform.spectra(padded, hop), UNIT)
 
 
 def estimate(
-    samples: Signal,
-    signal_format: SignalFormat,
-    setting: Setting,
-    model: Model | None,
-    analysis: Callable[[int], Signal] = analysis_matrix,
+    samples: Signal, signal_format: SignalFormat, setting: Setting, model: Model | None, transform: Transform = MDCT
 ) -> Estimate:
     """Estimate bits and error of coding a signal, by the step; see codec.interface.Codec."""
     hop = hop_samples(signal_format.rate_hz) if word(setting, "hop") == AUTO else int(word(setting, "hop"))
-    filling = water_filling(samples / np.array(signal_format.gains), analysis(hop))
+    filling = water_filling(samples / np.array(signal_format.gains), transform, hop)
     rms = np.array(signal_format.rms)
     count = len(samples)
     return lambda step: (filling.bits(step * rms) / count, filling.squared_errors(step * rms) / count)
@@ -388,7 +421,7 @@ def make_encoder(
     framing: Framing,
     model: Model | None,
     rate_control: RateControl | None = None,
-    analysis: Callable[[int], Signal] = analysis_matrix,
+    transform: Transform = MDCT,
 ) -> MdctEncoder:
     """Make an encoder whose steps are relative to the RMS values. Raises CodecError as `MdctEncoder`."""
     relative_steps = numbers(setting, "step", signal_format.channels)
@@ -398,7 +431,7 @@ def make_encoder(
     live_hop = hop_samples(signal_format.rate_hz)
     hop = live_hop if word(setting, "hop") == AUTO else int(word(setting, "hop"))
     rotation = _rotation(word(setting, "rotation"), signal_format.channels)
-    delay_samples = len(analysis(hop)) - hop + (rotation.delay_samples if rotation else 0)
+    delay_samples = _delay_samples(transform, hop, rotation)
     if framing.refresh_packets == 0:
         # A file's framing has room for one block of a live stream after the end; this hop needs another.
         framing = Framing(max(1, framing.packet_samples + delay_samples - live_hop), 0)
@@ -411,7 +444,7 @@ def make_encoder(
         hop,
         number(setting, "noise_filling"),
         rate_control,
-        analysis,
+        transform,
         shaping.parsed_shape(word(setting, "shape")),
         rotation,
     )
@@ -437,10 +470,10 @@ def repack(
     _memory, table_arguments = _tables_arguments(tables)
     reader = CoreEncoder(NAME, configuration, channels, *table_arguments, 0, 0)
     head, head_bytes = unpack_varint(configuration, 0, 14)
-    blocks, hop = head >> 2, HOPS[head & 3]
+    blocks, hop = head >> _BLOCKS_SHIFT, HOPS[head & 3]
     refreshes = [packet_sequence(packet)[1] for packet in packets]
     # A packet must begin wherever a refresh or another quantiser offset does.
-    features = configuration[head_bytes + 2 * channels :][:1]
+    features = configuration[head_bytes + 2 * channels + 2 * bool(head & SHAPED) :][:1]
     rate_controlled = bool(features and features[0] & RATE_CONTROLLED[0])
     starts = math.gcd(blocks * rate_controlled, *(blocks * before for before, each in enumerate(refreshes) if each))
     longest = min(packet_samples // hop, MAX_PACKET_BLOCKS)
@@ -449,7 +482,7 @@ def repack(
         raise CodecError(
             f"packets of {packet_samples} samples hold no block of {hop}; encode with a shorter hop or at a lower rate"
         )
-    configuration = pack_varint(length << 2 | HOPS.index(hop)) + configuration[head_bytes:]
+    configuration = pack_varint(length << _BLOCKS_SHIFT | head & (1 << _BLOCKS_SHIFT) - 1) + configuration[head_bytes:]
     writer = _LevelWriter(configuration, channels, *table_arguments)
     read_levels, read_silent = np.empty((blocks, channels, hop), np.int32), np.empty((blocks, channels), np.uint8)
     read_offset = ffi.new("int32_t *")

@@ -10,6 +10,7 @@ from vibrocast.codec.threshold import MIN_HZ, read_threshold, threshold_amplitud
 
 NODES = (0.0, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0)
 """The frequencies of a shape, in parts of half the rate. Between them it is linear over frequency."""
+MAX_OCTAVES = 2.7
 FLAT = "flat"
 DEFAULT_TOUCH = 0.25
 """The strength of the shape for signals in a physical unit; docs/explanation/decisions/touch.md says why."""
@@ -49,6 +50,8 @@ def parsed_shape(text: str) -> tuple[float, ...] | None:
         octaves = tuple(float(each) for each in text.split("/"))
     except ValueError:
         octaves = ()
-    if len(octaves) != len(NODES) or not all(math.isfinite(each) and 0 <= each <= 14 for each in octaves):
-        raise CodecError(f"shape is {text!r}; write {FLAT}, or {len(NODES)} octaves from 0 to 14, divided by slashes")
+    if len(octaves) != len(NODES) or not all(math.isfinite(each) and 0 <= each <= MAX_OCTAVES for each in octaves):
+        raise CodecError(
+            f"shape is {text!r}; write {FLAT}, or {len(NODES)} octaves from 0 to {MAX_OCTAVES}, divided by slashes"
+        )
     return octaves

@@ -1,16 +1,15 @@
 """Estimates the bits and the error of coding spectra, without coding them."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vibrocast.codec.interface import Signal
 
 ERROR_OF_STEP = 1 / 3
 """Squared error of a coefficient above it, in squared steps: the mean over recordings of `mdct`, from 0 to 45 dB."""
 _BITS_OF_IDEAL = 1.14
-_LEVELS_PER_OCTAVE = 8
-_LEAST_POWER = 2.0**-90
-_IN_TIME = np.array([1, 2, 1]) / 4
-_IN_FREQUENCY = np.array([1, 2, 2, 2, 1]) / 8
+_CODE_BITS = 20
+_SUM_OF_WEIGHTS = 4 * 8
 
 
 class WaterFilling:
@@ -21,17 +20,21 @@ class WaterFilling:
     0.4 dB, and its bits by 6 % (standard deviations).
     """
 
-    def __init__(self, spectra: Signal) -> None:
-        """Take coefficients (blocks, channels, bins)."""
-        powers = _smoothed(_smoothed(np.square(spectra), _IN_TIME, 0), _IN_FREQUENCY, 2)
-        # Counted by their level, the powers of a long signal take no more time than those of a short one.
-        codes = np.rint(_LEVELS_PER_OCTAVE * np.log2(np.maximum(powers, _LEAST_POWER))).astype(np.int64)
-        first = int(np.min(codes, initial=0))
-        each = [channel.ravel() - first for channel in codes.swapaxes(0, 1)]
-        length = 1 + max(int(np.max(channel, initial=0)) for channel in each)
-        self._counts = np.array([np.bincount(channel, minlength=length) for channel in each])
-        self._powers = 2.0 ** ((first + np.arange(length)) / _LEVELS_PER_OCTAVE)
-        self._powers[self._powers <= _LEAST_POWER] = 0
+    def __init__(self, spectra: NDArray[np.int32], unit: float) -> None:
+        """Take coefficients (blocks, channels, bins), full scale = `unit`."""
+        powers = np.pad(np.square(spectra.astype(np.float32)), ((1, 1), (0, 0), (2, 2)), mode="edge")
+        # Weights over blocks are 1, 2, 1, and over bins 1, 2, 2, 2, 1.
+        for axis, distances in ((0, (1, 1)), (2, (1, 2, 1))):
+            for distance in distances:
+                powers = _summed(powers, distance, axis)
+        # Counted by their level, the powers of a long signal take no more time than those of a short one. The upper
+        # bits of a number are its octave and, in eighths, its place in the octave.
+        codes = powers.view(np.int32) >> _CODE_BITS
+        levels = (codes - np.min(codes, initial=0)).swapaxes(0, 1)
+        length = 1 + int(np.max(levels, initial=0))
+        self._counts = np.array([np.bincount(channel.ravel(), minlength=length) for channel in levels])
+        sums = np.bincount(levels.ravel(), powers.swapaxes(0, 1).ravel(), length)
+        self._powers = sums / np.maximum(np.sum(self._counts, axis=0), 1) / (_SUM_OF_WEIGHTS * unit**2)
 
     def bits(self, steps: Signal) -> float:
         """Return the bits over all channels; `steps`: of each channel, (channels,)."""
@@ -46,12 +49,7 @@ class WaterFilling:
         return errors
 
 
-def _smoothed(powers: Signal, weights: Signal, axis: int) -> Signal:
-    """Return the weighted means of neighbours along an axis, whose ends repeat."""
-    reach = len(weights) // 2
-    length = powers.shape[axis]
-    padded = np.pad(powers, [(reach * (each == axis),) * 2 for each in range(powers.ndim)], mode="edge")
-    means: Signal = sum(
-        weight * padded[(slice(None),) * axis + (slice(place, place + length),)] for place, weight in enumerate(weights)
-    )
-    return means
+def _summed(powers: NDArray[np.float32], distance: int, axis: int) -> NDArray[np.float32]:
+    """Return the sums of neighbours at a distance along an axis."""
+    before = (slice(None),) * axis
+    return powers[(*before, slice(distance, None))] + powers[(*before, slice(None, -distance))]

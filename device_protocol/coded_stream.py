@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 from vibrocast.device_protocol.encoding import Reader, crc16, pack_varint
 
-FORMAT = 2
+FORMAT = 3
 MAGIC = bytes((0xD0 | FORMAT,))
-_MAGIC_OF_FORMAT_1 = b"VCT"
+_OLD_MAGICS = {b"VCT": 1, b"\xd2": 2}
+"""The first bytes of formats that nothing released has written; this program reads none."""
 UNITS = ("full scale", "m/s^2", "um")
 PROFILE_UNIT = "um over position"
 """Unit of a height profile, whose rate is in samples per metre."""
@@ -132,8 +133,9 @@ class StreamHeader:
 
 def _begin(reader: Reader, data: bytes) -> tuple[int, int]:
     """Take the first two bytes of a header; return the codec's identifier and the length of its configuration."""
-    if data.startswith(_MAGIC_OF_FORMAT_1):
-        raise StreamError(_other_format(1) + "; encode the recording again")
+    for magic, old in _OLD_MAGICS.items():
+        if data.startswith(magic):
+            raise StreamError(_other_format(old) + "; encode the recording again")
     family, number = divmod(reader.take(1)[0], 16)
     if family != MAGIC[0] >> 4:
         raise StreamError("not a coded stream: it does not start as one; give a .vct file")

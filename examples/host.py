@@ -29,7 +29,7 @@ def read_vct(data: bytes) -> tuple[bytes, int, int, list[bytes]]:
     """Return header, Hz, samples, and the packets as they go on the wire. The CRCs are not checked."""
     rate, at = varint(data, 3)
     samples_and_one, at = varint(data, at)
-    if data[0] != 0xD2 or samples_and_one == 0:
+    if data[0] != 0xD3 or samples_and_one == 0:
         sys.exit("this is no .vct file of a recording")
     at += 2 * ((data[2] >> 4) + 1) + (data[2] & 4)  # gains of the channels, hash of a model image
     at += data[1] & 15 if data[1] & 15 < 15 else 1 + data[at]  # the configuration of the codec

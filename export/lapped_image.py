@@ -1,7 +1,6 @@
 """The model image of a trained `lapped`: its windows, and tables trained on their coefficients."""
 
 from collections.abc import Sequence
-from functools import partial
 
 from vibrocast.codec import lapped
 from vibrocast.codec.interface import Signal
@@ -17,5 +16,5 @@ def image(model: Lapped, name: str, version: str, signals: Sequence[Signal], see
     """
     windows = lapped.pack_windows(model.halves())
     textures = [signal[:, None] for signal in signals]
-    tables = trained(textures, seed, partial(lapped.analysis_matrix, windows))
+    tables = trained(textures, seed, lapped.transform(windows))
     return ModelImage(lapped.IDENTIFIER, name, version, "", windows + tables).pack()

@@ -1,12 +1,12 @@
 """Trains the initial tables of `mdct`: codes excerpts of textures at random steps, one after another."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 from rich.progress import track
 
 from vibrocast.codec import Framing, Signal
-from vibrocast.codec.mdct import HOPS, TABLES, UNTRAINED, MdctEncoder, analysis_matrix, untrained_tables
+from vibrocast.codec.mdct import HOPS, MDCT, TABLES, UNTRAINED, MdctEncoder, Transform, untrained_tables
 
 RATE_HZ = 2800
 STEPS_PER_RECORDING = 3
@@ -33,20 +33,18 @@ def excerpts(textures: list[Signal], seed: int) -> Iterator[Signal]:
             yield excerpt * (STEP / (rms * 2**log_step))
 
 
-def trained(
-    textures: list[Signal], seed: int, analysis: Callable[[int], Signal] = analysis_matrix, tables: bytes | None = None
-) -> bytes:
+def trained(textures: list[Signal], seed: int, transform: Transform = MDCT, tables: bytes | None = None) -> bytes:
     """Return initial tables that are adapted to textures, (n, 1) each.
 
-    `analysis`: returns the transform at a hop, (samples of a window, hop). `tables`: to begin with; None = untrained.
+    `tables`: to begin with; None = untrained.
     """
     tables = untrained_tables() if tables is None else tables
     for number in range(PASSES):
-        tables = _adapted(textures, seed + number, analysis, tables)
+        tables = _adapted(textures, seed + number, transform, tables)
     return tables
 
 
-def _adapted(textures: list[Signal], seed: int, analysis: Callable[[int], Signal], tables: bytes) -> bytes:
+def _adapted(textures: list[Signal], seed: int, transform: Transform, tables: bytes) -> bytes:
     """Return the tables after excerpts of the textures are coded, one after another, each at a random hop.
 
     They are the mean of the states after each excerpt but the first third: a single state would be a noisy beginning.
@@ -56,7 +54,7 @@ def _adapted(textures: list[Signal], seed: int, analysis: Callable[[int], Signal
     states = []
     for excerpt in excerpts(textures, seed):
         hop = int(generator.choice(HOPS))
-        encoder = MdctEncoder((STEP,), RATE_HZ, Framing(hop, 0), tables, hop=hop, analysis=analysis)
+        encoder = MdctEncoder((STEP,), RATE_HZ, Framing(hop, 0), tables, hop=hop, transform=transform)
         encoder.follow(last)
         if encoder.encode(excerpt):
             last = encoder

@@ -13,7 +13,7 @@ from vibrocast import codec, extras
 from vibrocast.device_protocol.coded_stream import StreamHeader, pack_file
 from vibrocast.device_protocol.model_image import ModelImage, sha256
 from vibrocast.evaluation import points
-from vibrocast.firmware.build import M0_PLUS, BuildError, cortex_m_flags, only, size
+from vibrocast.firmware.build import M0_PLUS, ROOT, BuildError, cortex_m_flags, only, size
 
 try:
     from unicorn import arm_const, riscv_const
@@ -72,9 +72,11 @@ class Cost:
 
 def compile_decoder(output: Path, processor: Core, codec_name: str) -> Path:
     """Link the decoder of one codec with the reader of files, -Os; return the program. Raises as compile_core."""
-    options, reader = ("-Os", "-g1", "-Wl,--gc-sections"), Path(__file__).with_name("array_reader.c")
+    options, further = ("-Os", "-g1", "-Wl,--gc-sections"), [Path(__file__).with_name("array_reader.c")]
+    if processor.arm:
+        further.append(ROOT / "ports" / "cortex_m" / "memory.c")  # memcpy and memset as boards have them
     switches = {"VC_MAX_CHANNELS": 1, **only(codec_name.upper())}
-    return compile_core(output, processor, _FUNCTIONS, switches, options, [reader])
+    return compile_core(output, processor, _FUNCTIONS, switches, options, further)
 
 
 def file_of(hostile: worst_case.Hostile, image: bytes | None) -> bytes:

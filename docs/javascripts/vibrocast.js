@@ -196,7 +196,7 @@ function unpackMessage(payload) {
 
 const UNITS = ["full scale", "m/s²", "µm", "µm over position"];
 const PROFILE_UNIT = 3;
-const STREAM_FORMAT = 0xd2;
+const STREAM_FORMAT = 0xd3;
 const HAS_IMAGE_HASH = 4;
 const ONE_PACKET = 8;
 const LONG_CONFIGURATION = 15;

@@ -1,4 +1,4 @@
-"""A decoder of `mdct` written from docs/reference/bitstream.md alone, slow and in floating point where it may be."""
+"""A decoder of `mdct` written from docs/reference/bitstream.md alone, slow."""
 
 import math
 from dataclasses import dataclass, field
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 STRETCH = [round(256 * math.log((i + 0.5) / (2047.5 - i))) for i in range(2048)]
 SQUASH = [round(65536 / (1 + math.exp(-(4 * i - 2046) / 256))) for i in range(1024)]
 LEARNING = [round(65536 / (i + 1.6)) for i in range(256)]
-RATIOS = (32, 40, 51, 64, 81, 102, 128)
+COSINES = [round(2**24 * math.cos(2 * math.pi * i / 1024)) for i in range(1024)]
 MARGIN = 3
 """Zeros before and behind the bins of a row."""
 NEXT_STATE = ((0, 2), (2, 0), (1, 3), (3, 1))
@@ -30,6 +30,11 @@ def fine_class(x: int) -> int:
         return x
     exponent = x.bit_length() - 1
     return 4 * (exponent - 1) + ((x >> (exponent - 2)) & 3)
+
+
+def log16(x: int) -> int:
+    exponent = x.bit_length() - 1
+    return 16 * exponent + ((x << 4 >> exponent) & 15)
 
 
 def adapted(probability: int, bit: int) -> int:
@@ -93,9 +98,9 @@ class Model:
         cells = [(kind, quantiser, i, context) for i, context in enumerate(contexts.cells)]
         inputs = [STRETCH[self.cell[cell] >> 5] for cell in cells]
         total = sum(int(w) * x for w, x in zip(weight, inputs, strict=True))
-        mixed = SQUASH[max(0, min(1023, divide(total, 65536) + 512))]
+        mixed = SQUASH[max(0, min(1023, (total >> 16) + 512))]
         bit = coder.decode(bounded(mixed))
-        error = divide(6 * (65536 * bit - mixed), 64)
+        error = 6 * (65536 * bit - mixed) >> 6
         for i, (cell, x) in enumerate(zip(cells, inputs, strict=True)):
             weight[i] = clamp(int(weight[i]) + ((error * x + 8192) >> 14), 32767)
             probability, rate = int(self.cell[cell]), LEARNING[self.count[cell]]
@@ -144,8 +149,7 @@ class Channel:
         self.blocks = min(24, self.blocks + 1)
         for k in range(MARGIN, self.hop + MARGIN):
             self.average[k] += 32 * self.rows[0][k] - (self.average[k] >> 3)
-            weighted = self.mean[k] * (self.blocks - 1) + 512 * self.rows[0][k]
-            self.mean[k] = (weighted + self.blocks // 2) // self.blocks
+            self.mean[k] += ((512 * self.rows[0][k] - self.mean[k]) * round(4096 / self.blocks) + 2048) >> 12
         self.rows = [[0] * (self.hop + 2 * MARGIN), *self.rows[:3]]
 
     def contexts(self, k: int) -> Contexts:
@@ -153,7 +157,7 @@ class Channel:
         j, average, mean = k + MARGIN, self.average, self.mean
         averages, means = average[j - 1] + average[j + 1], mean[j - 1] + mean[j + 1]
         below, below_mean = sum(now[:j]), sum(mean[:j])
-        ratio = max(16, min(256, 32768 * (below + 1) // (below_mean + 512)))
+        ratio = max(0, min(64, log16(below + 1) - log16(below_mean + 512) + 176))
         loudness = (195 * mean[j] + 30 * means) >> 9
         expected = (
             263 + 89 * last[j] + 94 * last[j + 1] + 15 * (last[j - 1] + last[j + 2] + last[j - 2])
@@ -161,11 +165,11 @@ class Channel:
             + ((56 * average[j] + 8 * averages) >> 9)
             + (((53 if self.blocks < 6 else 37) * mean[j] + 6 * means) >> 9)
             + 183 * now[j - 1] + 65 * now[j - 2] + 28 * now[j - 3]
-            + 79 * below // (k + 1) + (loudness * ratio >> 6)
+            + (below * (40448 // (k + 1)) >> 9) + (loudness * round(16 * 2 ** (ratio / 16)) >> 6)
         )  # fmt: skip
         magnitude_class = min(63, fine_class(expected) - 28)
         mean_class = min(15, fine_class((2 * mean[j] + means) >> 7) // 2)
-        ratio_class = sum(ratio >= limit for limit in RATIOS)
+        ratio_class = sum(3 * ratio >= limit for limit in range(48, 145, 16))
         quarter = 4 * k // self.hop
         cells = [4 * magnitude_class + quarter, 16 * mean_class + 2 * ratio_class + (now[j - 1] > 0)]
         return Contexts(self.state >> 1, 4 * min(11, self.blocks) + quarter, cells)
@@ -209,6 +213,55 @@ def suffix(coder: RangeDecoder) -> int:
 def read_varint(packet: bytes) -> int:
     position = next(i for i, byte in enumerate(packet) if byte < 0x80)
     return sum((byte & 0x7F) << 7 * i for i, byte in enumerate(packet[: position + 1]))
+
+
+def down(value: int) -> int:
+    return (value + 2**23) >> 24
+
+
+def turn(z: tuple[int, int], i: int) -> tuple[int, int]:
+    c, s = COSINES[i], COSINES[(i + 768) % 1024]
+    return down(z[0] * c + z[1] * s), down(z[1] * c - z[0] * s)
+
+
+def cosine_transform(spectrum: list[int]) -> tuple[list[int], int]:
+    """The numbers v and h of section "`mdct`: synthesis in integers"."""
+    hop, count, h = len(spectrum), len(spectrum) // 2, 0
+    while sum(map(abs, spectrum)) >> h > 2**30:
+        h += 1
+    x = [divide(each, 2**h) for each in spectrum]
+    bits = count.bit_length() - 1
+    z = [(0, 0)] * count
+    for k in range(count):
+        z[int(f"{k:0{bits}b}"[::-1], 2)] = turn((x[2 * k], x[hop - 1 - 2 * k]), (4 * k + 1) * 128 // hop)
+    half = 1
+    while half < count:
+        for start in range(0, count, 2 * half):
+            for n in range(start, start + half):
+                a, b = z[n], turn(z[n + half], 512 * (n - start) // half)
+                z[n], z[n + half] = (a[0] + b[0], a[1] + b[1]), (a[0] - b[0], a[1] - b[1])
+        half *= 2
+    v = [0] * hop
+    for k in range(count):
+        v[2 * k], minus = turn(z[k], 512 * k // hop)
+        v[hop - 1 - 2 * k] = -minus
+    return v, h
+
+
+def synthesised(spectrum: list[int], overlap: list[int]) -> list[int]:
+    """The next samples of a channel; `overlap` becomes that of the next block."""
+    hop = len(spectrum)
+    v, h = cosine_transform(spectrum)
+    norm = round(2**24 * math.sqrt(2 / hop))
+    window = [down(norm * COSINES[((2 * n + 1) * 128 // hop + 768) % 1024]) for n in range(hop)]
+    sums = list(overlap)
+    for n in range(hop // 2):
+        m, first, second = hop - 1 - n, v[hop // 2 + n], -v[hop // 2 - 1 - n]
+        sums[n] += clamp(down(first * window[n]) << h, 2**30)
+        sums[m] -= clamp(down(first * window[m]) << h, 2**30)
+        overlap[n] = clamp(down(second * window[m]) << h, 2**30)
+        overlap[m] = clamp(down(second * window[n]) << h, 2**30)
+    return [max(-32768, min(32767, int(math.copysign((abs(each) + 128) // 256, each)))) for each in sums]
 
 
 class Rotation:
@@ -268,29 +321,32 @@ class ReferenceDecoder:
         head, position = configuration[0], 1
         if head & 0x80:
             head, position = head & 0x7F | configuration[1] << 7, 2
-        self.hop, self.blocks = 16 << (head & 3), head >> 2
+        self.hop, self.blocks = 16 << (head & 3), head >> 3
         fields = np.frombuffer(configuration, "<u2", channels, position)
         self.codes = [int(code) % 2048 for code in fields]
         self.fills = [int(code) // 2048 for code in fields]
-        features, *sections = configuration[position + 2 * channels :] or b"\0"
+        position += 2 * channels
+        self.shape = [0] * self.hop
+        if head & 4:
+            self.shape = self.coarser(int.from_bytes(configuration[position : position + 2], "little"))
+            position += 2
+        features, *section = configuration[position:] or b"\0"
         self.rate_controlled = bool(features & 1)
-        self.shape = self.coarser(bytes(sections[-4:])) if features & 4 else [0] * self.hop
-        section = bytes(sections[:-4] if features & 4 else sections)
-        self.rotation = Rotation(section, self.codes, self.hop) if features & 2 else None
+        self.rotation = Rotation(bytes(section), self.codes, self.hop) if features & 2 else None
         self.tables = tables
         self.channels = [Channel(self.hop) for _ in range(channels)]
         window = self.window()
         self.overlap = np.zeros((channels, len(window) - self.hop))
+        self.halves = [[0] * self.hop for _ in range(channels)]
         n = np.arange(len(window))[None, :]
         k = np.arange(self.hop)[:, None]
         self.synthesis = (
             math.sqrt(2 / self.hop) * np.cos(np.pi / self.hop * (n + 0.5 + self.hop / 2) * (k + 0.5)) * window
         )
 
-    def coarser(self, section: bytes) -> list[int]:
+    def coarser(self, section: int) -> list[int]:
         """Section "`mdct`: step shape": step codes to add, by bin."""
-        unit, *units = [nibble for byte in section for nibble in (byte & 15, byte >> 4)]
-        values = [4 * unit * each for each in units]
+        values = [14 * ((section >> 14) + 1) * (section >> 2 * node & 3) for node in range(7)]
         nodes = [0, 16, 32, 64, 128, 256, 512]
         found = []
         for k in range(self.hop):
@@ -341,6 +397,14 @@ class ReferenceDecoder:
         spectra = np.clip(np.sign(values) * (np.abs(values) * steps // 256), -(2**28), 2**28)
         self.fill(spectra, steps, read_varint(packet) >> 1)
         return spectra
+
+    def integers(self, packet: bytes) -> NDArray[np.int64]:
+        """Section "`mdct`: synthesis in integers": samples (packet_samples, channels) of a stream without rotation."""
+        blocks = [
+            [synthesised(spectrum.tolist(), overlap) for spectrum, overlap in zip(block, self.halves, strict=True)]
+            for block in self.coefficients(packet)
+        ]
+        return np.array(blocks).swapaxes(1, 2).reshape(-1, len(self.channels))
 
     def samples(self, packet: bytes) -> NDArray[np.float64]:
         """Exact samples (packet_samples, channels), not rounded, 32768 = full scale."""

@@ -581,7 +581,7 @@ def golden_signal() -> Signal:
     ],
 )
 def test_golden_streams(name: str, digest: str, snr_db: float) -> None:
-    """A stream of version 1 stays playable, to the last bit: a change here is a new version of the format."""
+    """A stream of format 3 stays playable, to the last bit: a change here is a new version of the format."""
     header, packets = unpack_file(Path(__file__).with_name(f"golden_dct_{name}.vct").read_bytes())
     assert (header.samples, header.channels, len(packets)) == (700, 2, 1 if name == "whole" else 6)
     decoder = codec.decoder(2, header.configuration, 2)

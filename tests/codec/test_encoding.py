@@ -166,7 +166,7 @@ def test_a_stream_without_signal_is_rejected(samples: int | None) -> None:
 @pytest.mark.parametrize("samples", [100, None])
 def test_a_small_file_of_many_samples_is_rejected_before_it_is_decoded(samples: int | None, tmp_path: Path) -> None:
     path = tmp_path / "bomb.vct"
-    longest_packets_of_16_channels = bytes((4095 << 2 & 0x7F | 0x82, 4095 << 2 >> 7)) + bytes(2 * 16)
+    longest_packets_of_16_channels = bytes((2047 << 3 & 0x7F | 0x82, 2047 << 3 >> 7)) + bytes(2 * 16)
     header = StreamHeader(1, 2800, samples, "um", (1.0,) * 16, longest_packets_of_16_channels)
     path.write_bytes(pack_file(header, [pack_varint(2 * n + (n == 0)) + b"\xff" for n in range(3000)]))
     assert path.stat().st_size < 20_000

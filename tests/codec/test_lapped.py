@@ -154,7 +154,7 @@ def test_a_file_takes_the_hop_that_suits_it_and_a_live_stream_the_short_one() ->
 
 
 def test_golden_stream() -> None:
-    """A stream of version 1 stays playable, to the last bit: a change here is a new version of the format."""
+    """A stream of format 3 stays playable, to the last bit: a change here is a new version of the format."""
     header, packets = unpack_file(Path(__file__).with_name("golden_lapped.vct").read_bytes())
     assert (header.codec_identifier, header.samples, header.channels, len(packets)) == (
         lapped.IDENTIFIER,
@@ -166,7 +166,7 @@ def test_golden_stream() -> None:
     assert model is not None
     decoder = lapped.LappedDecoder(header.configuration, header.channels, model.tables)
     samples = np.concatenate([decoder.decode(packet) for packet in packets])
-    assert hashlib.sha256(samples.astype("<i2").tobytes()).hexdigest()[:32] == "ef6e070ff3bce8eb970a21fc5b995807"
+    assert hashlib.sha256(samples.astype("<i2").tobytes()).hexdigest()[:32] == "7a5c28e00703379e37db54261883882d"
     begin = decoder.delay_samples
     ratio = codec.snr_db(golden_signal(), samples[begin : begin + 400] * (np.array(header.gains) / 32768))
-    assert ratio == pytest.approx(30.31, abs=0.01)
+    assert ratio == pytest.approx(30.25, abs=0.01)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from tests.codec.reference_decoder import ReferenceDecoder
 from tests.codec.signals import RATE_HZ, edge_signals, texture
@@ -42,27 +43,53 @@ def decoded(configuration: bytes, packets: list[bytes], channels: int, tables: b
     return np.concatenate([decoder.decode(packet) for packet in packets])
 
 
+def documented(
+    configuration: bytes, packets: list[bytes], channels: int, tables: bytes | None = None
+) -> NDArray[np.int64]:
+    """The samples that docs/reference/bitstream.md leads to."""
+    reference = ReferenceDecoder(configuration, channels, tables or mdct.built_in_tables())
+    return np.concatenate([reference.integers(packet) for packet in packets])
+
+
 @pytest.mark.parametrize("hop", mdct.HOPS)
 @pytest.mark.parametrize(("channels", "noise_filling"), [(1, 0.0), (3, 1 / 32)])
 @pytest.mark.parametrize("tables", TABLES.values(), ids=TABLES)
 def test_core_agrees_with_the_documented_decoder(hop: int, channels: int, noise_filling: float, tables: bytes) -> None:
-    """Levels equal, and samples at least 80 dB below full scale from the exact transform."""
+    """Samples equal to the last bit, and less than 1/8 of it from the exact transform, besides their rounding."""
     signal = np.concatenate([texture(800, channels), np.zeros((300, channels)), texture(400, channels)])
     configuration, packets = coded(signal, 0.05, Framing(4 * hop, 5), hop, tables, noise_filling)
+    played = decoded(configuration, packets, channels, tables)
+    np.testing.assert_array_equal(documented(configuration, packets, channels, tables), played)
     reference = ReferenceDecoder(configuration, channels, tables)
     exact = np.concatenate([reference.samples(packet) for packet in packets])
-    difference = np.clip(exact, -32768, 32767) - decoded(configuration, packets, channels, tables)
-    assert np.max(np.abs(difference)) < 0.51
-    assert 20 * np.log10(np.sqrt(np.mean(difference**2)) / 32768) < -80
+    assert np.max(np.abs(np.clip(exact, -32768, 32767) - played)) < 1 / 2 + 1 / 8
 
 
 @pytest.mark.parametrize("name", ["impulses", "full-scale square", "four-bit", "sweep"])
 def test_core_agrees_with_the_documented_decoder_at_fine_steps(name: str) -> None:
     signal = edge_signals()[name][:700]
     configuration, packets = coded(signal, 2.0**-14, Framing(256, 0))
-    reference = ReferenceDecoder(configuration, 1, mdct.built_in_tables())
-    exact = np.concatenate([reference.samples(packet) for packet in packets])
-    assert np.max(np.abs(np.clip(exact, -32768, 32767) - decoded(configuration, packets, 1))) < 0.51
+    np.testing.assert_array_equal(documented(configuration, packets, 1), decoded(configuration, packets, 1))
+
+
+@pytest.mark.parametrize("hop", mdct.HOPS)
+def test_core_agrees_with_the_documented_decoder_beyond_full_scale(hop: int) -> None:
+    """Coefficients that only a hostile stream has, which the transform shifts down."""
+    encoder = mdct.MdctEncoder([2.0**-3], RATE_HZ, Framing(2 * hop, 0), hop=hop)
+    signs = np.random.default_rng(hop).choice([-1, 1], (4, 1, hop))
+    packets = [encoder._packet_of((signs[at : at + 2] * 2**28).astype(np.int32), np.zeros((0, 1))) for at in (0, 2)]
+    samples = decoded(encoder.configuration, packets, 1)
+    np.testing.assert_array_equal(documented(encoder.configuration, packets, 1), samples)
+    assert {-32768, 32767} <= set(samples[:, 0].tolist())
+
+
+@pytest.mark.parametrize("hop", mdct.HOPS)
+@pytest.mark.parametrize("name", ["full-scale square", "sweep"])
+def test_core_analyses_as_the_formula_says(hop: int, name: str) -> None:
+    signal = edge_signals()[name][: 10 * hop]
+    blocks = np.lib.stride_tricks.sliding_window_view(signal[:, 0], 2 * hop)[::hop]
+    exact = blocks @ mdct.analysis_matrix(hop) * (256 * 32768)
+    assert np.max(np.abs(mdct.spectra(signal, hop)[:, 0] - exact)) < 256 / 8
 
 
 def in_turn(quantiser_offsets: Sequence[int]) -> RateControl:
@@ -71,7 +98,7 @@ def in_turn(quantiser_offsets: Sequence[int]) -> RateControl:
     return lambda trial: Choice(min(max(next(turn), trial.quantiser_offsets[0]), trial.quantiser_offsets[-1]))
 
 
-SHAPE = (3.0, 0.0, 0.2, 0.7, 1.6, 3.0, 4.5)
+SHAPE = (2.0, 0.0, 0.2, 0.7, 1.6, 2.7, 2.5)
 
 
 @pytest.mark.parametrize("hop", mdct.HOPS)
@@ -81,23 +108,21 @@ def test_core_agrees_with_the_documented_decoder_on_a_step_shape(hop: int, quant
     configuration, packets = coded(
         texture(1500, 2), 0.05, Framing(4 * hop, 5), hop, None, 1 / 8, rate_control, shape=SHAPE
     )
-    reference = ReferenceDecoder(configuration, 2, mdct.built_in_tables())
-    exact = np.concatenate([reference.samples(packet) for packet in packets])
-    assert np.max(np.abs(np.clip(exact, -32768, 32767) - decoded(configuration, packets, 2))) < 0.51
+    np.testing.assert_array_equal(documented(configuration, packets, 2), decoded(configuration, packets, 2))
 
 
 def test_a_step_shape_moves_the_error_to_where_steps_are_coarse() -> None:
     signal = np.random.default_rng(1).normal(0, 0.1, (8192, 1))
     spectra = []
-    for shape in (None, (0.0, 0.0, 0.0, 0.0, 0.0, 2.0, 4.0)):
+    for shape in (None, (0.0, 0.0, 0.0, 0.0, 0.0, 1.5, 3.0)):
         configuration, packets = coded(signal, 0.02, Framing(1024, 0), 64, shape=shape)
         error = decoded(configuration, packets, 1)[64 : 64 + 8192] / 32768 - signal
         spectra.append(np.abs(np.fft.rfft(error[:, 0])) ** 2)
     low, high = (
         10 * np.log10(np.sum(spectra[1][part]) / np.sum(spectra[0][part])) for part in (slice(1024), slice(3584, None))
     )
-    assert low < -5
-    assert high > 5
+    assert low < -3
+    assert high > 3
 
 
 @given(
@@ -115,9 +140,9 @@ def test_core_agrees_with_the_documented_decoder_on_any_quantiser_offsets(
     configuration, packets = coded(
         signal, 0.1, framing, hop, noise_filling=1 / 8, rate_control=in_turn(quantiser_offsets)
     )
-    reference = ReferenceDecoder(configuration, channels, mdct.built_in_tables())
-    exact = np.concatenate([reference.samples(packet) for packet in packets])
-    assert np.max(np.abs(np.clip(exact, -32768, 32767) - decoded(configuration, packets, channels))) < 0.51
+    np.testing.assert_array_equal(
+        documented(configuration, packets, channels), decoded(configuration, packets, channels)
+    )
 
 
 @given(
@@ -249,7 +274,7 @@ def test_any_configuration_is_read_or_rejected(configuration: bytes, channels: i
         decoder = mdct.MdctDecoder(configuration, channels)
     except CodecError:
         return
-    assert len(decoder.conceal()) == decoder.packet_samples <= 4095 * 128
+    assert len(decoder.conceal()) == decoder.packet_samples <= 2047 * 128
 
 
 @pytest.mark.parametrize("tables", [b"", bytes(100), *(tables + b"\0" for tables in TABLES.values())])
@@ -364,9 +389,9 @@ def test_a_packet_that_does_not_fit_is_rejected() -> None:
 
 
 def test_longest_packets() -> None:
-    encoder = mdct.MdctEncoder([0.5], RATE_HZ, Framing(4095 * 32, 0))
-    (packet,) = encoder.encode(np.zeros((4095 * 32, 1)))
-    assert len(mdct.MdctDecoder(encoder.configuration, 1).decode(packet)) == 4095 * 32
+    encoder = mdct.MdctEncoder([0.5], RATE_HZ, Framing(2047 * 32, 0))
+    (packet,) = encoder.encode(np.zeros((2047 * 32, 1)))
+    assert len(mdct.MdctDecoder(encoder.configuration, 1).decode(packet)) == 2047 * 32
 
 
 @given(st.floats(2.0**-17, 2.0**10))
@@ -386,13 +411,13 @@ def golden_signal() -> codec.Signal:
 
 
 def test_golden_stream() -> None:
-    """A stream of version 1 stays playable, to the last bit: a change here is a new version of the format."""
+    """A stream of format 3 stays playable, to the last bit: a change here is a new version of the format."""
     header, packets = unpack_file(Path(__file__).with_name("golden_mdct.vct").read_bytes())
     assert (header.samples, header.channels, len(packets)) == (400, 2, 3)
     samples = decoded(header.configuration, packets, header.channels)
-    assert hashlib.sha256(samples.astype("<i2").tobytes()).hexdigest()[:32] == "21ac05911c4238873173fda2bcea394a"
+    assert hashlib.sha256(samples.astype("<i2").tobytes()).hexdigest()[:32] == "797049c30c7e9a855534db665e140639"
     ratio = codec.snr_db(golden_signal(), samples[32:432] * (np.array(header.gains) / 32768))
-    assert ratio == pytest.approx(32.23, abs=0.01)
+    assert ratio == pytest.approx(33.54, abs=0.01)
 
 
 def test_golden_rate_controlled_stream() -> None:
@@ -400,9 +425,9 @@ def test_golden_rate_controlled_stream() -> None:
     header, packets = unpack_file(Path(__file__).with_name("golden_mdct_steered.vct").read_bytes())
     assert (header.samples, header.channels, len(packets)) == (400, 2, 7)
     samples = decoded(header.configuration, packets, header.channels)
-    assert hashlib.sha256(samples.astype("<i2").tobytes()).hexdigest()[:32] == "94737526819f30c2bb5f84bca8919297"
+    assert hashlib.sha256(samples.astype("<i2").tobytes()).hexdigest()[:32] == "0ef1ef7dfa0771904c1dd5ee2d6e3d66"
     ratio = codec.snr_db(golden_signal(), samples[16:416] * (np.array(header.gains) / 32768))
-    assert ratio == pytest.approx(25.37, abs=0.01)
+    assert ratio == pytest.approx(28.85, abs=0.01)
 
 
 def test_golden_shaped_stream() -> None:
@@ -410,6 +435,6 @@ def test_golden_shaped_stream() -> None:
     header, packets = unpack_file(Path(__file__).with_name("golden_mdct_shaped.vct").read_bytes())
     assert (header.samples, header.channels, len(packets)) == (400, 2, 5)
     samples = decoded(header.configuration, packets, header.channels)
-    assert hashlib.sha256(samples.astype("<i2").tobytes()).hexdigest()[:32] == "425a701e39613a57c6fd8453fdad1cec"
+    assert hashlib.sha256(samples.astype("<i2").tobytes()).hexdigest()[:32] == "d954907d4796e66ed8d794be858d67fc"
     ratio = codec.snr_db(golden_signal(), samples[32:432] * (np.array(header.gains) / 32768))
-    assert ratio == pytest.approx(26.45, abs=0.01)
+    assert ratio == pytest.approx(33.25, abs=0.01)

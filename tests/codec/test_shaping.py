@@ -34,20 +34,27 @@ def test_the_strength_scales_the_shape(touch: float) -> None:
 
 
 def test_a_shape_is_text_with_seven_octaves() -> None:
-    octaves = (0.0, 1.5, 14.0, 0.25, 3.0, 2.0, 1.0)
+    octaves = (0.0, 1.5, 2.7, 0.25, 2.7, 2.0, 1.0)
     assert shaping.parsed_shape(shaping.shape_text(octaves)) == octaves
     assert shaping.parsed_shape("flat") is None
-    for text in ("0/1", "0/0/0/0/0/0/15", "0/0/0/0/0/0/-1", "0/0/0/0/0/0/nan", "a/b/c/d/e/f/g", ""):
+    for text in ("0/1", "0/0/0/0/0/0/2.8", "0/0/0/0/0/0/-1", "0/0/0/0/0/0/nan", "a/b/c/d/e/f/g", ""):
         with pytest.raises(CodecError, match="shape"):
             shaping.parsed_shape(text)
 
 
-def test_a_packed_shape_keeps_octaves_within_its_unit() -> None:
-    packed, mean = mdct.packed_shape((0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
-    unit = (packed[0] & 15) / 16
-    values = [nibble for byte in packed for nibble in (byte & 15, byte >> 4)][1:]
-    assert [unit * each for each in values] == pytest.approx([0, 1, 2, 3, 4, 5, 6], abs=unit / 2)
-    assert mean == pytest.approx(unit * np.mean(values))
+@pytest.mark.parametrize(
+    ("octaves", "code", "values"),
+    [
+        ((0.0, 0.2, 0.45, 0.65, 0.4, 0.2, 0.0), 0, [0, 1, 2, 3, 2, 1, 0]),
+        ((0.0, 0.1, 0.9, 0.8, 1.8, 2.6, 2.7), 3, [0, 0, 1, 1, 2, 3, 3]),
+        ((0.0, 0.0, 0.0, 0.4, 0.9, 1.3, 1.4), 1, [0, 0, 0, 1, 2, 3, 3]),
+    ],
+)
+def test_a_packed_shape_is_the_nearest(octaves: tuple[float, ...], code: int, values: list[int]) -> None:
+    packed, mean = mdct.packed_shape(octaves)
+    section = int.from_bytes(packed, "little")
+    assert (section >> 14, [section >> 2 * node & 3 for node in range(7)]) == (code, values)
+    assert mean == pytest.approx((code + 1) * 14 / 64 * np.mean(values))
     assert mdct.packed_shape(None) == mdct.packed_shape((0.0,) * 7) == (b"", 0.0)
 
 
@@ -108,7 +115,8 @@ def test_a_strength_that_cannot_be_met_is_an_error(
 def test_a_rate_controlled_stream_keeps_its_shape() -> None:
     stream, outcome = encode_rate_controlled(rough(), RateTarget(constant_rate_bps=6000), touch=1)
     assert outcome.sent_bps == pytest.approx(6000, rel=0.05)
-    assert stream.header.configuration[-5] == 5  # features: rate control and a shape
+    assert stream.header.configuration[0] & 4  # a shape
+    assert stream.header.configuration[-1] == 1  # features: rate control
 
 
 def test_skin_power_is_that_of_displacement() -> None:

@@ -335,7 +335,7 @@ def test_a_packet_that_does_not_fit_is_rejected() -> None:
     ],
 )
 def test_golden_streams(name: str, count: int, digest: str, snr_db: float) -> None:
-    """A stream of version 1 stays playable, to the last bit: a change here is a new version of the format."""
+    """A stream of format 3 stays playable, to the last bit: a change here is a new version of the format."""
     header, packets = unpack_file(Path(__file__).with_name(f"golden_{name}.vct").read_bytes())
     assert (header.samples, header.channels, len(packets)) == (400, 2, count)
     samples = decoded(header.configuration, packets, header.channels)

@@ -110,7 +110,8 @@ def test_gain_that_cannot_be_stored_is_rejected(gain: float) -> None:
     ("start", "message"),
     [
         (b"VCT\x11\x00", "format 1, .* encode the recording again"),
-        (b"\xd3\x12", "format 3, .* the version of vibrocast that wrote it"),
+        (b"\xd2\x12", "format 2, .* encode the recording again"),
+        (b"\xd4\x12", "format 4, .* the version of vibrocast that wrote it"),
         (b"RIFF", "not a coded stream"),
     ],
 )
@@ -121,11 +122,11 @@ def test_other_formats_are_named(start: bytes, message: str) -> None:
 
 def test_golden_files() -> None:
     data = pack_file(HEADER, numbered([b"\xaa\xbb"]))
-    assert data.hex() == "d2" + "12" + "09" + "38" + "bd05" + "2040" + "0102" + "aabb" + "f083"
+    assert data.hex() == "d3" + "12" + "09" + "38" + "bd05" + "2040" + "0102" + "aabb" + "8580"
     other = StreamHeader(4, 2801, None, "um", (2.5, 1.0), bytes(15), b"hash")
     data = pack_file(other, numbered([b"\xaa", b"\xbb"]))
-    header = "d2" + "4f" + "16" + "e32b" + "00" + "2040" + "803f" + "68617368" + "0f" + "00" * 15
-    assert data.hex() == header + "03aa" + "86ba" + "02bb" + "5a70"
+    header = "d3" + "4f" + "16" + "e32b" + "00" + "2040" + "803f" + "68617368" + "0f" + "00" * 15
+    assert data.hex() == header + "03aa" + "c0e3" + "02bb" + "7fec"
 
 
 def test_first_packet_that_is_no_refresh_is_rejected() -> None:

@@ -29,7 +29,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "protocol.md").read_t
 EXAMPLE: list[tuple[str, int, Message]] = [
     ("Hello, sequence 0x1234", 0x1234, Hello(2, 1)),
     ("Error, sequence 0x1234", 0x1234, Error(ErrorCode.HELLO_FIRST, "say hello first")),
-    ("Configure, sequence 0x1236", 0x1236, Configure(1, b"\xd2\x13\x00", prebuffer_samples=1400, packets=100)),
+    ("Configure, sequence 0x1236", 0x1236, Configure(1, b"\xd3\x13\x00", prebuffer_samples=1400, packets=100)),
     (
         "Status, sequence 0x1236",
         0x1236,

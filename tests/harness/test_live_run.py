@@ -38,9 +38,9 @@ def figures_of(run: LiveRun) -> dict[str, float | None]:
 
 def flipped(message: Message) -> Message:
     """Return a packet in which a bit has flipped; any other message as it is."""
-    if not isinstance(message, SinglePacket):
+    if not isinstance(message, SinglePacket) or len(message.packet) < 5:
         return message
-    *before, second, last = message.packet  # the decoder notices most other flips, and plays a gap
+    *before, second, last = message.packet  # the decoder notices most flips of the head, and plays a gap
     return replace(message, packet=bytes([*before, second ^ 1, last]))
 
 

@@ -11,8 +11,8 @@
 #define VC_PROTOCOL_MAX_PAYLOAD_BYTES 4096 /* at most, of any board */
 #define VC_PACKET_OVERHEAD_BYTES 12 /* of a payload, before its first packet */
 #define VC_CAPTURE_DATA_HEAD_BYTES 21
-#define VC_STREAM_MAGIC 0xD2u
-#define VC_STREAM_FORMAT 2
+#define VC_STREAM_MAGIC 0xD3u
+#define VC_STREAM_FORMAT 3
 #define VC_STREAM_LONG_CONFIGURATION 15 /* a byte with the length stands before it */
 #define VC_STREAM_ROUND_RATE_HZ 100u
 #define VC_STREAM_RATE_BITS 32

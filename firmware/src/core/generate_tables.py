@@ -46,8 +46,12 @@ TABLES: dict[str, tuple[str, Sequence[float]]] = {
     "vc_cosine": ("int32_t", [2**24 * math.cos(2 * math.pi * i / 1024) for i in range(1024)]),
     "vc_stretch": ("int16_t", [256 * math.log((i + 0.5) / (2047.5 - i)) for i in range(2048)]),
     "vc_squash": ("uint16_t", [65536 / (1 + math.exp(-(4 * i - 2046) / 256)) for i in range(1024)]),
-    "vc_cost": ("uint16_t", [-256 * math.log2((i + 0.5) / 2048) for i in range(2048)]),
+    "vc_rate": ("uint16_t", [256 * math.log2(1 + math.exp((2046 - 4 * i) / 256)) for i in range(1024)]),
     "vc_learning": ("uint16_t", [65536 / (i + 1.6) for i in range(256)]),
+    "vc_share": ("uint16_t", [79 * 512 // (k + 1) for k in range(128)]),
+    "vc_ratio": ("uint16_t", [16 * 2 ** (i / 16) for i in range(65)]),
+    "vc_ratio_class": ("uint8_t", [sum(3 * i >= 16 * third for third in range(3, 10)) for i in range(65)]),
+    "vc_mean_rate": ("uint16_t", [0, *(4096 / i for i in range(1, 25))]),
     # In 1/256 octave of amplitude, at eighths of an octave from 16 Hz to 2048 Hz.
     "vc_slp_threshold": (
         "uint16_t",

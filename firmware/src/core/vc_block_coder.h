@@ -20,7 +20,8 @@ typedef struct {
     uint32_t indices[VC_MAX_BINS];
     int8_t offsets[VC_MAX_BINS]; /* of their levels, in 1/256 step */
     vc_bin bin[VC_MAX_BINS];
-    vc_centroid_sums *sums; /* for the training of centroids; NULL = none wanted */
+    vc_contexts contexts[VC_MAX_BINS][4]; /* of a bin, after the best way into each state */
+    vc_centroid_sums *sums;               /* for the training of centroids; NULL = none wanted */
 } vc_block_search;
 
 /* At a refresh. */

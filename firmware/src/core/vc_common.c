@@ -74,10 +74,8 @@ void vc_golomb_encode(vc_range_coder *coder, uint32_t value)
 
 uint32_t vc_golomb_decode(vc_range_coder *coder)
 {
-    uint32_t bits = 0, value = 1;
-    while (bits < MAX_GOLOMB_BITS && vc_range_decode(coder, VC_EVEN_ODDS))
+    unsigned bits = 0;
+    while (bits < MAX_GOLOMB_BITS && vc_range_decode_bits(coder, 1))
         bits++;
-    while (bits-- > 0)
-        value = value << 1 | (uint32_t)vc_range_decode(coder, VC_EVEN_ODDS);
-    return value - 1;
+    return (1u << bits | vc_range_decode_bits(coder, bits)) - 1;
 }

@@ -47,12 +47,12 @@ static inline int32_t vc_limited(int64_t value)
     return (int32_t)(value > VC_MAX_VALUE ? VC_MAX_VALUE : value < -VC_MAX_VALUE ? -VC_MAX_VALUE : value);
 }
 
-/* value / 2^24, rounded to the nearest, half away from zero. */
+/* value / 2^24, to the nearest, half up. */
 static inline int64_t vc_rounded(int64_t value)
 {
     const int64_t one = 1 << 24;
     /* The lower bits are cleared, so that a compiler needs only a shift. */
-    return ((value + one / 2 - (value < 0)) & -one) / one;
+    return ((value + one / 2) & -one) / one;
 }
 
 /* The same, within +-VC_MAX_VALUE. */

@@ -184,16 +184,13 @@ static uint32_t huffman_value(const vc_huffman_code *code, vc_bit_reader *reader
 static uint32_t decode_rank(vc_range_coder *coder, vc_dct_context context)
 {
     uint32_t rank = 0;
-    unsigned bit;
     while (rank < VC_DCT_UNARY_LIMIT && vc_adaptive_decode(coder, &context.above[rank], VC_DCT_ADAPTATION))
         rank++;
     if (rank == VC_DCT_UNARY_LIMIT)
         rank += vc_golomb_decode(coder);
     if (rank > VC_DCT_MAX_LEVELS >> context.low_bits)
         rank = VC_DCT_MAX_LEVELS >> context.low_bits;
-    for (bit = 0; bit < context.low_bits; bit++)
-        rank = rank << 1 | (uint32_t)vc_range_decode(coder, VC_EVEN_ODDS);
-    return rank;
+    return rank << context.low_bits | vc_range_decode_bits(coder, context.low_bits);
 }
 
 static uint32_t range_value(vc_range_coder *coder, vc_dct_model *model, uint32_t bin, uint32_t block,
@@ -205,7 +202,7 @@ static uint32_t range_value(vc_range_coder *coder, vc_dct_model *model, uint32_t
     vc_dct_model_set(model, bin, rank, zero);
     if (zero)
         return 0;
-    return zeros + (rank < first_pair ? rank : 2 * rank - first_pair + (uint32_t)vc_range_decode(coder, VC_EVEN_ODDS));
+    return zeros + (rank < first_pair ? rank : 2 * rank - first_pair + vc_range_decode_bits(coder, 1));
 }
 
 /* Reads the fields before the values. Returns VC_OK or VC_BAD_PACKET. */
@@ -234,8 +231,8 @@ static int packet_open(vc_dct_packet *reader, vc_dct_decoder *decoder, const uin
     reader->bits.length = length - start;
     vc_range_decoder_init(&reader->range, packet + start, length - start);
     if (configuration->logarithmic)
-        reader->zeros = configuration->range_coded ? (unsigned)vc_range_decode(&reader->range, VC_EVEN_ODDS)
-                                                   : read_bits(&reader->bits, 1);
+        reader->zeros =
+            configuration->range_coded ? vc_range_decode_bits(&reader->range, 1) : read_bits(&reader->bits, 1);
     if (sounds && !configuration->range_coded && !huffman_read(&reader->huffman, &reader->bits))
         return VC_BAD_PACKET;
     vc_dct_model_reset(&decoder->model);

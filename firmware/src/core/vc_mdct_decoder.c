@@ -5,34 +5,39 @@
 
 #define FADE_BLOCKS 8u /* longest time that concealment sounds */
 /* For a sample of a channel, the longest hop and a tenth more; docs/benchmarks/worst_case.md. */
-#define CYCLES 3700u
+#define CYCLES 2650u
 /* More with a rotation: for a sample of a channel, and for each channel that is mixed into it. */
 #define ROTATION_CYCLES 100u
 #define MIXING_CYCLES 11u
 
-/* The byte behind the steps says what else packets and configuration hold. */
+/* The last byte before a rotation says what else packets and configuration hold. */
 #define FEATURE_RATE_CONTROLLED 1u
 #define FEATURE_ROTATION 2u
-#define FEATURE_STEP_SHAPE 4u
-#define FEATURES (FEATURE_RATE_CONTROLLED | FEATURE_ROTATION | FEATURE_STEP_SHAPE)
+#define FEATURES (FEATURE_RATE_CONTROLLED | FEATURE_ROTATION)
+/* Bits of the number that begins a configuration; above them the blocks of a packet. */
+#define HOP 3u
+#define SHAPED 4u
+#define BLOCKS_SHIFT 3
 
 size_t vc_mdct_decoder_size(void)
 {
     return sizeof(vc_mdct_decoder);
 }
 
-/* Reads the step shape: a unit, then how many units coarser each node is; nibbles, the lower one first. Returns 0 for a
- * unit of 0. */
+/* Reads the step shape, from the lowest bit on 2 bits for each node, then the unit of which they are multiples. Returns
+ * 0 for one that is flat. */
 static int read_shape(vc_mdct_configuration *configuration, const uint8_t *bytes)
 {
-    const uint32_t unit = VC_SHAPE_UNIT_CODES * (bytes[0] & 15u);
+    const uint32_t section = bytes[0] | (uint32_t)bytes[1] << 8;
+    const uint32_t unit = VC_SHAPE_UNIT_CODES * ((section >> 2 * VC_SHAPE_NODES) + 1);
     unsigned node;
+    configuration->shaped = 1;
     for (node = 0; node < VC_SHAPE_NODES; node++)
-        configuration->shape[node] = (uint16_t)(unit * (bytes[(node + 1) / 2] >> (node % 2 ? 0 : 4) & 15u));
-    return unit != 0;
+        configuration->shape[node] = (uint16_t)(unit * (section >> 2 * node & 3u));
+    return (section & ((1u << 2 * VC_SHAPE_NODES) - 1)) != 0;
 }
 
-/* Reads the features byte and the sections that it announces, from `used` bytes on. Returns whether they are valid. */
+/* Reads the features byte and the rotation that it announces, from `used` bytes on. Returns whether they are valid. */
 static int read_features(vc_mdct_configuration *configuration, const uint8_t *bytes, size_t length, size_t used)
 {
     unsigned features;
@@ -49,11 +54,6 @@ static int read_features(vc_mdct_configuration *configuration, const uint8_t *by
             return 0;
         configuration->rotation = used;
         used += taken;
-    }
-    if (features & FEATURE_STEP_SHAPE) {
-        if (length < used + VC_SHAPE_BYTES || !read_shape(configuration, bytes + used))
-            return 0;
-        used += VC_SHAPE_BYTES;
     }
     return used == length;
 }
@@ -74,13 +74,13 @@ int vc_configuration_read(vc_mdct_configuration *configuration, const uint8_t *b
         head = (head & 0x7Fu) | (uint32_t)bytes[1] << 7;
         used = 2;
     }
-    if (head >> 2 < 1 || head >> 2 > VC_MAX_PACKET_BLOCKS)
+    if (head >> BLOCKS_SHIFT < 1)
         return VC_BAD_CONFIGURATION;
     memset(&read, 0, sizeof read);
     if (length < used + 2 * channels)
         return VC_BAD_CONFIGURATION;
-    read.hop = 16u << (head & 3u);
-    read.packet_blocks = head >> 2;
+    read.hop = 16u << (head & HOP);
+    read.packet_blocks = head >> BLOCKS_SHIFT;
     read.channels = channels;
     for (channel = 0; channel < channels; channel++) {
         uint32_t code = bytes[used + 2 * channel] | (uint32_t)bytes[used + 2 * channel + 1] << 8;
@@ -92,7 +92,13 @@ int vc_configuration_read(vc_mdct_configuration *configuration, const uint8_t *b
         if (code < read.step_code[read.finest])
             read.finest = channel;
     }
-    if (!read_features(&read, bytes, length, used + 2 * channels))
+    used += 2 * channels;
+    if (head & SHAPED) {
+        if (length < used + VC_SHAPE_BYTES || !read_shape(&read, bytes + used))
+            return VC_BAD_CONFIGURATION;
+        used += VC_SHAPE_BYTES;
+    }
+    if (!read_features(&read, bytes, length, used))
         return VC_BAD_CONFIGURATION;
     *configuration = read;
     return VC_OK;
@@ -134,12 +140,13 @@ static void decode_block(vc_mdct_decoder *decoder, vc_range_coder *coder, unsign
 {
     const vc_mdct_configuration *configuration = &decoder->configuration;
     vc_mdct_channel *channel = &decoder->channels[number];
+    const int32_t flat_code = vc_flat_code(configuration, number, decoder->quantiser_offset.value);
     int8_t offsets[VC_MAX_BINS];
     uint32_t k, fill;
     vc_block_decode(coder, &decoder->model, &channel->block, configuration->hop, channel->spectrum, offsets);
     fill = channel->block.history.silent_history & 1 ? 0 : configuration->fill[number];
     for (k = 0; k < configuration->hop; k++) {
-        const int32_t step = vc_bin_step(configuration, number, decoder->quantiser_offset.value, k);
+        const int32_t step = vc_bin_step(configuration, flat_code, k);
         channel->spectrum[k] = channel->spectrum[k] == 0
                                    ? (int32_t)((int64_t)step * fill / 128) * vc_random_sign(&decoder->random)
                                    : vc_reconstruct(channel->spectrum[k], offsets[k], step);

@@ -1,5 +1,6 @@
 /* Encoder of `mdct`: coefficients in quantiser steps, for the block coder. */
 #include "vc_block_coder.h"
+#include "vc_mdct_synthesis.h"
 
 struct vc_mdct_encoder {
     vc_mdct_configuration configuration;
@@ -9,7 +10,8 @@ struct vc_mdct_encoder {
     vc_quantiser_offset quantiser_offset;
     vc_block_state channels[VC_MAX_CHANNELS];
     vc_block_search search;
-    uint32_t random; /* the decoder's generator of signs of noise filling */
+    int32_t steps[VC_MAX_CHANNELS][VC_MAX_BINS]; /* of this packet */
+    uint32_t random;                             /* the decoder's generator of signs of noise filling */
     uint64_t squared_errors[VC_MAX_CHANNELS];
     const vc_mdct_encoder *before; /* its model is that of the first refresh; NULL = the tables */
     vc_centroid_sums sums;         /* while training */
@@ -33,6 +35,7 @@ int vc_mdct_encoder_init(vc_mdct_encoder *encoder, const uint8_t *configuration,
     if (status != VC_OK)
         return status;
     vc_model_reset(&encoder->model, encoder->tables);
+    vc_model_begin(&encoder->model);
     return vc_configuration_read(&encoder->configuration, configuration, configuration_length, channels);
 }
 
@@ -56,15 +59,42 @@ static void restart(vc_mdct_encoder *encoder)
 {
     unsigned channel;
     vc_model_reset(&encoder->model, encoder->tables);
+    vc_model_begin(&encoder->model);
     if (encoder->before != NULL) {
-        const int8_t *centroids = encoder->model.centroids;
         encoder->model = encoder->before->model;
-        encoder->model.centroids = centroids;
+        encoder->model.tables = encoder->tables;
         encoder->before = NULL;
     }
     vc_quantiser_offset_reset(&encoder->quantiser_offset);
     for (channel = 0; channel < encoder->configuration.channels; channel++)
         vc_block_reset(&encoder->channels[channel]);
+}
+
+/* Folds the 2 N samples of a block under their window, which the transform then turns into its spectrum. */
+static void analyse_block(const int32_t *first, unsigned stride, uint32_t hop, int32_t *coefficients)
+{
+    const int32_t *const second = first + (size_t)hop * stride;
+    int32_t folded[VC_MAX_BINS];
+    unsigned shift;
+    uint32_t n;
+    for (n = 0; n < hop / 2; n++) {
+        const uint32_t mirror = hop - 1 - n;
+        const int64_t rising = vc_window(hop, n), falling = vc_window(hop, mirror);
+        folded[hop / 2 + n] = (int32_t)vc_rounded(first[n * stride] * rising - first[mirror * stride] * falling);
+        folded[hop / 2 - 1 - n] = (int32_t)vc_rounded(-second[n * stride] * falling - second[mirror * stride] * rising);
+    }
+    shift = vc_cosine_transform(folded, hop, coefficients);
+    for (n = 0; n < hop; n++)
+        coefficients[n] = vc_weighted(coefficients[n], vc_norm(hop)) * (1 << shift);
+}
+
+void vc_mdct_analyse(const int32_t *samples, uint32_t blocks, unsigned channels, uint32_t hop, int32_t *coefficients)
+{
+    uint32_t block;
+    unsigned channel;
+    for (block = 0; block < blocks; block++, samples += (size_t)hop * channels)
+        for (channel = 0; channel < channels; channel++, coefficients += hop)
+            analyse_block(samples + channel, channels, hop, coefficients);
 }
 
 static uint32_t magnitude_of(int32_t value)
@@ -81,7 +111,7 @@ static void add_error(vc_mdct_encoder *encoder, unsigned channel, const int32_t 
     uint64_t sum = 0;
     uint32_t k;
     for (k = 0; k < configuration->hop; k++) {
-        const int32_t step = vc_bin_step(configuration, channel, encoder->quantiser_offset.value, k);
+        const int32_t step = encoder->steps[channel][k];
         const int32_t fill = silent ? 0 : (int32_t)((int64_t)step * configuration->fill[channel] / 128);
         const uint32_t index = silent ? 0 : encoder->search.indices[k];
         const int32_t level = (int32_t)vc_level_of(index, vc_quantiser_of(state));
@@ -102,7 +132,7 @@ static void encode_block(vc_mdct_encoder *encoder, vc_range_coder *coder, unsign
     const unsigned state = encoder->channels[channel].state;
     uint32_t magnitudes[VC_MAX_BINS], k;
     for (k = 0; k < configuration->hop; k++) {
-        const int32_t step = vc_bin_step(configuration, channel, encoder->quantiser_offset.value, k);
+        const int32_t step = encoder->steps[channel][k];
         magnitudes[k] = (uint32_t)(((uint64_t)magnitude_of(coefficients[k]) << 8) / (uint32_t)step);
     }
     vc_block_encode(coder, &encoder->model, &encoder->channels[channel], &encoder->search, configuration->hop,
@@ -133,6 +163,18 @@ static int32_t end_packet(vc_range_coder *coder, const uint8_t *packet, uint8_t 
     return coder->overflow ? VC_PACKET_TOO_LARGE : (int32_t)(payload - packet);
 }
 
+static void find_steps(vc_mdct_encoder *encoder)
+{
+    const vc_mdct_configuration *configuration = &encoder->configuration;
+    unsigned channel;
+    uint32_t k;
+    for (channel = 0; channel < configuration->channels; channel++) {
+        const int32_t flat_code = vc_flat_code(configuration, channel, encoder->quantiser_offset.value);
+        for (k = 0; k < configuration->hop; k++)
+            encoder->steps[channel][k] = vc_bin_step(configuration, flat_code, k);
+    }
+}
+
 int32_t vc_mdct_encode(vc_mdct_encoder *encoder, const int32_t *coefficients, int32_t quantiser_offset, uint8_t *packet,
                        size_t capacity)
 {
@@ -148,6 +190,7 @@ int32_t vc_mdct_encode(vc_mdct_encoder *encoder, const int32_t *coefficients, in
     payload = begin_packet(encoder, &coder, refresh, packet, capacity);
     if (configuration->rate_controlled)
         lambda = vc_quantiser_offset_encode_fours(&coder, &encoder->quantiser_offset, quantiser_offset, lambda);
+    find_steps(encoder);
     for (block = 0; block < configuration->packet_blocks; block++)
         for (channel = 0; channel < configuration->channels; channel++, coefficients += configuration->hop)
             encode_block(encoder, &coder, channel, coefficients, lambda);

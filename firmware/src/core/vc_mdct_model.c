@@ -4,18 +4,15 @@
 #define CELLS (VC_KINDS * 2 * VC_INPUTS * VC_CONTEXTS)
 #define WEIGHTS (VC_KINDS * 2 * VC_WEIGHT_SETS * VC_INPUTS)
 #define CENTROIDS (2 * VC_CENTROID_LEVELS * VC_CENTROID_CLASSES)
-#define TABLES_BYTES (CELLS + 2 * WEIGHTS + VC_SILENCE_CONTEXTS + CENTROIDS)
+#define TABLES_BYTES (VC_CENTROIDS_AT + CENTROIDS)
 
 /* A cell of the tables that nothing was coded with, and the count of all others: few, so that a model adapts to each
  * recording. */
-#define UNTRAINED 0x80u
 #define LEAST_DECISIONS 4
-#define TRAINED_COUNT 30
 /* Levels of which fewer were coded in training have no offset. */
 #define LEAST_LEVELS 30
 #define MEAN_BLOCKS 24u
 #define YOUNG_BLOCKS 6u /* until the means are trustworthy */
-#define LEAST_CLASS 28u /* vc_fine_class of the least expected magnitude, 263 */
 
 size_t vc_mdct_tables_size(void)
 {
@@ -48,21 +45,23 @@ static uint8_t *write_numbers(const int16_t *numbers, unsigned count, uint8_t *b
     return bytes;
 }
 
-/* Tables: for each cell the stretched probability / 16 (int8), or UNTRAINED; the weights (int16, little endian); the
- * probabilities of silence / 256 (uint8); then the centroids (int8). */
+/* Tables: for each cell the stretched probability / 16 (int8), or VC_UNTRAINED_CELL; the weights (int16, little
+ * endian); the probabilities of silence / 256 (uint8); then the centroids (int8). */
 void vc_model_reset(vc_model *model, const uint8_t *tables)
 {
-    uint16_t *cells = &model->probability[0][0][0][0];
-    uint8_t *counts = &model->count[0][0][0][0];
     unsigned i;
-    for (i = 0; i < CELLS; i++, tables++) {
-        cells[i] = *tables == UNTRAINED ? 32768 : vc_initial[*tables];
-        counts[i] = *tables == UNTRAINED ? 0 : TRAINED_COUNT;
-    }
-    tables = read_numbers(&model->weight[0][0][0][0], WEIGHTS, tables);
+    model->tables = tables;
+    memset(model->probability, 0, sizeof model->probability);
+    tables = read_numbers(&model->weight[0][0][0][0], WEIGHTS, tables + CELLS);
     for (i = 0; i < VC_SILENCE_CONTEXTS; i++)
         model->silence[i] = (uint16_t)(*tables++ * 256 + 128);
-    model->centroids = (const int8_t *)tables;
+}
+
+void vc_model_begin(vc_model *model)
+{
+    unsigned place;
+    for (place = 0; place < CELLS; place++)
+        vc_begin_cell(model, place);
 }
 
 void vc_model_export(const vc_model *model, uint8_t *tables)
@@ -71,12 +70,12 @@ void vc_model_export(const vc_model *model, uint8_t *tables)
     const uint8_t *counts = &model->count[0][0][0][0];
     unsigned i;
     for (i = 0; i < CELLS; i++)
-        *tables++ =
-            counts[i] < LEAST_DECISIONS ? UNTRAINED : (uint8_t)(int8_t)vc_clamped(vc_stretched(cells[i]) / 16, 127);
+        *tables++ = counts[i] < LEAST_DECISIONS ? VC_UNTRAINED_CELL
+                                                : (uint8_t)(int8_t)vc_clamped(vc_stretched(cells[i]) / 16, 127);
     tables = write_numbers(&model->weight[0][0][0][0], WEIGHTS, tables);
     for (i = 0; i < VC_SILENCE_CONTEXTS; i++)
         *tables++ = (uint8_t)(model->silence[i] >> 8);
-    memcpy(tables, model->centroids, CENTROIDS);
+    memcpy(tables, model->tables + VC_CENTROIDS_AT, CENTROIDS);
 }
 
 void vc_centroids_export(const vc_centroid_sums *sums, uint8_t *tables)
@@ -84,7 +83,7 @@ void vc_centroids_export(const vc_centroid_sums *sums, uint8_t *tables)
     const int64_t *sum = &sums->sum[0][0][0];
     const uint32_t *count = &sums->count[0][0][0];
     unsigned i;
-    tables += TABLES_BYTES - CENTROIDS;
+    tables += VC_CENTROIDS_AT;
     for (i = 0; i < CENTROIDS; i++)
         tables[i] = (uint8_t)(count[i] < LEAST_LEVELS ? 0 : vc_clamped((int32_t)(sum[i] / (int64_t)count[i]), 127));
 }
@@ -98,9 +97,11 @@ void vc_history_reset(vc_history *history)
 void vc_history_next_block(vc_history *history, uint32_t hop)
 {
     uint8_t (*const rows)[sizeof history->rows[0]] = history->rows;
+    int32_t mean_rate;
     uint32_t k;
     history->block_sum = 0;
     history->blocks += history->blocks < MEAN_BLOCKS;
+    mean_rate = vc_mean_rate[history->blocks];
     for (k = 0; k < hop; k++) {
         const uint32_t bin = k + VC_PADDING, magnitude = rows[0][bin];
         uint16_t *average = history->average + bin, *mean = history->mean + bin;
@@ -110,18 +111,13 @@ void vc_history_next_block(vc_history *history, uint32_t hop)
         rows[0][bin] = 0;
         history->block_sum += magnitude;
         *average = (uint16_t)(*average - (*average >> 3) + magnitude * 32);
-        *mean = (uint16_t)((*mean * (history->blocks - 1) + 512 * magnitude + history->blocks / 2) / history->blocks);
+        *mean = (uint16_t)(*mean + ((((int32_t)(512 * magnitude) - *mean) * mean_rate + 2048) >> 12));
     }
-}
-
-static unsigned at_most(unsigned value, unsigned limit)
-{
-    return value < limit ? value : limit;
 }
 
 /* The weights of `magnitude` and `loudness` are the most likely ones of the training recordings, where magnitudes have
  * an exponential density of this mean. */
-void vc_bin_find(vc_bin *bin, const vc_history *history, uint32_t hop, uint32_t k)
+void vc_bin_find(vc_bin *bin, const vc_history *history, uint32_t hop, uint32_t k, uint32_t *means_below)
 {
     const uint8_t *last = history->rows[1] + k + VC_PADDING;
     const uint8_t *second = history->rows[2] + k + VC_PADDING;
@@ -133,26 +129,11 @@ void vc_bin_find(vc_bin *bin, const vc_history *history, uint32_t hop, uint32_t 
                      22u * second[0] + 7u * ((uint32_t)second[1] + second[-1]) + 9u * third[0] +
                      ((56u * average[0] + 8 * averages) >> 9) + (((37 + young) * mean[0] + 6 * means) >> 9);
     bin->loudness = (195u * mean[0] + 30 * means) >> 9;
-    bin->mean_class = (uint8_t)at_most(vc_fine_class((mean[0] * 2u + means) >> 7) / 2, 15);
-    bin->quarter = (uint8_t)(k * 4 / hop);
-    bin->set = (uint8_t)(at_most(history->blocks, VC_MAX_AGE) * 4 + bin->quarter);
-}
-
-void vc_contexts_find(vc_contexts *contexts, const vc_bin *bin, uint32_t k, const vc_below *below)
-{
-    const uint32_t *now = below->nearest;
-    /* Of the loudness of this block's bins below to their means, in 1/64. */
-    const uint32_t any_ratio = ((below->sum + 1) << 15) / (below->mean_sum + 512);
-    const uint32_t ratio = any_ratio < 16 ? 16 : any_ratio > 256 ? 256 : any_ratio;
-    const uint32_t ratio_class =
-        (ratio >= 32) + (ratio >= 40) + (ratio >= 51) + (ratio >= 64) + (ratio >= 81) + (ratio >= 102) + (ratio >= 128);
-    const uint32_t magnitude = bin->magnitude + 183 * now[0] + 65 * now[1] + 28 * now[2] + 79 * below->sum / (k + 1) +
-                               (bin->loudness * ratio >> 6);
-    const unsigned class = at_most(vc_fine_class(magnitude) - LEAST_CLASS, 63);
-    contexts->index[0] = class * 4 + bin->quarter;
-    contexts->index[1] = bin->mean_class * 16u + ratio_class * 2 + (now[0] > 0);
-    contexts->set = bin->set;
-    contexts->centroid_class = at_most(class / 2, VC_CENTROID_CLASSES - 1);
+    bin->below = (int32_t)vc_sixteenths(*means_below + 512) - 16 * 11;
+    *means_below += mean[0];
+    bin->mean_class = (uint8_t)vc_at_most(vc_fine_class((mean[0] * 2u + means) >> 7) / 2, 15);
+    bin->quarter = (uint8_t)((k >= hop / 4) + (k >= hop / 2) + (k >= hop / 4 * 3));
+    bin->set = (uint8_t)(vc_at_most(history->blocks, VC_MAX_AGE) * 4 + bin->quarter);
 }
 
 static unsigned silence_context(const vc_history *history)

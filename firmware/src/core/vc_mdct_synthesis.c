@@ -1,78 +1,112 @@
-/* Spectra to samples by a fixed-point inverse MDCT; see vc_mdct_synthesis.h. */
+/* The transform of an MDCT in fixed point, and spectra to samples by it; see vc_mdct_synthesis.h. */
 #include "vc_mdct_synthesis.h"
 #include "vc_mdct_state.h"
 
-/* A coefficient that is not 0, and 2 k + 1. */
-typedef struct {
-    int32_t value;
-    uint32_t frequency;
-} spectral_line;
+#define LARGEST_SUM (1 << 30)
 
-/* sum_k X[k] cos(angle (2 k + 1)), in 1/2^24, and the same a quarter of a turn later; angles in 1/1024 of a turn. A
- * separate function, so that the whole loop stays in registers. */
-__attribute__((noinline)) static void cosine_sums(const spectral_line *lines, uint32_t count, uint32_t angle,
-                                                  int64_t *sums)
+/* The place after `place` among `count` numbers, a power of two, in the order of reversed bits. */
+static uint32_t next_reversed(uint32_t place, uint32_t count)
 {
-    const spectral_line *const end = lines + count;
-    int64_t first = 0, second = 0;
-    for (; lines != end; lines++) {
-        const uint32_t turned = angle * lines->frequency;
-        first += (int64_t)lines->value * vc_cosine[turned & 1023u];
-        second += (int64_t)lines->value * vc_cosine[(turned + 256 * lines->frequency) & 1023u];
-    }
-    sums[0] = first;
-    sums[1] = second;
+    uint32_t bit = count / 2;
+    for (; place & bit; bit /= 2)
+        place -= bit;
+    return place + bit;
 }
 
-/* sqrt(2 / N) in 1/2^24. */
-static int32_t norm(uint32_t hop)
+/* Turns a complex number, real part first, clockwise by an angle in 1/1024 of a turn. */
+static inline void turn(int32_t *z, uint32_t angle)
 {
-    return hop == 16 ? 5931642 : hop == 32 ? 4194304 : hop == 64 ? 2965821 : 2097152;
+    const int64_t cosine = vc_cosine[angle], sine = vc_cosine[(angle + 768) & 1023u];
+    const int32_t real = (int32_t)vc_rounded(z[0] * cosine + z[1] * sine);
+    z[1] = (int32_t)vc_rounded(z[1] * cosine - z[0] * sine);
+    z[0] = real;
 }
 
-/* sin(pi (n + 1/2) / (2 N)) in 1/2^24, 0 <= n < N: the rising half of the sine window. */
-static int32_t window(uint32_t hop, uint32_t n)
+/* Replaces two complex numbers by sum and difference. */
+static inline void add_and_subtract(int32_t *low, int32_t *high)
 {
-    return vc_cosine[((2 * n + 1) * (128 / hop) + 768) & 1023u];
+    const int32_t real = high[0], imaginary = high[1];
+    high[0] = low[0] - real;
+    high[1] = low[1] - imaginary;
+    low[0] += real;
+    low[1] += imaginary;
 }
 
-/* Finds the coefficients of a spectrum that are not 0; returns how many. */
-static uint32_t lines_of(const int32_t *spectrum, uint32_t hop, spectral_line *lines)
+/* sum_k z[k] exp(-2 pi i n k / count) in place of z[n]; before, complex numbers stand in the order of reversed bits. */
+static void fourier_transform(int32_t *z, uint32_t count)
 {
-    uint32_t count = 0, k;
-    for (k = 0; k < hop; k++)
-        if (spectrum[k] != 0) {
-            lines[count].value = spectrum[k];
-            lines[count++].frequency = 2 * k + 1;
+    int32_t *const end = z + 2 * count, *low;
+    uint32_t half, n;
+    for (half = 1; half < count; half *= 2)
+        for (low = z; low < end; low += 4 * half) {
+            add_and_subtract(low, low + 2 * half);
+            for (n = 1; n < half; n++) {
+                turn(low + 2 * (half + n), n * (512 / half));
+                add_and_subtract(low + 2 * n, low + 2 * (half + n));
+            }
         }
-    return count;
 }
 
-/* The transform's output without a window, at n (0 <= n < N / 2) and N + n; the first half of all 2 N values is odd
- * about its middle, the second half even. */
-static void transform(const spectral_line *lines, uint32_t count, uint32_t hop, uint32_t n, int32_t *first,
-                      int32_t *second)
+/* By how many bits values must be shifted down, so that no sum of them, each turned somehow, passes LARGEST_SUM: 0, but
+ * for hostile streams and near full scale. */
+static unsigned shift_for(const int32_t *spectrum, uint32_t hop)
 {
-    int64_t sums[2];
-    cosine_sums(lines, count, (2 * n + 1 + hop) * (128 / hop), sums); /* N divides 128 */
-    *first = vc_weighted(vc_scaled_down(sums[0]), norm(hop));
-    *second = vc_weighted(vc_scaled_down(sums[1]), norm(hop));
+    uint64_t sum = 0;
+    unsigned shift = 0;
+    uint32_t k;
+    for (k = 0; k < hop; k++)
+        sum += (uint32_t)(spectrum[k] < 0 ? -spectrum[k] : spectrum[k]);
+    while (sum >> shift > LARGEST_SUM)
+        shift++;
+    return shift;
+}
+
+unsigned vc_cosine_transform(const int32_t *spectrum, uint32_t hop, int32_t *v)
+{
+    const uint32_t count = hop / 2, unit = 128 / hop; /* N divides 128 */
+    const unsigned shift = shift_for(spectrum, hop);
+    uint32_t k, place = 0;
+    for (k = 0; k < count; k++, place = next_reversed(place, count)) {
+        int32_t *const z = v + 2 * place;
+        const int32_t real = spectrum[2 * k], imaginary = spectrum[hop - 1 - 2 * k];
+        z[0] = shift ? real / (1 << shift) : real;
+        z[1] = shift ? imaginary / (1 << shift) : imaginary;
+        turn(z, (4 * k + 1) * unit);
+    }
+    fourier_transform(v, count);
+    for (k = 0; k < count / 2; k++) {
+        int32_t *const low = v + 2 * k, *const high = v + hop - 2 - 2 * k;
+        int32_t imaginary;
+        turn(low, 4 * k * unit);
+        turn(high, 4 * (count - 1 - k) * unit);
+        imaginary = low[1];
+        low[1] = -high[1];
+        high[1] = -imaginary;
+    }
+    return shift;
+}
+
+/* value * weight * 2^shift, limited. */
+static int32_t weighted(int32_t value, int32_t weight, unsigned shift)
+{
+    const int64_t result = vc_rounded((int64_t)value * weight);
+    return shift ? vc_limited(result * (1 << shift)) : (int32_t)result;
 }
 
 void vc_mdct_synthesise(const int32_t *spectrum, int32_t *overlap, uint32_t hop, int16_t *samples, unsigned stride)
 {
-    spectral_line lines[VC_MAX_BINS];
-    const uint32_t count = lines_of(spectrum, hop, lines);
+    int32_t v[VC_MAX_BINS];
+    const unsigned shift = vc_cosine_transform(spectrum, hop, v);
     uint32_t n;
     for (n = 0; n < hop / 2; n++) {
         const uint32_t mirror = hop - 1 - n;
-        const int32_t rising = window(hop, n), falling = window(hop, mirror);
-        int32_t first, second;
-        transform(lines, count, hop, n, &first, &second);
-        samples[n * stride] = vc_rounded_sample((int64_t)overlap[n] + vc_weighted(first, rising));
-        samples[mirror * stride] = vc_rounded_sample((int64_t)overlap[mirror] - vc_weighted(first, falling));
-        overlap[n] = vc_weighted(second, falling);
-        overlap[mirror] = vc_weighted(second, rising);
+        const int32_t first = v[hop / 2 + n], second = -v[hop / 2 - 1 - n];
+        const int32_t rising = vc_weighted(vc_window(hop, n), vc_norm(hop));
+        const int32_t falling = vc_weighted(vc_window(hop, mirror), vc_norm(hop));
+        samples[n * stride] = vc_rounded_sample((int64_t)overlap[n] + weighted(first, rising, shift));
+        samples[mirror * stride] = vc_rounded_sample((int64_t)overlap[mirror] - weighted(first, falling, shift));
+        overlap[n] = weighted(second, falling, shift);
+        overlap[mirror] = weighted(second, rising, shift);
     }
 }
 
@@ -87,15 +121,15 @@ static int32_t learned(const uint8_t *window, uint32_t i)
 void vc_lapped_synthesise(const uint8_t *window, const int32_t *spectrum, int32_t *overlap, int32_t *later,
                           uint32_t hop, int16_t *samples, unsigned stride)
 {
-    spectral_line lines[VC_MAX_BINS];
-    const uint32_t count = lines_of(spectrum, hop, lines);
+    int32_t v[VC_MAX_BINS];
+    const unsigned shift = vc_cosine_transform(spectrum, hop, v);
     uint32_t n;
     for (n = 0; n < hop / 2; n++) {
         const uint32_t mirror = hop - 1 - n;
         const int32_t a = learned(window, n), b = learned(window, mirror);
         const int32_t c = learned(window, hop + n), d = learned(window, hop + mirror);
-        int32_t first, second;
-        transform(lines, count, hop, n, &first, &second);
+        const int32_t first = weighted(v[hop / 2 + n], vc_norm(hop), shift);
+        const int32_t second = -weighted(v[hop / 2 - 1 - n], vc_norm(hop), shift);
         samples[n * stride] = vc_rounded_sample((int64_t)overlap[n] + vc_weighted(first, a));
         samples[mirror * stride] = vc_rounded_sample((int64_t)overlap[mirror] - vc_weighted(first, b));
         overlap[n] = vc_limited((int64_t)later[n] + vc_weighted(second, c));

@@ -112,7 +112,7 @@ static uint32_t code_bits(const number_coder *with, unsigned bits, uint32_t valu
         if (with->encoding)
             vc_range_encode(with->coder, bit, VC_EVEN_ODDS);
         else
-            bit = vc_range_decode(with->coder, VC_EVEN_ODDS);
+            bit = (int)vc_range_decode_bits(with->coder, 1);
         coded_value = coded_value << 1 | (uint32_t)bit;
     }
     return coded_value;

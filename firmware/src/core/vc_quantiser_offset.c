@@ -50,9 +50,9 @@ uint32_t vc_quantiser_offset_encode_fours(vc_range_coder *coder, vc_quantiser_of
 void vc_quantiser_offset_decode(vc_range_coder *coder, vc_quantiser_offset *quantiser_offset)
 {
     if (!vc_adaptive_decode(coder, &quantiser_offset->same, ADAPTATION_SHIFT)) {
-        const int finer = vc_range_decode(coder, VC_EVEN_ODDS);
+        const int finer = (int)vc_range_decode_bits(coder, 1);
         int32_t change = 2 * (int32_t)vc_golomb_decode(coder) + 1;
-        change += vc_range_decode(coder, VC_EVEN_ODDS);
+        change += (int32_t)vc_range_decode_bits(coder, 1);
         quantiser_offset->value = limited(quantiser_offset->value + (finer ? -change : change));
     }
 }

@@ -3,7 +3,8 @@
 
 static uint32_t split_point(const vc_range_coder *coder, uint32_t probability)
 {
-    return coder->low + (uint32_t)(((uint64_t)(coder->high - coder->low) * probability) >> 16);
+    const uint32_t range = coder->high - coder->low;
+    return coder->low + (range >> 16) * probability + ((range & 0xFFFFu) * probability >> 16);
 }
 
 static void narrow(vc_range_coder *coder, int bit, uint32_t split)
@@ -36,6 +37,15 @@ static void put_byte(vc_range_coder *coder, uint8_t byte)
 static uint8_t next_byte(vc_range_coder *coder)
 {
     return coder->input == coder->input_end ? 0 : *coder->input++;
+}
+
+/* Replaces the top bytes that both bounds share by new ones. */
+static inline void read_settled(vc_range_coder *coder)
+{
+    while (top_byte_settled(coder)) {
+        drop_top_byte(coder);
+        coder->value = (coder->value << 8) | next_byte(coder);
+    }
 }
 
 void vc_range_encoder_init(vc_range_coder *coder, uint8_t *output, size_t capacity)
@@ -73,11 +83,23 @@ int vc_range_decode(vc_range_coder *coder, uint32_t probability)
     uint32_t split = split_point(coder, probability);
     int bit = coder->value <= split;
     narrow(coder, bit, split);
-    while (top_byte_settled(coder)) {
-        drop_top_byte(coder);
-        coder->value = (coder->value << 8) | next_byte(coder);
-    }
+    read_settled(coder);
     return bit;
+}
+
+uint32_t vc_range_decode_bits(vc_range_coder *coder, unsigned count)
+{
+    vc_range_coder local = *coder; /* in registers */
+    uint32_t bits = 0;
+    for (; count > 0; count--) {
+        const uint32_t split = local.low + (local.high - local.low) / 2;
+        const int bit = local.value <= split;
+        bits = bits << 1 | (uint32_t)bit;
+        narrow(&local, bit, split);
+        read_settled(&local);
+    }
+    *coder = local;
+    return bits;
 }
 
 size_t vc_range_encoder_finish(vc_range_coder *coder, const uint8_t *start)

@@ -21,6 +21,9 @@ void vc_range_decoder_init(vc_range_coder *coder, const uint8_t *input, size_t l
 void vc_range_encode(vc_range_coder *coder, int bit, uint32_t probability);
 int vc_range_decode(vc_range_coder *coder, uint32_t probability);
 
+/* Decodes decisions of even odds, at most 32; returns them as the bits of a number, the first one highest. */
+uint32_t vc_range_decode_bits(vc_range_coder *coder, unsigned count);
+
 /* Ends the packet with as few bytes as identify the interval. `start`: where output began; returns the bytes in use. */
 size_t vc_range_encoder_finish(vc_range_coder *coder, const uint8_t *start);
 

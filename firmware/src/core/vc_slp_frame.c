@@ -141,7 +141,7 @@ static int32_t code_level(vc_range_coder *coder, int encoding, vc_slp_model *mod
     if (encoding)
         vc_range_encode(coder, negative, VC_EVEN_ODDS);
     else
-        negative = vc_range_decode(coder, VC_EVEN_ODDS);
+        negative = (int)vc_range_decode_bits(coder, 1);
     return negative ? -(int32_t)magnitude : (int32_t)magnitude;
 }
 
