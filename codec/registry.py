@@ -388,7 +388,18 @@ class Source:
         """Return an estimate of coding with default parameters, by the step; None where the codec has none."""
         if self.codec.estimate is None:
             return None
-        return self.codec.estimate(self.samples, self.format, self.resolved({}), self.model)
+        setting, count = self.resolved({}), len(self.samples)
+        estimates = [
+            (len(self.samples[part]) / count, self.codec.estimate(self.samples[part], self.format, setting, self.model))
+            for part in parts(count)
+        ]
+
+        def mean(step: float) -> tuple[float, Signal]:
+            each = [(share, *estimate(step)) for share, estimate in estimates]
+            errors: Signal = np.sum([share * error for share, _, error in each], axis=0)
+            return sum(share * bits for share, bits, _ in each), errors
+
+        return mean
 
     def _choice(self, words: tuple[tuple[str, str], ...]) -> Setting:
         """Return the codec's choices for this signal: the same at every number, so that a search meets no jump."""

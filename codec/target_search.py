@@ -5,23 +5,18 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 from typing import TypeAlias
 
 import numpy as np
 
 from vibrocast.codec.interface import CodecError, CodedSignal, Setting, Signal, TargetUnreachable, number
-from vibrocast.codec.registry import (
-    Source,
-    decode,
-    parts,
-    peak_of,
-)
+from vibrocast.codec.registry import Source, decode, parts, peak_of
 
 SNR_TOLERANCE_DB = 0.2
 RATE_TOLERANCE = 0.02
-_ESTIMATE_TOLERANCE_DB = 0.1
-"""If the result of a search differs from the encoder's estimate by more, the search decodes each trial instead."""
+_ERROR_TOLERANCE = 0.01
+"""If the error in an excerpt differs from what the encoder tells by more, the search decodes each trial instead."""
 _STEPS_PER_OCTAVE = 64
 _DB_PER_OCTAVE = 20 * math.log10(2)
 _RD_WEIGHTS = (1.0, 0.9, 0.8, 0.65, 0.5, 0.3, 0.0)
@@ -40,6 +35,8 @@ _Expected: TypeAlias = Callable[[float, Signal], float]
 """Returns the excess that an estimate of bits and errors leads to; see `codec.interface.Estimate`."""
 _EXCERPT_SAMPLES = 1 << 15
 """In a long signal, a search begins in this many samples of each channel."""
+_EXCERPT_RATE = math.log(1.02)
+"""An excerpt takes 2 % more bits a sample than the whole, to which a codec adapts for longer: the median of signals."""
 
 
 def channel_snrs_db(reference: Signal, decoded: Signal) -> list[float | None]:
@@ -83,63 +80,51 @@ def encode_to_snr(source: Source, target_db: float, setting: Setting | None = No
     if source.silent:
         return source.encode(_rate_points(source, setting)[0])
     tables = source.model.tables if source.model is not None else None
-    levels = np.array(source.format.rms)
-    heard = [peak_of(channel) > 0 for channel in source.samples.T]
+    heard = np.array([peak_of(channel) > 0 for channel in source.samples.T])
+    powers = heard * np.square(source.format.rms)
 
-    @lru_cache(maxsize=1)  # decoding takes nearly as long as coding
+    @cache  # decoding takes nearly half as long as coding
     def decoded_db(coded: CodedSignal) -> list[float | None]:
         return channel_snrs_db(source.samples, decode(coded, tables))
 
-    def estimated_db(coded: CodedSignal) -> list[float | None]:
-        """Return the SNR of each channel by the encoder's error, if it tells, at the level of the whole signal."""
-        if coded.squared_errors is None:
-            return decoded_db(coded)
-        ratios = coded.samples * np.square(levels) / np.array(coded.squared_errors)
-        return [10 * math.log10(ratio) if each else None for each, ratio in zip(heard, ratios.tolist(), strict=True)]
+    def at_level(squared_errors: Sequence[float] | Signal, samples: int) -> list[float | None]:
+        """Return the SNR of each channel by its error in some samples, at the level of the whole signal."""
+        pairs = zip((samples * powers).tolist(), squared_errors, strict=True)
+        return [10 * math.log10(energy / error) if energy > 0 and error > 0 else None for energy, error in pairs]
 
-    # In a short signal, an encoder's error beyond the ends would count.
-    ratios_db = estimated_db if source.excerpt(_EXCERPT_SAMPLES) is not None else decoded_db
+    def told_db(coded: CodedSignal) -> list[float | None]:
+        return at_level(coded.squared_errors or (), coded.samples)
+
+    ratios_db: Callable[[CodedSignal], list[float | None]] = decoded_db
 
     def excesses_db(coded: CodedSignal) -> list[float]:
         """Return the excess of each channel over the target; 0 for silent ones, which have none."""
         return [0.0 if ratio is None else ratio - target_db for ratio in ratios_db(coded)]
 
-    def mean_excess(coded: CodedSignal) -> float:
-        return _mean(ratios_db(coded)) - target_db
-
     def in_excerpt(excerpt: Source) -> Callable[[CodedSignal], float]:
-        """Return the mean excess that the noise in an excerpt leads to, at the level of the whole signal."""
-        powers = np.mean(np.square(source.samples), axis=0)
+        """Return the mean excess in an excerpt, which also shows whether the encoder is right: clipping misleads it."""
 
         def excess_db(coded: CodedSignal) -> float:
-            if coded.squared_errors is not None:
-                return _mean(estimated_db(coded)) - target_db
-            noise = np.mean(np.square(excerpt.samples - decode(coded, tables)), axis=0)
-            noisy = (noise > 0) & (powers > 0)
-            return float(np.mean(10 * np.log10(powers[noisy] / noise[noisy]))) - target_db if noisy.any() else math.inf
+            nonlocal ratios_db
+            noise = (excerpt.samples - decode(coded, tables)) / np.array(coded.gains)
+            errors, told = np.sum(np.square(noise), axis=0), coded.squared_errors
+            is_right = told is not None and np.allclose(errors[heard], np.array(told)[heard], _ERROR_TOLERANCE)
+            ratios_db = told_db if is_right else decoded_db
+            return _mean(at_level(errors, coded.samples)) - target_db
 
         return excess_db
 
     def expected_excess(bits: float, errors: Signal) -> float:
-        noisy = errors > 0
-        ratios_db = 20 * np.log10(levels[noisy]) - 10 * np.log10(errors[noisy])
-        return float(np.mean(ratios_db)) - target_db if noisy.any() else math.inf
+        return _mean(at_level(errors, 1)) - target_db
 
-    def reached() -> tuple[CodedSignal, list[float]]:
-        if not setting and source.codec.step_range:
-            found = _search(source, mean_excess, _SNR, in_excerpt, expected_excess)
-            return _balance(source, found, excesses_db)
-        if _differs_by_channel(source, setting):
-            best = _choose_for_each(source, setting, excesses_db)
-        else:
-            best = _choose(source, setting, lambda coded: min(excesses_db(coded)), _SNR, in_excerpt)
-        return best, excesses_db(best)
-
-    best, believed = reached()
-    ratios_db = decoded_db
+    if not setting and source.codec.step_range:
+        found = _search(source, lambda coded: _mean(ratios_db(coded)) - target_db, _SNR, in_excerpt, expected_excess)
+        best = _balance(source, found, excesses_db)
+    elif _differs_by_channel(source, setting):
+        best = _choose_for_each(source, setting, excesses_db)
+    else:
+        best = _choose(source, setting, lambda coded: min(excesses_db(coded)), _SNR, in_excerpt)
     least = excesses_db(best)
-    if max(map(abs, np.subtract(least, believed))) > _ESTIMATE_TOLERANCE_DB:  # such as for clipped samples
-        best, least = reached()
     if min(least) < -SNR_TOLERANCE_DB:
         raise TargetUnreachable(
             f"an SNR of {target_db:g} dB cannot be met; this signal reaches {target_db + min(least):.1f} dB "
@@ -154,10 +139,8 @@ def _mean(ratios_db: Sequence[float | None]) -> float:
     return sum(heard) / len(heard) if heard else math.inf
 
 
-def _balance(
-    source: Source, found: "_Found", excesses_db: Callable[[CodedSignal], list[float]]
-) -> tuple[CodedSignal, list[float]]:
-    """Bring every channel to the target, by its own step or by one; return the coded signal and remaining excesses."""
+def _balance(source: Source, found: "_Found", excesses_db: Callable[[CodedSignal], list[float]]) -> CodedSignal:
+    """Bring every channel to the target, by its own step or by one."""
     best, least = found.coded, excesses_db(found.coded)
     balanced = [_ChannelStep(found.step) for _ in least]
     excesses = least
@@ -188,7 +171,7 @@ def _balance(
                 best, least = coded, excesses
             if _imbalance(least) <= (False, SNR_TOLERANCE_DB):
                 break
-    return best, least
+    return best
 
 
 def _setting(source: Source, step: float | tuple[float, ...], rd_weight: float) -> Setting:
@@ -253,10 +236,13 @@ def encode_to_rate(
     def expected_excess(bits: float, errors: Signal) -> float:
         return math.log(max(bits, _FEWEST_BITS) * source.format.rate_hz / bits_per_second)
 
+    def in_excerpt(excerpt: Source) -> Callable[[CodedSignal], float]:
+        return lambda coded: excess(coded) - _EXCERPT_RATE
+
     if not setting and source.codec.step_range:
-        best = _search(source, excess, _RATE, lambda excerpt: excess, expected_excess).coded
+        best = _search(source, excess, _RATE, in_excerpt, expected_excess).coded
     else:
-        best = _choose(source, setting, excess, _RATE, lambda excerpt: excess)
+        best = _choose(source, setting, excess, _RATE, in_excerpt)
     if _RATE.misses(excess(best)):
         raise TargetUnreachable(
             f"a rate of {bits_per_second:.0f} bit/s cannot be met; this signal takes at least {rate(best):.0f} bit/s "
@@ -322,21 +308,23 @@ def _choose(
     """Code where the excess changes its sign; at every rate point if no setting there is good enough.
 
     The excess rises on the whole from rate point to rate point. Returns the result that the goal prefers. In a long
-    signal, an excerpt tells where that is, and the signal itself only the last steps.
+    signal, an excerpt tells where that is, and whether the next setting may be better.
     """
     settings, steps = _steps_between(source, _rate_points(source, setting))
     excerpt = source.excerpt(_EXCERPT_SAMPLES)
+    index, trials = _best_of(excerpt or source, settings, steps, in_excerpt(excerpt) if excerpt else excess, goal)
     if excerpt is None:
-        index, tried = _best_of(source, settings, steps, excess, goal)
-        return tried[index][0]
-    index, _ = _best_of(excerpt, settings, steps, in_excerpt(excerpt), goal)
-    tried = {}
+        return trials[index][0]
+    tried: dict[int, tuple[CodedSignal, float]] = {}
     while index in range(len(settings)) and index not in tried:
         coded = source.encode(settings[index])
-        tried[index] = coded, excess(coded)
-        if goal.meets(tried[index][1]):
+        found = excess(coded)
+        tried[index] = coded, found
+        following = index + (1 if found < goal.low else -1)
+        is_known = {index, following} <= trials.keys()
+        if goal.meets(found) or (is_known and goal.suffices(found, trials[following][1] - trials[index][1])):
             break
-        index += 1 if tried[index][1] < goal.low else -1
+        index = following
     return min(tried.values(), key=lambda each: goal.preference(each[1]))[0]
 
 
@@ -404,13 +392,15 @@ class _Goal:
     """The excess over a target that meets it: from `low` to `high`.
 
     `ceiling`: an excess above `high` is on the wrong side; otherwise one below `low` is. The other side is second best.
-    `per_octave`: by about how much the excess falls with an octave of steps.
+    `per_octave`: by about how much the excess falls with an octave of steps. `doubt`: the part by which a difference of
+    two excesses may be another in an excerpt.
     """
 
     low: float
     high: float
     ceiling: bool
     per_octave: float
+    doubt: float
 
     def misses(self, excess: float) -> bool:
         """Return whether an excess lies on the wrong side."""
@@ -424,18 +414,24 @@ class _Goal:
         """Return the rank of an excess, less is better: not on the wrong side, then the nearest to zero."""
         return self.misses(excess), abs(excess)
 
+    def suffices(self, found: float, difference: float) -> bool:
+        """Return whether an excess is good enough, and none that differs by about this can be preferred."""
+        others = [found + part * difference for part in (1 - self.doubt, 1, 1 + self.doubt)]
+        return not self.misses(found) and all(self.preference(found) <= self.preference(other) for other in others)
 
-_SNR = _Goal(-SNR_TOLERANCE_DB, SNR_TOLERANCE_DB, ceiling=False, per_octave=5.0)
-_RATE = _Goal(math.log1p(-RATE_TOLERANCE), 0.0, ceiling=True, per_octave=0.6)
+
+_SNR = _Goal(-SNR_TOLERANCE_DB, SNR_TOLERANCE_DB, ceiling=False, per_octave=5.0, doubt=1 / 8)
+_RATE = _Goal(math.log1p(-RATE_TOLERANCE), 0.0, ceiling=True, per_octave=0.6, doubt=1 / 3)
 """A rate is never exceeded: the excess is the logarithm of rate over target."""
 
 
 @dataclass(frozen=True)
 class _Found:
-    """The result of a search: the coded signal, its excess, and the step code and rd_weight that made it."""
+    """The result of a search: the coded signal, its excess, the one expected, the step code and rd_weight."""
 
     coded: CodedSignal
     excess: float
+    expected: float
     exponent: int
     rd_weight: float
 
@@ -462,14 +458,14 @@ def _search(
 
     The codec must have a `step_range`. The result, which the goal prefers, lies on its wrong side only if every step
     does. `in_excerpt`: returns the excess in an excerpt; in a long signal the search begins there. `expected`: returns
-    the excess of a codec's estimate; the search begins where it is zero.
+    the excess of a codec's estimate. The search begins where it is zero, or errs as in an excerpt.
     """
     best: _Found | None = None
     step_range = source.codec.step_range
     assert step_range is not None, "its steps can be searched"
     finest, coarsest = (round(_STEPS_PER_OCTAVE * math.log2(limit)) for limit in step_range(source.format))
     excerpt = source.excerpt(_EXCERPT_SAMPLES) if in_excerpt is not None else None
-    estimate = (excerpt or source).estimate() if expected is not None else None
+    estimate = source.estimate() if expected is not None else None
     aim = _Aim(goal, None if expected is None or estimate is None else lambda code: expected(*estimate(_step_of(code))))
     guess = aim.first(finest, coarsest)
     if in_excerpt is not None and excerpt is not None:
@@ -477,7 +473,7 @@ def _search(
         begun = _search(excerpt, excess_in_excerpt, goal, None, expected, _RD_WEIGHTS[:1])
         if guess is None:
             aim.fall = max(_fall(excerpt, begun, excess_in_excerpt), aim.fall / 4)
-        guess = aim.next(begun.exponent, begun.excess, finest, coarsest)
+        guess = aim.next(begun.exponent, begun.excess + aim.expected(begun.exponent) - begun.expected, finest, coarsest)
     is_guided = guess is not None
 
     # Rounding for the best rate makes the excess jump, most of all for signals of few coefficients. If the sign changes
@@ -487,6 +483,7 @@ def _search(
         above = below = math.nan  # excess next to the finest and the coarsest step that are left
         interpolates = False
         trials = 0
+        guess = guess if best is None else best.exponent
         while low <= high:
             width = high - low
             exponent = (low + high) // 2
@@ -495,7 +492,7 @@ def _search(
             elif interpolates:
                 exponent = low + round(width * min(max(above / (above - below), 0.0), 1.0))
             coded = source.encode(_setting(source, _step_of(exponent), rd_weight))
-            found = _Found(coded, excess(coded), exponent, rd_weight)
+            found = _Found(coded, excess(coded), aim.expected(exponent), exponent, rd_weight)
             if best is None or goal.preference(found.excess) < goal.preference(best.excess):
                 best = found
             if goal.meets(best.excess, part=1.0 if is_guided else 0.5):
@@ -536,17 +533,20 @@ class _Aim:
         self._expected = expected
         self.fall = goal.per_octave / _STEPS_PER_OCTAVE
 
+    def expected(self, code: int) -> float:
+        """Return the excess that is expected at a code; 0 where nothing is."""
+        return 0.0 if self._expected is None else self._expected(code)
+
     def first(self, low: int, high: int) -> int | None:
         """Return the code to begin with, from `low` to `high`; None where nothing is expected."""
-        return None if self._expected is None else self._where(self._expected, self._middle, low, high)
+        return None if self._expected is None else self._where(self._middle, low, high)
 
     def next(self, code: int, excess: float, low: int, high: int) -> int:
         """Return the code, from `low` to `high`, that should meet the goal, from the excess at another."""
         if self._expected is None or not math.isfinite(excess):
             return round(min(max(code + (excess - self._middle) / self.fall, low), high))
-        return self._where(self._expected, self._expected(code) - excess + self._middle, low, high)
+        return self._where(self.expected(code) - excess + self._middle, low, high)
 
-    @staticmethod
-    def _where(expected: Callable[[int], float], value: float, low: int, high: int) -> int:
+    def _where(self, value: float, low: int, high: int) -> int:
         """Return the code where the expected excess, which falls, comes down to a value."""
-        return low + bisect.bisect_left(range(low, high), -value, key=lambda code: -expected(code))
+        return low + bisect.bisect_left(range(low, high), -value, key=lambda code: -self.expected(code))
