@@ -99,7 +99,7 @@ def test_extreme_steps_and_levels(program: Path) -> None:
     section = Rotation((0, 63), (COMMON, OWN, COMMON, COMMON), (48,), ((16,),)).pack()
     greatest = mdct.STEP_CODES - 1
     for codes, rate_controlled, rotation, shape in itertools.product(
-        ([0, 0], [greatest, greatest], [0, greatest]), (False, True), (b"", section), (b"", b"\xff" * 4)
+        ([0, 0], [greatest, greatest], [0, greatest]), (False, True), (b"", section), (b"", b"\xff" * 2)
     ):
         for hop in mdct.HOPS:
             configuration = mdct.configuration(hop, 2, codes, 31, rate_controlled, shape, rotation)

@@ -54,7 +54,7 @@ int vc_mdct_encoder_init(vc_mdct_encoder *encoder, const uint8_t *configuration,
                          uint32_t lambda);
 
 /* Windowed forward MDCT of a signal, blocks x channels x hop, in the unit of its samples: (blocks + 1) x hop x
- * channels, within +-2^28. */
+ * channels, within +-2^24, twice full scale. */
 void vc_mdct_analyse(const int32_t *samples, uint32_t blocks, unsigned channels, uint32_t hop, int32_t *coefficients);
 
 /* Codes one packet. Returns the bytes written to `packet`, or VC_PACKET_TOO_LARGE.

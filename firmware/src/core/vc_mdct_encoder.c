@@ -74,7 +74,7 @@ static void restart(vc_mdct_encoder *encoder)
 static void analyse_block(const int32_t *first, unsigned stride, uint32_t hop, int32_t *coefficients)
 {
     const int32_t *const second = first + (size_t)hop * stride;
-    int32_t folded[VC_MAX_BINS];
+    int32_t folded[VC_MAX_BINS] = {0};
     unsigned shift;
     uint32_t n;
     for (n = 0; n < hop / 2; n++) {
