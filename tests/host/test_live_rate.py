@@ -224,4 +224,4 @@ def test_the_rate_of_a_group_follows_the_link() -> None:
     assert desk.policy.bits_per_second > 3800
     results = desk.group.finish()
     assert results[0].lost_packets == 0
-    assert results[1].lost_packets < 10
+    assert results[1].lost_packets < 0.2 * desk.group.streams[1].packets_sent  # while the rate falls
