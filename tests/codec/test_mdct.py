@@ -114,15 +114,15 @@ def test_core_agrees_with_the_documented_decoder_on_a_step_shape(hop: int, quant
 def test_a_step_shape_moves_the_error_to_where_steps_are_coarse() -> None:
     signal = np.random.default_rng(1).normal(0, 0.1, (8192, 1))
     spectra = []
-    for shape in (None, (0.0, 0.0, 0.0, 0.0, 0.0, 1.5, 3.0)):
+    for shape in (None, (0.0, 0.0, 0.0, 0.0, 0.0, 2.6, 2.6)):
         configuration, packets = coded(signal, 0.02, Framing(1024, 0), 64, shape=shape)
         error = decoded(configuration, packets, 1)[64 : 64 + 8192] / 32768 - signal
         spectra.append(np.abs(np.fft.rfft(error[:, 0])) ** 2)
     low, high = (
         10 * np.log10(np.sum(spectra[1][part]) / np.sum(spectra[0][part])) for part in (slice(1024), slice(3584, None))
     )
-    assert low < -3
-    assert high > 3
+    assert low < -4  # a shape of 2 bytes allows 4.5 dB here
+    assert high > 5
 
 
 @given(

@@ -23,8 +23,8 @@ RATE_HZ = 2800
 BLOCK_SAMPLES = 28
 
 
-def noise(seconds: float, channels: int = 1, rms: float = 2.0) -> Signal:
-    return rms * np.random.default_rng(7).standard_normal((round(seconds * RATE_HZ), channels))
+def noise(seconds: float, channels: int = 1, rms: float = 2.0, seed: int = 7) -> Signal:
+    return rms * np.random.default_rng(seed).standard_normal((round(seconds * RATE_HZ), channels))
 
 
 @dataclass
@@ -156,6 +156,7 @@ class Desk:
 
     rate_bps: float
     wire: Wire
+    seed: int = 7
 
     def __post_init__(self) -> None:
         time = SimulatedTime()
@@ -176,7 +177,7 @@ class Desk:
 
     def play(self, from_s: float, to_s: float) -> None:
         """Stream a part of the textures."""
-        both = [noise(to_s), noise(to_s, rms=0.2)]
+        both = [noise(to_s, seed=self.seed), noise(to_s, rms=0.2, seed=self.seed)]
         began_s = self.links[0].clock()
         for start in range(round(from_s * RATE_HZ), len(both[0]), BLOCK_SAMPLES):
             done_s = (start + BLOCK_SAMPLES) / RATE_HZ - from_s
@@ -214,14 +215,18 @@ def test_a_controller_that_is_unplugged_or_stalls_does_not_hurt_the_other(stalle
 
 
 def test_the_rate_of_a_group_follows_the_link() -> None:
-    desk = Desk(4000, Wire(5000))
-    desk.play(0.0, 3.0)
-    desk.wire.bits_per_second = 2500.0
-    desk.play(3.0, 6.0)
-    assert desk.policy.bits_per_second < 3000
-    desk.wire.bits_per_second = 5000.0
-    desk.play(6.0, 10.0)
-    assert desk.policy.bits_per_second > 3800
-    results = desk.group.finish()
-    assert results[0].lost_packets == 0
-    assert results[1].lost_packets < 0.2 * desk.group.streams[1].packets_sent  # while the rate falls
+    lost_packets = []
+    for seed in range(7, 12):
+        desk = Desk(4000, Wire(5000), seed)
+        desk.play(0.0, 3.0)
+        desk.wire.bits_per_second = 2500.0
+        desk.play(3.0, 6.0)
+        assert desk.policy.bits_per_second < 3000
+        desk.wire.bits_per_second = 5000.0
+        desk.play(6.0, 10.0)
+        assert desk.policy.bits_per_second > 3800
+        results = desk.group.finish()
+        assert results[0].lost_packets == 0
+        lost_packets.append(results[1].lost_packets)
+    # Each loss moves the next ones, so a single texture may lose 5 or 11 packets.
+    assert np.mean(lost_packets) < 10
