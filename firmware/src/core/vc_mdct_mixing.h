@@ -54,7 +54,7 @@ static inline void vc_contexts_find(vc_contexts *contexts, const vc_bin *bin, ui
 {
     const uint32_t nearest = below->nearest & 255u, second = below->nearest >> 8 & 255u, third = below->nearest >> 16;
     /* Of the loudness of this block's bins below to their means: sixteenths of an octave from 1/4 on. */
-    const int32_t any_ratio = (int32_t)vc_sixteenths(below->sum + 1) - bin->below;
+    const int32_t any_ratio = (int32_t)vc_sixteenths(below->sum + 1) - bin->mean_below;
     const uint32_t ratio = any_ratio < 0 ? 0 : any_ratio > 64 ? 64 : (uint32_t)any_ratio;
     const uint32_t magnitude = bin->magnitude + 183 * nearest + 65 * second + 28 * third +
                                (below->sum * vc_share[k] >> 9) + (bin->loudness * vc_ratio[ratio] >> 6);

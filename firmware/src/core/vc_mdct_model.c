@@ -129,7 +129,7 @@ void vc_bin_find(vc_bin *bin, const vc_history *history, uint32_t hop, uint32_t 
                      22u * second[0] + 7u * ((uint32_t)second[1] + second[-1]) + 9u * third[0] +
                      ((56u * average[0] + 8 * averages) >> 9) + (((37 + young) * mean[0] + 6 * means) >> 9);
     bin->loudness = (195u * mean[0] + 30 * means) >> 9;
-    bin->below = (int32_t)vc_sixteenths(*means_below + 512) - 16 * 11;
+    bin->mean_below = (int32_t)vc_sixteenths(*means_below + 512) - 16 * 11;
     *means_below += mean[0];
     bin->mean_class = (uint8_t)vc_at_most(vc_fine_class((mean[0] * 2u + means) >> 7) / 2, 15);
     bin->quarter = (uint8_t)((k >= hop / 4) + (k >= hop / 2) + (k >= hop / 4 * 3));

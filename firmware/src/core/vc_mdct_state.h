@@ -88,7 +88,7 @@ typedef struct {
 typedef struct {
     uint32_t magnitude; /* expected, in 1/1024 step, without the bins below */
     uint32_t loudness;  /* the part that grows with the loudness of the block, in 1/1024 step; here at the mean one */
-    int32_t below;      /* the mean loudness of the bins below, as vc_sixteenths, for the ratio to it */
+    int32_t mean_below; /* the mean loudness of the bins below, as vc_sixteenths, for the ratio to it */
     uint8_t mean_class;
     uint8_t quarter; /* of the spectrum */
     uint8_t set;
