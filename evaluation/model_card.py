@@ -21,7 +21,9 @@ from vibrocast.evaluation.cost import time_coding
 from vibrocast.evaluation.speed import cpu_name
 from vibrocast.export import configuration
 from vibrocast.export.checkpoint import Checkpoint
+from vibrocast.export.eva import Eva
 from vibrocast.export.package import Package
+from vibrocast.export.pruning import changed
 from vibrocast.export.training_data import Trace
 from vibrocast.models import Model
 
@@ -43,14 +45,19 @@ def made(
     `trained`, `held_back`: the traces of its training's data. `commands`: how it was trained, and how exported.
     `progress` is called with the part done. Raises CodecError.
     """
-    assert checkpoint.shape is not None, "a package is of an EVA"
+    assert checkpoint.shape is not None and isinstance(checkpoint.model, Eva), "a package is of an EVA"
     rate_hz = checkpoint.training["training"]["rate_hz"]
+    recordings = recordings_of(held_back, rate_hz)
     return {
         "name": package.name,
         "version": package.version,
         "codec": "eva",
         "family": package.family,
         "shape": checkpoint.shape.as_dict(),
+        "living_latents": len(package.living),
+        "held_back_changed": changed(
+            checkpoint.model, package.living, checkpoint.training["training"]["dead_zone"], recordings
+        ),
         "prior": package.prior,
         "training": training_of(checkpoint, trained, held_back, commands[0]),
         "export": {
@@ -62,7 +69,7 @@ def made(
                 "synthesis": package.graphs.synthesis_difference,
             },
         },
-        "results": _results(package, recordings_of(held_back, rate_hz), progress),
+        "results": _results(package, recordings, progress),
         "files": {
             file: {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
             for file, data in package.files.items()

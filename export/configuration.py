@@ -30,19 +30,21 @@ class ConfigurationError(ValueError):
 class ModelChoice(Table, frozen=True):
     """[model]: the model to train.
 
-    Kind "eva" has the filters of each layer, as many as latents, and `lambda`, the weight of squared error against
-    bits. Kind "lapped" has the windows of every hop, for all rates.
+    Kind "eva" has the filters of each layer, as many as latents, `lambda`, the weight of squared error against bits,
+    and the `start`: random weights, or those of a lapped transform (export.lapped_start). Kind "lapped" has the windows
+    of every hop, for all rates.
     """
 
     kind: Literal["eva", "lapped"] = "eva"
     lambda_: Lambda | None = msgspec.field(name="lambda", default=None)
     width: Width = 128
+    start: Literal["random", "lapped"] = "random"
 
     def __post_init__(self) -> None:
         if self.kind == "eva" and self.lambda_ is None:
             raise ValueError("a model of kind eva needs lambda, the weight of squared error against bits; state it")
-        if self.kind == "lapped" and (self.lambda_ is not None or self.width != 128):
-            raise ValueError("a model of kind lapped has neither lambda nor width; leave them out")
+        if self.kind == "lapped" and (self.lambda_, self.width, self.start) != (None, 128, "random"):
+            raise ValueError("a model of kind lapped has no lambda, width or start; leave them out")
 
 
 class ArchiveSource(Table, frozen=True):
@@ -113,10 +115,14 @@ Source: TypeAlias = ArchiveSource | FolderSource | GeneratorSource
 
 
 class HeldBack(Table, frozen=True):
-    """[held_back]: materials for validation, by name (SOURCE/MATERIAL), or a seeded share of each source's."""
+    """[held_back]: what validates: materials by name (SOURCE/MATERIAL), or a seeded share of each source's.
+
+    With `by` "trace", the test part of each folder instead, as `vibrocast bench --split test` draws it.
+    """
 
     materials: tuple[str, ...] = ()
     share: Annotated[float, within(0.01, 0.9)] = 0.15
+    by: Literal["material", "trace"] = "material"
 
 
 class Augmentation(Table, frozen=True):
@@ -131,7 +137,11 @@ class Augmentation(Table, frozen=True):
 
 
 class Schedule(Table, frozen=True):
-    """[training]: the loop. `distortion`: of the signal, or after the perceptual transform g_p; see export.training."""
+    """[training]: the loop; see export.training.
+
+    `cost`: bits by the static prior, or by a coder that has adapted to the excerpt. `distortion`: of the signal, or
+    after the perceptual transform g_p.
+    """
 
     steps: Annotated[int, within(1, 10**8)] = 40_000
     batch: Annotated[int, within(1, 4096)] = 16
@@ -144,6 +154,7 @@ class Schedule(Table, frozen=True):
     validation_excerpts: Annotated[int, within(1, 10**4)] = 48
     rounding: Literal["noise", "straight-through"] = "noise"
     dead_zone: Annotated[float, within(0, 0.5)] = 0.0
+    cost: Literal["static", "adaptive"] = "static"
     distortion: Literal["plain", "acceleration", "displacement"] = "plain"
 
     def __post_init__(self) -> None:
@@ -181,6 +192,11 @@ class Configuration(Table, frozen=True):
         return (*self.archive, *self.folder, *((self.generator,) if self.generator else ()))
 
     def __post_init__(self) -> None:
+        if self.held_back.by == "trace":
+            if self.archive or self.generator or self.held_back.materials:
+                raise ValueError("traces are held back from folders alone; remove other sources and named materials")
+            if any((source.part, source.split_by) != ("all", "recording") for source in self.folder):
+                raise ValueError('held back by trace, a folder needs split_by = "recording" and no part; correct it')
         if not self.sources:
             raise ValueError("there is nothing to train on; give [[archive]], [[folder]] or [generator]")
         names = [source.name for source in self.sources]
@@ -216,6 +232,12 @@ def parsed(values: Mapping[str, Any]) -> Configuration:
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
     return configuration
+
+
+def by_trace(configuration: Configuration) -> Configuration:
+    """Return the training on all recordings of the data folder, a fifth of them held back, as in the EVA paper."""
+    folder = FolderSource(".", about="split by trace", split_by="recording")
+    return replace(configuration, archive=(), generator=None, folder=(folder,), held_back=HeldBack(by="trace"))
 
 
 def each_of(configuration: Configuration) -> list[Configuration]:

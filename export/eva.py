@@ -54,6 +54,23 @@ class Gdn(nn.Module):
         return x * norm if self.inverse else x / norm
 
 
+class DeadZone(nn.Module):
+    """Makes the bin of zero wider: y^3 / (y^2 + c), which rounds to zero up to a magnitude of 0.5 + `width`.
+
+    Takes and returns (batch, channels, time). Great magnitudes hardly change.
+    """
+
+    def __init__(self, channels: int, width: float) -> None:
+        super().__init__()
+        edge = 0.5 + width
+        self.channels, self.constant = channels, 2 * edge**3 - edge**2
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return the narrowed values."""
+        square = x * x
+        return x if self.constant == 0 else x * square / (square + self.constant)
+
+
 def analysis_transform(shape: EvaShape) -> nn.Sequential:
     """Return the analysis transform, (batch, 1, 16 n) to (batch, latents, n): kernels 9, 5, 5, down 4, 2, 2, GDN each.
 

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from vibrocast.codec.graphs import LATENTS, SIGNAL, Transform
 from vibrocast.codec.onnx_check import OPSET
-from vibrocast.export.eva import HOP_SAMPLES, Eva, Gdn
+from vibrocast.export.eva import HOP_SAMPLES, DeadZone, Eva, Gdn
 
 PARITY = 1e-5
 """Largest difference between torch and ONNX Runtime, relative to the full scale of the compared values."""
@@ -115,7 +115,26 @@ class _FixedGdn(nn.Module):
         return x * norm if self.inverse else x / norm
 
 
+class _FixedDeadZone(nn.Module):
+    """A dead zone whose constant is the bias of a convolution, so that no other operator is needed."""
+
+    def __init__(self, given: DeadZone) -> None:
+        super().__init__()
+        self.raised = nn.Conv1d(given.channels, given.channels, 1)
+        with torch.no_grad():
+            self.raised.weight.copy_(torch.eye(given.channels)[:, :, None])
+            assert self.raised.bias is not None
+            self.raised.bias.fill_(given.constant)
+
+    def forward(self, x: Tensor) -> Tensor:
+        square = x * x
+        raised: Tensor = self.raised(square)
+        return x * square / raised
+
+
 def _fixed(layer: nn.Module) -> nn.Module:
+    if isinstance(layer, DeadZone):
+        return _FixedDeadZone(layer)
     return _FixedGdn(layer) if isinstance(layer, Gdn) else layer
 
 

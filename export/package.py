@@ -5,14 +5,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
+import numpy as np
+from numpy.typing import NDArray
+
 from vibrocast.codec import eva
 from vibrocast.codec.eva_image import EvaImage, PriorKind
 from vibrocast.codec.interface import Signal
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.export.checkpoint import Checkpoint
+from vibrocast.export.configuration import parsed
 from vibrocast.export.eva import Eva
 from vibrocast.export.graphs import Graphs, graphs_of
 from vibrocast.export.priors import FactorisedPrior
+from vibrocast.export.pruning import living_latents, pruned
 from vibrocast.export.quantise import quantise
 
 Contents: TypeAlias = Literal["core", "onnx", "both"]
@@ -23,7 +28,8 @@ Contents: TypeAlias = Literal["core", "onnx", "both"]
 class Package:
     """A model for use.
 
-    `image`: the packed model image. `full`: an image with both integer network and graph, to compare them.
+    `living`: the latents of the trained model that are left. `image`: the packed model image. `full`: an image with
+    both integer network and graph, to compare them.
     """
 
     name: str
@@ -31,6 +37,7 @@ class Package:
     family: str
     contents: Contents
     prior: PriorKind
+    living: NDArray[np.intp]
     graphs: Graphs
     image: bytes
     full: bytes
@@ -53,14 +60,17 @@ def make(
     signals: Sequence[Signal],
     prior: PriorKind = "adaptive",
 ) -> Package:
-    """Return the package of a checkpoint. `signals`: float64 (n,) of its training, as for `quantise`.
+    """Return the package of a checkpoint, of its living latents alone.
 
-    `prior`: whether its probabilities adapt to a stream. Raises GraphError, ModelError or ModelImageError for a model
-    that cannot be used.
+    `signals`: float64 (n,) of its training, as for `quantise`. `prior`: whether its probabilities adapt to a
+    stream. Raises GraphError, ModelError or ModelImageError for a model that cannot be used.
     """
     assert isinstance(checkpoint.model, Eva) and isinstance(checkpoint.prior, FactorisedPrior)
-    graphs = graphs_of(checkpoint.model)
-    full = replace(quantise(checkpoint.model, checkpoint.prior, signals, prior), graph=graphs.synthesis)
+    dead_zone = parsed(checkpoint.training).training.dead_zone
+    living = living_latents(checkpoint.model, dead_zone, signals)
+    model, model_prior = pruned(checkpoint.model, checkpoint.prior, living, dead_zone)
+    graphs = graphs_of(model)
+    full = replace(quantise(model, model_prior, signals, prior), graph=graphs.synthesis)
     payload = {
         "core": replace(full, graph=b""),
         "onnx": replace(full, network=None, runtime="onnx"),
@@ -72,4 +82,4 @@ def make(
 
     # NAME-1, NAME-2, ... are a family: they have one lambda each, and make a curve together.
     family = re.sub(r"-\d+$", "", name)
-    return Package(name, version, family, contents, prior, graphs, packed(payload), packed(full))
+    return Package(name, version, family, contents, prior, living, graphs, packed(payload), packed(full))

@@ -103,13 +103,27 @@ class ContextPrior(nn.Module):
         all earlier columns are known. `steps`: (batch, latents, 1). In training `values` hold noise in place of
         rounding.
         """
-        scale = self.scales(contexts, steps)
-        magnitude = torch.abs(values)
-        # The Laplace density over a bin of one step, on one side of zero and around it.
-        beyond = (magnitude - 0.5).clamp(min=0) / scale + torch.log(-2 / torch.expm1(-1 / scale))
-        inside = torch.exp((magnitude.clamp(max=0.5) - 0.5) / scale) + torch.exp(-(magnitude + 0.5) / scale)
-        around = -torch.log1p(-0.5 * inside.clamp(max=2 - 1e-6))
-        return torch.where(magnitude >= 0.5, beyond, around) / float(np.log(2))
+        return laplace_bits(values, self.scales(contexts, steps))
+
+
+def laplace_bits(values: Tensor, scale: Tensor) -> Tensor:
+    """Return the bits of each of `values`: those of its bin of width 1 under a Laplace density of a mean magnitude."""
+    magnitude = torch.abs(values)
+    # The density over a bin on one side of zero, and around it.
+    beyond = (magnitude - 0.5).clamp(min=0) / scale + torch.log(-2 / torch.expm1(-1 / scale))
+    inside = torch.exp((magnitude.clamp(max=0.5) - 0.5) / scale) + torch.exp(-(magnitude + 0.5) / scale)
+    around = -torch.log1p(-0.5 * inside.clamp(max=2 - 1e-6))
+    return torch.where(magnitude >= 0.5, beyond, around) / float(np.log(2))
+
+
+def adaptive_bits(values: Tensor, rounded: Tensor) -> Tensor:
+    """Return the bits of each of `values` (batch, latents, columns) by a coder that has adapted to each excerpt.
+
+    It is a differentiable stand-in for adaptive arithmetic coding: each channel of an excerpt has a Laplace density
+    with the mean magnitude of its `rounded` latents. In training `values` hold noise in place of rounding.
+    """
+    through = values + (rounded - values).detach()
+    return laplace_bits(values, torch.abs(through).mean(dim=2, keepdim=True) + _MIN_SCALE)
 
 
 def probabilities(prior: FactorisedPrior, limit: int) -> NDArray[np.float64]:

@@ -44,11 +44,9 @@ def quantise(
     whether the prior's probabilities adapt to a stream. Raises ModelError if the signals are silent, or if the model
     does not fit the integers.
     """
-    excerpts = _excerpts(signals)
-    if len(excerpts) == 0:
-        raise ModelError("there is no signal to calibrate the integers with; give the recordings of the training")
+    calibration = excerpts(signals)
     generator = np.random.default_rng(seed)
-    ranges = _ranges(model, excerpts[generator.permutation(len(excerpts))[:CALIBRATION_EXCERPTS]])
+    ranges = _ranges(model, calibration[generator.permutation(len(calibration))[:CALIBRATION_EXCERPTS]])
     if not all(np.all(np.isfinite(values) & (values > 0)) for values in ranges):
         raise ModelError(
             "it gives NaN or infinity on the signals of its training; take an earlier one or train it again"
@@ -65,8 +63,11 @@ def quantise(
     )
 
 
-def _excerpts(signals: Sequence[Signal]) -> NDArray[np.float32]:
-    """Return excerpts (count, EXCERPT_SAMPLES) of RMS value 1; zeros pad short signals, silent ones are dropped."""
+def excerpts(signals: Sequence[Signal]) -> NDArray[np.float32]:
+    """Return excerpts (count, EXCERPT_SAMPLES) of RMS value 1; zeros pad short signals, silent ones are dropped.
+
+    Raises ModelError if none is left.
+    """
     parts = []
     for signal in signals:
         for start in range(0, max(1, len(signal) - EXCERPT_SAMPLES // 2), EXCERPT_SAMPLES):
@@ -74,10 +75,12 @@ def _excerpts(signals: Sequence[Signal]) -> NDArray[np.float32]:
             if np.any(part):
                 part = part / np.sqrt(np.mean(np.square(part)))
                 parts.append(np.pad(part, (0, EXCERPT_SAMPLES - len(part))))
+    if not parts:
+        raise ModelError("there is no signal to calibrate the integers with; give the recordings of the training")
     return np.array(parts, dtype=np.float32)
 
 
-def _ranges(model: Eva, excerpts: NDArray[np.float32]) -> list[Values]:
+def _ranges(model: Eva, signals: NDArray[np.float32]) -> list[Values]:
     """Return the greatest magnitudes at HOTTEST times the level, for each channel.
 
     First those of the latents, then of each layer of the synthesis; each inverse GDN's norm comes before its result.
@@ -91,8 +94,8 @@ def _ranges(model: Eva, excerpts: NDArray[np.float32]) -> list[Values]:
         ranges.append(np.maximum(greatest, np.min(greatest[greatest > 0], initial=1.0)))
 
     with torch.no_grad():
-        latents, tones = (model.analysis(HOTTEST * torch.from_numpy(each)[:, None]) for each in (excerpts, _tones()))
-        record(torch.cat([latents, tones]))
+        latents, of_tones = (model.analysis(HOTTEST * torch.from_numpy(each)[:, None]) for each in (signals, tones()))
+        record(torch.cat([latents, of_tones]))
         values = torch.round(latents)
         for layer in model.synthesis:
             if isinstance(layer, Gdn):
@@ -103,7 +106,7 @@ def _ranges(model: Eva, excerpts: NDArray[np.float32]) -> list[Values]:
     return ranges
 
 
-def _tones() -> NDArray[np.float32]:
+def tones() -> NDArray[np.float32]:
     """Return tones (TONES, EXCERPT_SAMPLES) of RMS value 1 from 1 / (2 TONES) of the Nyquist frequency up."""
     radians = np.pi * (np.arange(TONES) + 0.5) / TONES
     return np.asarray(np.sqrt(2) * np.sin(radians[:, None] * np.arange(EXCERPT_SAMPLES)), dtype=np.float32)

@@ -16,9 +16,10 @@ from vibrocast.codec.threshold import read_threshold, threshold_amplitude
 from vibrocast.export import lapped, training_data
 from vibrocast.export.checkpoint import Checkpoint, ModelError, load
 from vibrocast.export.configuration import Augmentation, Configuration
-from vibrocast.export.eva import REACH_SAMPLES, Eva, EvaShape
+from vibrocast.export.eva import REACH_SAMPLES, DeadZone, Eva, EvaShape
 from vibrocast.export.lapped import Lapped, Window
-from vibrocast.export.priors import ContextPrior, FactorisedPrior
+from vibrocast.export.lapped_start import start_lapped
+from vibrocast.export.priors import ContextPrior, FactorisedPrior, adaptive_bits
 from vibrocast.export.training_data import Excerpts
 
 CHECKPOINT = "checkpoint.pt"
@@ -178,8 +179,12 @@ class Training:
 
     def _begin(self) -> tuple[Eva | Lapped, FactorisedPrior | nn.ModuleList]:
         """Return an untrained model and its prior."""
-        width = self.configuration.model.width
-        return Eva(EvaShape(width, width)), FactorisedPrior(width)
+        choice = self.configuration.model
+        assert choice.lambda_ is not None
+        model = Eva(EvaShape(choice.width, choice.width))
+        if choice.start == "lapped":
+            start_lapped(model, choice.lambda_)
+        return model, FactorisedPrior(choice.width)
 
     def _begin_optimiser(self) -> None:
         self._parameters = [*self.state.model.parameters(), *self.state.prior.parameters()]
@@ -220,11 +225,20 @@ class Training:
         """Code signals (batch, 1, n): with plain rounding or, with a generator, as in training."""
         model, prior, weight = self.state.model, self.state.prior, self.configuration.model.lambda_
         assert isinstance(model, Eva) and isinstance(prior, FactorisedPrior) and weight is not None
-        values, used, _ = self._quantised(model.analysis(signals), generator)
-        bits = prior.bits(values).sum(dim=(1, 2)) / signals.shape[-1]
+        values, used, rounded = self._quantised(model.analysis(signals), generator)
+        bits = self._bits(values, rounded).sum(dim=(1, 2)) / signals.shape[-1]
         error = self._inner(model.synthesis(used) - signals)
         loss = bits + weight * self._perception.mean_square(error)
+        if generator is not None and self._schedule.cost != "static":
+            # The prior, where the coder starts, still learns; this changes no other gradient, and not the loss.
+            of_prior = prior.bits(values.detach()).sum(dim=(1, 2)) / signals.shape[-1]
+            loss = loss + of_prior - of_prior.detach()
         return Measured(loss, bits, torch.mean(error**2, dim=(1, 2)))
+
+    def _bits(self, values: Tensor, rounded: Tensor) -> Tensor:
+        """Return the bits of each latent, by the cost of the configuration."""
+        assert isinstance(self.state.prior, FactorisedPrior)
+        return self.state.prior.bits(values) if self._schedule.cost == "static" else adaptive_bits(values, rounded)
 
     def _quantised(self, latents: Tensor, generator: torch.Generator | None) -> tuple[Tensor, Tensor, Tensor]:
         """Return latents, in quantiser steps, for the prior, for the synthesis, and rounded.
@@ -232,8 +246,7 @@ class Training:
         Without a generator they are the same. With one, as in training, the first and perhaps the second hold noise in
         place of rounding.
         """
-        # Shrinking before rounding makes a dead zone around zero.
-        latents = torch.sign(latents) * nn.functional.relu(torch.abs(latents) - self._schedule.dead_zone)
+        latents = DeadZone(latents.shape[1], self._schedule.dead_zone)(latents)
         rounded = torch.round(latents).detach()
         if generator is None:
             return rounded, rounded, rounded

@@ -26,11 +26,12 @@ _DRAWS = 1000
 
 @dataclass(frozen=True)
 class Trace:
-    """One channel to train on: float32 (n,) at the rate of the training, and its material."""
+    """One channel to train on: float32 (n,) at the rate of the training, its material, whether it is a test trace."""
 
     source: str
     material: str
     samples: NDArray[np.float32]
+    test: bool = False
 
 
 def archive_recordings(archive: Path, drop_s: float, high_pass_hz: float, rate_hz: int) -> Iterator[tuple[str, Signal]]:
@@ -63,8 +64,8 @@ def load(sources: Sequence[Source], folder: Path, rate_hz: int) -> list[Trace]:
     traces: list[Trace] = []
     for source in sources:
         found = [
-            Trace(source.name, f"{source.name}/{material}", single)
-            for material, samples in _recordings(source, folder, rate_hz)
+            Trace(source.name, f"{source.name}/{material}", single, test)
+            for material, samples, test in _recordings(source, folder, rate_hz)
             if np.any(single := samples.astype(np.float32))
         ]
         if not found:
@@ -74,10 +75,12 @@ def load(sources: Sequence[Source], folder: Path, rate_hz: int) -> list[Trace]:
 
 
 def split(traces: Sequence[Trace], held_back: HeldBack, seed: int) -> tuple[list[Trace], list[Trace]]:
-    """Return the channels to train on and those held back: named materials, or a seeded share of each source's.
+    """Return the channels to train on and those held back: as HeldBack states.
 
     Raises TextureError for an unknown material, and if nothing would be left on one side.
     """
+    if held_back.by == "trace":
+        return [trace for trace in traces if not trace.test], [trace for trace in traces if trace.test]
     materials = sorted({trace.material for trace in traces})
     chosen = set(held_back.materials)
     if unknown := sorted(chosen - set(materials)):
@@ -101,21 +104,26 @@ def split(traces: Sequence[Trace], held_back: HeldBack, seed: int) -> tuple[list
     return parts
 
 
-def _recordings(source: Source, folder: Path, rate_hz: int) -> Iterator[tuple[str, Signal]]:
-    """Yield material and samples of each channel of a source."""
+def _recordings(source: Source, folder: Path, rate_hz: int) -> Iterator[tuple[str, Signal, bool]]:
+    """Yield material and samples of each channel of a source, and whether it is in the test part of a folder."""
     if isinstance(source, ArchiveSource):
         for name, samples in archive_recordings(folder / source.archive, source.drop_s, source.high_pass_hz, rate_hz):
-            yield re.sub(r"_[^_]*$", "", name), samples
+            yield re.sub(r"_[^_]*$", "", name), samples, False
     elif isinstance(source, FolderSource):
         yield from _of_folder(source, folder / source.folder, rate_hz)
     else:
-        yield from _generated(source, rate_hz)
+        yield from ((kind, samples, False) for kind, samples in _generated(source, rate_hz))
 
 
-def _of_folder(source: FolderSource, folder: Path, rate_hz: int) -> Iterator[tuple[str, Signal]]:
+def _of_folder(source: FolderSource, folder: Path, rate_hz: int) -> Iterator[tuple[str, Signal, bool]]:
     options = {name: value for name, value in source.options.items() if value is not None}
     try:
-        chosen = dataset.split(dataset.entries(folder), source.part, source.seed, source.split_by)
+        entries = dataset.entries(folder)
+        chosen = dataset.split(entries, source.part, source.seed, source.split_by)
+        by_trace = source.part == "all" and source.split_by == "recording"
+        test = (
+            {entry.name for entry in dataset.split(entries, "test", source.seed, source.split_by)} if by_trace else ()
+        )
     except dataset.DatasetError as error:
         raise TextureError(str(error)) from error
     for trace in chosen:
@@ -126,7 +134,7 @@ def _of_folder(source: FolderSource, folder: Path, rate_hz: int) -> Iterator[tup
             material = trace.name
         steady = recording.samples[int(source.drop_s * rate_hz) :]
         for channel in _high_passed(steady.T, rate_hz, source.high_pass_hz):
-            yield material, channel
+            yield material, channel, trace.name in test
 
 
 def _generated(source: GeneratorSource, rate_hz: int) -> Iterator[tuple[str, Signal]]:

@@ -24,6 +24,14 @@ from vibrocast.host.cli.options import BadInput
     help="Find the data of CONFIG under this folder. Default: the folder of CONFIG.",
 )
 @click.option(
+    "--split",
+    type=click.Choice(("material", "trace")),
+    default="material",
+    show_default=True,
+    help="Hold back whole materials of CONFIG's data; or train on all recordings under --data, and hold back a fifth "
+    "of them, as the EVA paper does.",
+)
+@click.option(
     "--out",
     type=FOLDER,
     default="trained",
@@ -38,7 +46,13 @@ from vibrocast.host.cli.options import BadInput
     help="Run a sweep on workers of a Dask scheduler that you trust. Default: on this machine.",
 )
 def train(
-    config: Path, data_folder: Path | None, out: Path, resume: bool, threads: int | None, scheduler: str | None
+    config: Path,
+    data_folder: Path | None,
+    split: str,
+    out: Path,
+    resume: bool,
+    threads: int | None,
+    scheduler: str | None,
 ) -> None:
     """Train a model from a TOML configuration.
 
@@ -54,6 +68,10 @@ def train(
 
     try:
         chosen = configuration.read(config)
+        if split == "trace":
+            if data_folder is None:
+                raise click.UsageError("--split trace trains on all recordings of a folder; name it by --data")
+            chosen = configuration.by_trace(chosen)
         data = (data_folder or config.parent).resolve()
         for source in chosen.folder:
             for remark in dataset.read(data / source.folder).remarks:

@@ -4,6 +4,7 @@ import sys
 import tomllib
 import types
 from collections.abc import Callable
+from itertools import product
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -16,12 +17,12 @@ from msgspec.structs import replace
 from vibrocast import textures
 from vibrocast.export import checkpoint, configuration, training, training_data
 from vibrocast.export.checkpoint import Checkpoint, ModelError
-from vibrocast.export.configuration import ArchiveSource, Augmentation, ConfigurationError, HeldBack
+from vibrocast.export.configuration import ArchiveSource, Augmentation, ConfigurationError, HeldBack, by_trace
 from vibrocast.export.eva import Eva, EvaShape
 from vibrocast.export.priors import ContextPrior, FactorisedPrior, probabilities
 from vibrocast.export.training_data import Excerpts, Trace
 from vibrocast.host.cli.command_line import main
-from vibrocast.textures import TextureError
+from vibrocast.textures import TextureError, dataset
 
 TINY = """
 name = "tiny"
@@ -223,6 +224,19 @@ def test_archives_folders_and_generators_are_sources_split_by_material(tmp_path:
         training_data.split(traces, HeldBack(materials=("takes/mat9",)), 1)
     with pytest.raises(TextureError, match="leave none"):
         training_data.split(traces, HeldBack(materials=tuple(materials)), 1)
+
+
+def test_a_split_by_trace_holds_back_what_a_benchmark_tests(tmp_path: Path) -> None:
+    noise = np.random.default_rng(0).standard_normal(2800)
+    for material in ("Foam", "Paper", "cork", "felt", "rubber"):
+        for axis, speed in product("XYZ", ("slow", "fast")):
+            np.savetxt(tmp_path / f"Direct_-_probe_-_{material}_-_{speed}_{axis}.txt", noise)
+    chosen = by_trace(configured(tmp_path))
+    traces = training_data.load(chosen.sources, tmp_path, 2800)
+    train, held_back = training_data.split(traces, chosen.held_back, chosen.seed)
+    tested = dataset.split(dataset.entries(tmp_path), "test", by="recording")
+    assert (len(train), len(held_back), len(tested)) == (8, 2, 2)
+    assert {trace.material for trace in held_back} == {f"./{entry.material}" for entry in tested}
 
 
 def test_a_manifest_is_a_source_of_its_materials(tmp_path: Path) -> None:

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from tests.export.lapped_start import start_lapped
 from vibrocast import models, textures
 from vibrocast.codec.eva_image import PriorKind
 from vibrocast.export.checkpoint import Checkpoint
 from vibrocast.export.configuration import parsed
 from vibrocast.export.eva import Eva, EvaShape
+from vibrocast.export.lapped_start import start_lapped
 from vibrocast.export.package import Contents, Package, make
 from vibrocast.export.priors import FactorisedPrior
 

@@ -1,4 +1,4 @@
-"""Sets EVA's transforms to a lapped transform and its inverse, so that models for tests code without training."""
+"""A start of EVA's training: a lapped transform of 16 bands in rising frequency, and its inverse."""
 
 import torch
 from torch import nn
@@ -18,7 +18,8 @@ def start_lapped(model: Eva, lambda_: float) -> None:
 
     The first layer's kernels delay by zero to three samples, the second's by zero and four, the third's are the basis;
     the synthesis mirrors them, and divisive normalisation is weak. A distortion of step^2 / 12 at a slope of 6 dB a
-    bit has lambda = 12 / (2 ln 2 step^2): Gish and Pierce, "Asymptotically efficient quantizing", 1968.
+    bit has lambda = 12 / (2 ln 2 step^2): Gish and Pierce, "Asymptotically efficient quantizing", 1968. Each
+    layer needs at least 16 channels.
     """
     down = [layer for layer in model.analysis if isinstance(layer, nn.Conv1d)]
     up = [layer for layer in reversed(model.synthesis) if isinstance(layer, nn.ConvTranspose1d)]
