@@ -80,8 +80,8 @@ firmware: .venv/installed-for-tests
 models: .venv/installed-for-tests
 	set -e; for trained in $(CHECKPOINTS)/*/checkpoint.pt; do \
 	    name=$$(basename $$(dirname $$trained)); \
-	    case $$name in eva-128-*|lapped-*) holds=core;; *) holds=both;; esac; \
-	    case $$name in eva-32-perceptual-*) examples=eva-32-perceptual;; lapped-*) examples=lapped;; *) examples=eva;; esac; \
+	    case $$name in lapped-*) holds=core;; *) holds=both;; esac; \
+	    case $$name in eva-16-perceptual-*) examples=eva-16-perceptual;; lapped-*) examples=lapped;; *) examples=eva;; esac; \
 	    $(BIN)/vibrocast export $$trained --name $$name --out models/$$name --data $(DATA) --runtime $$holds \
 	        --training-command "vibrocast train examples/$$examples.toml --data $(DATA)"; \
 	done

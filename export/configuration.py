@@ -17,6 +17,7 @@ _LONGEST_HOP_SAMPLES = 128  # of `lapped`
 Lambda = Annotated[float, within(1e-3, 1e6)]
 Width = Annotated[int, within(16, 128)]
 Seed = Annotated[int, within(0, 2**31)]
+Steps = Annotated[int, within(1, 10**8)]
 Share = Annotated[float, within(0, 1)]
 Dropped = Annotated[float, within(0, 1e3, "seconds to drop from the beginning")]
 HighPass = Annotated[float, within(0, 1e3, "corner of a high-pass in Hz")]
@@ -143,7 +144,7 @@ class Schedule(Table, frozen=True):
     after the perceptual transform g_p.
     """
 
-    steps: Annotated[int, within(1, 10**8)] = 40_000
+    steps: Steps = 40_000
     batch: Annotated[int, within(1, 4096)] = 16
     excerpt_samples: Annotated[int, within(256, 2**16)] = 2048
     rate_hz: Annotated[int, within(100, 100_000)] = 2800
@@ -163,10 +164,15 @@ class Schedule(Table, frozen=True):
 
 
 class Sweep(Table, frozen=True):
-    """[sweep]: one training for every width and every lambda."""
+    """[sweep]: one training for every width and every lambda, each lambda perhaps with `steps` of its own."""
 
     widths: tuple[Width, ...] = ()
     lambdas: tuple[Lambda, ...] = ()
+    steps: tuple[Steps, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.steps and len(self.steps) != len(self.lambdas):
+            raise ValueError(f"{len(self.steps)} steps for {len(self.lambdas)} lambdas; give one for each, or none")
 
 
 _NAME = r"\A[a-z0-9][a-z0-9-]{0,40}\Z"
@@ -251,8 +257,15 @@ def each_of(configuration: Configuration) -> list[Configuration]:
         ]
     if sweep.lambdas:
         chosen = [
-            replace(one, name=f"{one.name}-{number}", model=replace(one.model, lambda_=lambda_))
+            replace(
+                one,
+                name=f"{one.name}-{number}",
+                model=replace(one.model, lambda_=lambda_),
+                training=replace(one.training, steps=steps),
+            )
             for one in chosen
-            for number, lambda_ in enumerate(sweep.lambdas, 1)
+            for number, (lambda_, steps) in enumerate(
+                zip(sweep.lambdas, sweep.steps or [one.training.steps] * len(sweep.lambdas), strict=True), 1
+            )
         ]
     return [replace(one, sweep=Sweep()) for one in chosen]
