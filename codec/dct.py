@@ -106,10 +106,17 @@ def reconstruction_levels(logarithmic: bool, levels: int, smallest: int, below: 
     return memory[: library().vc_dct_levels(logarithmic, levels, smallest, below, above, pointer)]
 
 
-def nearest(levels: NDArray[np.int32], coefficients: Signal) -> NDArray[np.int64]:
-    """Return the index of the level nearest to each coefficient; the levels may have any order."""
+def nearest(levels: NDArray[np.int32], coefficients: Signal, rounds_logarithm: bool = False) -> NDArray[np.int64]:
+    """Return the index of the level nearest to each coefficient; the levels may have any order.
+
+    `rounds_logarithm`: each takes the level of its sign whose logarithm is nearest, as in equations (5) and (7) of the
+    source paper.
+    """
     rising = np.argsort(levels, kind="stable")
-    edges = (levels[rising][1:] + levels[rising][:-1].astype(np.float64)) / 2
+    lower, upper = levels[rising][:-1].astype(np.float64), levels[rising][1:].astype(np.float64)
+    edges = (lower + upper) / 2
+    if rounds_logarithm:
+        edges = np.sign(lower + upper) * np.sqrt(np.maximum(lower * upper, 0))
     return rising[np.searchsorted(edges, coefficients)]
 
 
@@ -146,7 +153,8 @@ class DctEncoder(PacketwiseEncoder):
         # at any length.
         self._unit_coefficient = 1.0 if self._whole else math.sqrt(self._block / 2)
         self._weight = self._unit_coefficient * math.sqrt(2 / self._block)
-        self._logarithmic = word(setting, "quantiser") == "log"
+        self._logarithmic = word(setting, "quantiser") != "linear"
+        self._rounds_logarithm = word(setting, "quantiser") == "log"
         entropy = word(setting, "entropy")
         self._range_coded = entropy == "range" or (entropy == AUTO and rate_control is not None)
         self._levels = int(number(setting, "levels"))
@@ -248,9 +256,9 @@ class DctEncoder(PacketwiseEncoder):
     def _quantised(
         self, coefficients: Signal, levels: int, smallest: int, below: int, above: int, zeros: bool
     ) -> NDArray[np.int64]:
-        """Return each coefficient's coded value: that of its nearest level or, if zero has a value, 0 for zero."""
+        """Return each coefficient's coded value: that of its level or, if zero has a value, 0 for zero."""
         levels_of_values = reconstruction_levels(self._logarithmic, levels, smallest, below, above)
-        values = nearest(levels_of_values, coefficients) + zeros
+        values = nearest(levels_of_values, coefficients, self._rounds_logarithm) + zeros
         return np.where(coefficients == 0, 0, values) if zeros else values
 
     def _range_code(self, values: NDArray[np.int64], zeros: bool) -> bytes:
@@ -391,10 +399,14 @@ CODEC = Codec(
     identifier=IDENTIFIER,
     summary="DCT of blocks or of a whole file, few levels, Huffman or range coding, after a paper on textures",
     parameters={
-        "quantiser": Parameter("spacing of the levels", "linear", choices=("linear", "log")),
+        "quantiser": Parameter(
+            "spacing of the levels; log rounds the logarithm, log-nearest takes the nearest level",
+            "linear",
+            choices=("linear", "log", "log-nearest"),
+        ),
         "levels": Parameter("number of levels; 65535 keeps 16 bits", 14, low=4, high=MAX_LEVELS, whole=True),
         "smallest": Parameter(
-            "smallest level of `log`, in the signal's unit; 0 = 0.05 um, or 0.05 of the RMS value in other units",
+            "smallest logarithmic level, in the signal's unit; 0 = 0.05 um, or 0.05 of the RMS value in other units",
             0.0,
             low=0,
         ),
