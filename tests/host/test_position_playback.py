@@ -78,6 +78,16 @@ def test_the_limit_and_the_cut_hold_at_a_hand_speed(hand_speed_mm_s: float, high
     np.testing.assert_array_equal((cut > 0.02)[inside], (amplitudes_um > felt_um)[inside])
 
 
+@pytest.mark.parametrize("block", ["512", "whole"])
+def test_a_cut_that_cannot_reach_the_default_snr_is_coded_as_it_is(block: str) -> None:
+    recording, setting = profiles.recording_of(PROFILE), {"block": block, "threshold": "on"}
+    encoding = profiles.encode(recording, codec_name="dct", setting=setting)
+    assert 2 < (encoding.quality.snr_db or 0) < 8
+    assert "the rest of the setting has its defaults" in (encoding.quality.note or "")
+    with pytest.raises(codec.CodecError, match="cannot be met"):
+        profiles.encode(recording, codec_name="dct", setting=setting, snr_db=14.8)
+
+
 def test_a_profile_too_short_to_repeat_is_rejected() -> None:
     fine = textures.Recording(np.random.default_rng(1).standard_normal((100, 1)), 2e5, "um", "fine")
     with pytest.raises(StreamError, match=r"0\.5 mm are too short .* at least 0\.64 mm"):
