@@ -46,6 +46,8 @@ IDENTIFIER = 2
 BLOCKS = (64, 128, 256, 512, 1024)
 WHOLE_SAMPLES = 20_000
 """N of the source paper: 10 mm at 0.5 um. A longer file is cut into equal transforms, as near to this as possible."""
+WHOLE_M = 0.01
+"""D of the source paper: the same for a file over position."""
 MAX_COEFFICIENTS = 1024
 """Most coefficients coded of one transform: as many as the core's adaptive model holds."""
 MAX_PACKET_BLOCKS = 4095
@@ -106,17 +108,31 @@ def reconstruction_levels(logarithmic: bool, levels: int, smallest: int, below: 
     return memory[: library().vc_dct_levels(logarithmic, levels, smallest, below, above, pointer)]
 
 
-def nearest(levels: NDArray[np.int32], coefficients: Signal) -> NDArray[np.int64]:
-    """Return the index of the level nearest to each coefficient; the levels may have any order."""
+def nearest(levels: NDArray[np.int32], coefficients: Signal, rounds_logarithm: bool = False) -> NDArray[np.int64]:
+    """Return the index of the level nearest to each coefficient; the levels may have any order.
+
+    `rounds_logarithm`: each takes the level of its sign whose logarithm is nearest, as in equations (5) and (7) of the
+    source paper.
+    """
     rising = np.argsort(levels, kind="stable")
-    edges = (levels[rising][1:] + levels[rising][:-1].astype(np.float64)) / 2
+    lower, upper = levels[rising][:-1].astype(np.float64), levels[rising][1:].astype(np.float64)
+    edges = (lower + upper) / 2
+    if rounds_logarithm:
+        edges = np.sign(lower + upper) * np.sqrt(np.maximum(lower * upper, 0))
     return rising[np.searchsorted(edges, coefficients)]
 
 
-def whole_samples(samples: int) -> int:
-    """Return the samples of each transform of a file: all `samples`, or an equal part near WHOLE_SAMPLES."""
-    parts = max(1, round(samples / WHOLE_SAMPLES))
-    return max(_FADE_SAMPLES, -(-samples // parts))
+def whole_samples(signal_format: SignalFormat) -> int:
+    """Return the samples of each transform of a file: all, or an equal part near WHOLE_SAMPLES or WHOLE_M."""
+    assert signal_format.samples is not None, "live streams have no whole"
+    usual = WHOLE_M * signal_format.rate_hz if signal_format.unit == PROFILE_UNIT else WHOLE_SAMPLES
+    parts = max(1, round(signal_format.samples / usual))
+    return max(_FADE_SAMPLES, -(-signal_format.samples // parts))
+
+
+def is_whole(configuration: bytes) -> bool:
+    """Return whether a stream has whole transforms, which no controller has the memory for."""
+    return bool(configuration) and configuration[0] & _WHOLE_CODE == _WHOLE_CODE
 
 
 class DctEncoder(PacketwiseEncoder):
@@ -136,7 +152,7 @@ class DctEncoder(PacketwiseEncoder):
                     "block=whole needs a whole file, and this is a live stream; choose a block of "
                     f"{BLOCKS[0]} to {BLOCKS[-1]}"
                 )
-            self._block = whole_samples(signal_format.samples)
+            self._block = whole_samples(signal_format)
             framing, max_blocks = Framing(self._block, 0), 1
         else:
             self._block = int(word(setting, "block"))
@@ -146,7 +162,8 @@ class DctEncoder(PacketwiseEncoder):
         # at any length.
         self._unit_coefficient = 1.0 if self._whole else math.sqrt(self._block / 2)
         self._weight = self._unit_coefficient * math.sqrt(2 / self._block)
-        self._logarithmic = word(setting, "quantiser") == "log"
+        self._logarithmic = word(setting, "quantiser") != "linear"
+        self._rounds_logarithm = word(setting, "quantiser") == "log"
         entropy = word(setting, "entropy")
         self._range_coded = entropy == "range" or (entropy == AUTO and rate_control is not None)
         self._levels = int(number(setting, "levels"))
@@ -248,9 +265,9 @@ class DctEncoder(PacketwiseEncoder):
     def _quantised(
         self, coefficients: Signal, levels: int, smallest: int, below: int, above: int, zeros: bool
     ) -> NDArray[np.int64]:
-        """Return each coefficient's coded value: that of its nearest level or, if zero has a value, 0 for zero."""
+        """Return each coefficient's coded value: that of its level or, if zero has a value, 0 for zero."""
         levels_of_values = reconstruction_levels(self._logarithmic, levels, smallest, below, above)
-        values = nearest(levels_of_values, coefficients) + zeros
+        values = nearest(levels_of_values, coefficients, self._rounds_logarithm) + zeros
         return np.where(coefficients == 0, 0, values) if zeros else values
 
     def _range_code(self, values: NDArray[np.int64], zeros: bool) -> bytes:
@@ -266,19 +283,26 @@ class DctEncoder(PacketwiseEncoder):
 def _kept_bins(setting: Setting, signal_format: SignalFormat, block: int) -> slice:
     """Return which coefficients are coded. Raises CodecError for none, and for too many."""
     first = int(word(setting, "dc") == "drop")
-    limit_hz = number(setting, "limit_hz") or (HEIGHT_LIMIT_HZ if signal_format.unit == "um" else math.inf)
-    end = min(limit_hz * 2 * block / signal_format.rate_hz + 1, block)
+    heights = signal_format.unit == "um" or (signal_format.unit == PROFILE_UNIT and word(setting, "block") == WHOLE)
+    limit_hz = number(setting, "limit_hz") or (HEIGHT_LIMIT_HZ if heights else math.inf)
+    spacing_hz = _spacing_hz(setting, signal_format, block)
+    end = min(limit_hz / spacing_hz + 1, block)
     if end < first + 1:
         raise CodecError(
-            f"a limit of {limit_hz:g} Hz leaves no component; choose a limit_hz of at least "
-            f"{first * signal_format.rate_hz / (2 * block):.3g}"
+            f"a limit of {limit_hz:g} Hz leaves no component; choose a limit_hz of at least {first * spacing_hz:.3g}"
         )
     if end >= MAX_COEFFICIENTS + 1:
         raise CodecError(
             f"{int(end)} coefficients in one transform, more than {MAX_COEFFICIENTS}: choose a limit_hz of at "
-            f"most {(MAX_COEFFICIENTS - 1) * signal_format.rate_hz / (2 * block):.0f}, or a shorter block"
+            f"most {(MAX_COEFFICIENTS - 1) * spacing_hz:.0f}, or a shorter block"
         )
     return slice(first, int(end))
+
+
+def _spacing_hz(setting: Setting, signal_format: SignalFormat, block: int) -> float:
+    """Return the frequency from one coefficient to the next: of a file over position, at the setting's hand speed."""
+    metres_per_s = number(setting, "hand_speed_mm_s") / 1000 if signal_format.unit == PROFILE_UNIT else 1.0
+    return signal_format.rate_hz * metres_per_s / (2 * block)
 
 
 def _cuts(setting: Setting, signal_format: SignalFormat, block: int) -> Signal:
@@ -290,8 +314,9 @@ def _cuts(setting: Setting, signal_format: SignalFormat, block: int) -> Signal:
         rows = read_threshold(DETECTION_THRESHOLD if name == "on" else Path(name))
     except CodecError as error:
         raise CodecError(f"threshold is neither off nor on, and the file {error}") from error
-    frequency_hz = np.arange(block) * signal_format.rate_hz / (2 * block)
-    amplitude = threshold_amplitude(rows, frequency_hz, signal_format.unit) * 10 ** (number(setting, "b0_db") / 20)
+    frequency_hz = np.arange(block, dtype=np.float64) * _spacing_hz(setting, signal_format, block)
+    unit = "um" if signal_format.unit == PROFILE_UNIT else signal_format.unit
+    amplitude = threshold_amplitude(rows, frequency_hz, unit) * 10 ** (number(setting, "b0_db") / 20)
     return np.array([amplitude * UNIT / gain for gain in signal_format.gains])
 
 
@@ -373,8 +398,9 @@ class WholeDecoder:
 def make_decoder(configuration: bytes, channels: int, tables: bytes | None = None) -> Decoder:
     """Make a decoder from the codec's bytes in the stream header. Raises CodecError when they are not valid."""
     assert tables is None, "no model brings tables"
-    whole = configuration[:1] and configuration[0] & _WHOLE_CODE == _WHOLE_CODE
-    return WholeDecoder(configuration, channels) if whole else CoreDecoder(NAME, configuration, channels)
+    if is_whole(configuration):
+        return WholeDecoder(configuration, channels)
+    return CoreDecoder(NAME, configuration, channels)
 
 
 RATE_POINT_LEVELS = (4, 5, 6, 8, 10, 12, 14, 20, 28, 40, 56, 80, 112, 160, 224, 320)
@@ -391,10 +417,14 @@ CODEC = Codec(
     identifier=IDENTIFIER,
     summary="DCT of blocks or of a whole file, few levels, Huffman or range coding, after a paper on textures",
     parameters={
-        "quantiser": Parameter("spacing of the levels", "linear", choices=("linear", "log")),
+        "quantiser": Parameter(
+            "spacing of the levels; log rounds the logarithm, log-nearest takes the nearest level",
+            "linear",
+            choices=("linear", "log", "log-nearest"),
+        ),
         "levels": Parameter("number of levels; 65535 keeps 16 bits", 14, low=4, high=MAX_LEVELS, whole=True),
         "smallest": Parameter(
-            "smallest level of `log`, in the signal's unit; 0 = 0.05 um, or 0.05 of the RMS value in other units",
+            "smallest logarithmic level, in the signal's unit; 0 = 0.05 um, or 0.05 of the RMS value in other units",
             0.0,
             low=0,
         ),
@@ -412,7 +442,12 @@ CODEC = Codec(
             "512",
             choices=(*map(str, BLOCKS), WHOLE),
         ),
-        "limit_hz": Parameter("highest frequency kept; 0 = 400 Hz for heights over time, else no limit", 0.0, low=0),
+        "limit_hz": Parameter(
+            "highest frequency kept; 0 = 400 Hz for heights over time or in whole transforms, else no limit", 0.0, low=0
+        ),
+        "hand_speed_mm_s": Parameter(
+            "speed of the hand at which limit_hz and threshold apply to a profile over position", 50.0, low=0.1
+        ),
         "dc": Parameter("whether to keep the mean of each block", "keep", choices=("keep", "drop")),
     },
     rate_point_sets={
@@ -428,6 +463,7 @@ CODEC = Codec(
     make_encoder=make_encoder,
     make_decoder=make_decoder,
     controls_rate=True,
+    only_hosts_decode=is_whole,
     block_parameter="block",
     # The range coder took fewer bits than the Huffman code on every texture (docs/benchmarks/results.md).
     planned_setting={"entropy": "range"},

@@ -55,7 +55,8 @@ def encode_recording(  # noqa: PLR0913 - the options of the public `encode`, whi
     with one rate, if you give it.
 
     `codec_name`: None = the model's codec, or DEFAULT_CODEC. `rate_bps` counts the bits of the whole .vct file.
-    `setting`: the part of the codec's setting that you fix; one that leaves nothing to search for is used as it is.
+    `setting`: the part of the codec's setting that you fix; one that leaves nothing to search for is used as it is, and
+    so is one that cannot reach DEFAULT_SNR_DB, as a threshold cut.
     `model`: None = the built-in tables. A codec without such takes the choice of `first_reachable` among the models
     that ship. `runtime`: as in `Stream`. `live` adds refreshes, for a link that may lose packets. `progress` is called
     with the finished part of the search, from 0 to 1. `unit`: the stream's, None = the recording's. `highpass_hz`:
@@ -73,14 +74,15 @@ def encode_recording(  # noqa: PLR0913 - the options of the public `encode`, whi
     check_length(resampled.samples.size)
     chosen = chosen_codec(codec_name, model)
     given = chosen.checked(setting or {})
+    by_default = rate_bps is None and snr_db is None
     if not chosen.leaves_open(given):
-        if rate_bps is not None or snr_db is not None:
+        if not by_default:
             if not given:
                 raise codec.CodecError(f"{chosen.name} has one quality only; leave out the rate or SNR")
             raise codec.CodecError(
                 "the setting fixes the quality; leave out the rate or SNR, or that part of the setting"
             )
-    elif rate_bps is None and snr_db is None and chosen.keeps_waveform and not (model and chosen.one_rate_a_model):
+    elif by_default and chosen.keeps_waveform and not (model and chosen.one_rate_a_model):
         snr_db = DEFAULT_SNR_DB
 
     samples, coded_unit = resampled.samples, unit or resampled.unit
@@ -100,7 +102,7 @@ def encode_recording(  # noqa: PLR0913 - the options of the public `encode`, whi
         )
 
     def code(candidate: models.Model | None, tell: codec.Progress | None) -> Encoding:
-        image = None if candidate is None else candidate.image
+        image, note = None if candidate is None else candidate.image, None
 
         def size_bytes(coded: codec.CodedSignal) -> int:
             return as_stream(coded, coded_unit, image).size_bytes
@@ -108,11 +110,22 @@ def encode_recording(  # noqa: PLR0913 - the options of the public `encode`, whi
         if rate_bps is not None:
             coded = codec.encode_to_rate(source(candidate, tell), rate_bps, size_bytes, given)
         elif snr_db is not None:
-            coded = codec.encode_to_snr(source(candidate, tell), snr_db, given)
+            try:
+                coded = codec.encode_to_snr(source(candidate, tell), snr_db, given)
+            except codec.TargetUnreachable as error:
+                if not (by_default and given) or chosen.needs_model:
+                    raise
+                coded, note = (
+                    source(candidate, tell).encode(given),
+                    f"{error}; the rest of the setting has its defaults",
+                )
         else:
             coded = source(candidate, tell).encode(given)
         stream = replace(as_stream(coded, coded_unit, image), runtime=runtime)
-        return measure_encoding(resampled, stream, rate_bps, snr_db, passed)
+        encoding = measure_encoding(resampled, stream, rate_bps, snr_db, passed)
+        if note is None:
+            return encoding
+        return replace(encoding, stream=replace(stream, quality=replace(encoding.quality, note=note)))
 
     def excess(candidate: models.Model) -> float:
         return unsearched_excess(source(candidate), candidate, given, rate_bps, snr_db)

@@ -140,8 +140,8 @@ class SignalFormat:
     """Properties of a signal that an encoder must know before the samples come.
 
     `gains`: physical value of each channel's full scale, in `unit`. `rms`: RMS value of each channel relative to full
-    scale, 1 for silence. `unit`: "full scale", "m/s^2", "um" or PROFILE_UNIT. `samples`: samples per channel; None =
-    unknown, as for a live stream.
+    scale, 1 for silence. `unit`: "full scale", "m/s^2", "um" or PROFILE_UNIT, where `rate_hz` is in samples per metre.
+    `samples`: samples per channel; None = unknown, as for a live stream.
     """
 
     rate_hz: int
@@ -330,6 +330,7 @@ class Codec:
         estimate: Called with samples in their unit, the format, the complete setting and the model. Returns an estimate
             of coding them, by the step, where a search for a step can begin; None where the codec has none.
         forget: Drops what encoders keep of a signal for their next trial with it; called before each new signal.
+        only_hosts_decode: Called with a configuration. Returns whether no controller decodes such a stream.
         block_parameter: The parameter that is the length of a block in samples; None where there is one length only.
         shape_parameter: The parameter that shapes the steps over frequency (codec/shaping.py); None without one.
         live_setting: Called with the rate in Hz. Returns what a live stream has in place of defaults, for the least
@@ -361,6 +362,7 @@ class Codec:
     step_range: Callable[[SignalFormat], tuple[float, float]] | None = None
     estimate: Callable[[Signal, SignalFormat, Setting, Model | None], Estimate] | None = None
     forget: Callable[[], None] = lambda: None
+    only_hosts_decode: Callable[[bytes], bool] = lambda configuration: False
     block_parameter: str | None = None
     shape_parameter: str | None = None
     live_setting: Callable[[int], Setting] = lambda rate_hz: {}

@@ -28,6 +28,7 @@ from vibrocast.codec.interface import (
 )
 from vibrocast.codec.rate_control import Policy, rate_controlled_encoder
 from vibrocast.codec.threshold import PHYSICAL_UNITS
+from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
 
 LIVE_PACKET_BLOCKS = 4
 LIVE_REFRESH_S = 0.25
@@ -315,7 +316,9 @@ class Source:
         gains = tuple(gain_for(peak_of(channel)) for channel in samples.T)
         energies = sum(np.sum(np.square(samples[part] / np.array(gains)), axis=0) for part in parts(len(samples)))
         rms = tuple(math.sqrt(energy / len(samples)) or 1.0 for energy in np.atleast_1d(energies))
-        self.format = SignalFormat(rate_hz, unit, gains, rms, None if live else len(samples))
+        # A height profile is loaded whole, however short its packets are.
+        length = None if live and unit != PROFILE_UNIT else len(samples)
+        self.format = SignalFormat(rate_hz, unit, gains, rms, length)
         self.silent = not np.any(energies)
         self._shape = shape or {}
         self._trials = 0
@@ -323,7 +326,10 @@ class Source:
         self._choices: dict[tuple[tuple[str, str], ...], Setting] = {}
 
     def encode(self, setting: Setting) -> CodedSignal:
-        """Code with a setting; shorten packets that grow too long. Raises CodecError as `codec.encode`."""
+        """Code with a setting; shorten packets that grow too long. Raises CodecError as `codec.encode`.
+
+        Few levels may raise the peak. A stream that only hosts decode gets a full scale that clips nothing of it.
+        """
         setting = self.resolved(setting)
         framing = self._framing
         tried_samples = 0
@@ -332,7 +338,8 @@ class Source:
             packets = self._packets(encoder)
             as_short_as_can_be = encoder.packet_samples in (1, tried_samples)
             if max(map(len, packets)) <= _MAX_PACKET_BYTES or as_short_as_can_be:
-                return self._coded(encoder, packets)
+                coded = self._coded(encoder, packets)
+                return self._doubled().encode(setting) if self._clips(coded) else coded
             tried_samples = encoder.packet_samples
             framing = Framing(-(-framing.packet_samples // 2), 2 * framing.refresh_packets)
 
@@ -347,7 +354,7 @@ class Source:
         starts = np.linspace(0, len(self.samples) - _EXCERPT_PIECE, pieces).astype(int)
         excerpt = copy.copy(self)  # its `_whole` makes the codec's choices
         excerpt.samples = np.concatenate([self.samples[start : start + _EXCERPT_PIECE] for start in starts])
-        excerpt.format = replace(self.format, samples=None if self._live else len(excerpt.samples))
+        excerpt.format = replace(self.format, samples=None if self.format.samples is None else len(excerpt.samples))
         excerpt._progress = lambda part: None
         return excerpt
 
@@ -365,6 +372,22 @@ class Source:
                 f"{_MAX_PACKET_BYTES}; choose shorter packets, or a lower rate or quality"
             )
         return self._coded(encoder, packets)
+
+    def _clips(self, coded: CodedSignal) -> bool:
+        """Return whether the peak of a stream that only hosts decode reaches full scale, which can be raised."""
+        if not self.codec.only_hosts_decode(coded.configuration) or 2 * max(coded.gains) > _MAX_GAIN:
+            return False
+        decoded = decode_integers(coded)
+        return max(int(decoded.max()), -int(decoded.min())) >= 32_767
+
+    def _doubled(self) -> "Source":
+        """Return the same signal with twice the full scale."""
+        doubled = copy.copy(self)
+        gains, rms = (
+            tuple(factor * each for each in part) for factor, part in ((2, self.format.gains), (0.5, self.format.rms))
+        )
+        doubled.format = replace(self.format, gains=gains, rms=rms)
+        return doubled
 
     def takes(self, setting: Setting) -> bool:
         """Return whether the codec accepts this setting with this model."""

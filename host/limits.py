@@ -3,10 +3,11 @@
 import math
 from collections.abc import Iterator
 
-from vibrocast import codec, models
+from vibrocast import codec, models, textures
 from vibrocast.codec.core import decoding_cycles
 from vibrocast.codec.encoding import (
     DEFAULT_STREAM_RATE_HZ,
+    encode_recording,
     encoder_model,
     families,
     middle,
@@ -16,6 +17,8 @@ from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader
 from vibrocast.device_protocol.messages import ErrorCode, Limits
 from vibrocast.host.controller import Controller, ControllerError
 
+CARRIED_STEP = 0.002
+"""Of what is decoded here and coded again, relative to the RMS value: an error 60 dB below the signal."""
 _BUFFERED_PACKETS = 2
 """A controller that holds only one packet of a stream runs dry between two of them."""
 _MOST_BLOCK_SAMPLES = 128
@@ -76,6 +79,31 @@ def fitted(controller: Controller, stream: Stream) -> Stream:
         return stream.repacked(samples, size_bytes)
     except codec.CodecError as error:
         raise StreamError(f"{problem}: {error}") from error
+
+
+def carried(stream: Stream) -> Stream:
+    """Return what a link carries of a stream that the controller does not decode: decoded here, coded again.
+
+    The error of that is CARRIED_STEP / sqrt(12) of the RMS value. Raises CodecError, StreamError.
+    """
+    header, chosen = stream.header, codec.codec_by_name(codec.DEFAULT_CODEC)
+    assert chosen.step_parameter is not None, "the default codec has steps"
+    decoded = textures.Recording(stream.decode(), header.rate_hz, "um" if header.spatial else header.unit, "decoded")
+    return encode_recording(
+        decoded,
+        header.rate_hz,
+        setting={chosen.step_parameter: CARRIED_STEP},
+        live=True,
+        unit=header.unit,
+        highpass_hz=None,
+        touch=0,
+    ).stream
+
+
+def playable(stream: Stream) -> Stream:
+    """Return a stream that controllers decode: itself, or `carried`, where only hosts decode it. Raises as that."""
+    chosen = codec.codec_by_identifier(stream.header.codec_identifier, stream.header.configuration)
+    return carried(stream) if chosen.only_hosts_decode(stream.header.configuration) else stream
 
 
 def _shorter_packets(stream: Stream, chosen: codec.Codec, packet_samples: int) -> str:

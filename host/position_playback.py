@@ -17,6 +17,7 @@ from vibrocast.files import InputFileError
 from vibrocast.host import end_to_end
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.end_to_end import Member
+from vibrocast.host.limits import playable
 from vibrocast.host.picture import Trace
 from vibrocast.host.provenance import Provenance
 from vibrocast.host.report import SCHEMA, StrokeReport
@@ -274,13 +275,15 @@ def play_and_compare(
 ) -> Stroke:
     """Play a spatial stream as `play` does, compare with the same computed here, and report.
 
+    A stream that only hosts decode is sent as `limits.carried` says; the report has the size of the given one.
     `texture`: from which the stream was coded, at its rate, None = not known. Raises as `play`, and CodecError.
     """
     controller, hello = member.controller, member.controller.description
-    played = play(controller, stream, movement, progress)
+    sent = playable(stream)
+    played = play(controller, sent, movement, progress)
     actuator = member.actuator or end_to_end.actuator_model(hello.actuator)
     skin_model = member.skin_model or actuator
-    expected = computed(stream, played, actuator)
+    expected = computed(sent, played, actuator)
     length_mm = 1e3 * stream.samples / stream.header.rate_hz
     report = StrokeReport(
         schema=SCHEMA,
@@ -299,7 +302,7 @@ def play_and_compare(
         underruns=played.status.underruns,
         bad_frames=played.damaged,
         bad_frames_back=played.damaged_back,
-        skin=_skin_quality(stream, texture, played, expected, actuator, skin_model),
+        skin=_skin_quality(sent, texture, played, expected, actuator, skin_model),
         device=end_to_end.device_description(member.address, hello),
         sound_card=controller.sound_card,
         actuator=end_to_end.actuator_use(actuator, skin_model, played.status),

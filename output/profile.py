@@ -18,13 +18,11 @@ HAND_SMOOTHING_US = 4_000
 
 
 def min_samples(samples_per_metre: int, dac_rate_hz: int) -> int:
-    """Return the fewest samples of a profile that such a DAC can render; 0 if it can render none."""
+    """Return the fewest samples of a profile that such a DAC can render; 0 if it can render none.
+
+    The period of every profile is a multiple of it; samples beyond that are left out.
+    """
     return int(library().vc_profile_least_samples(samples_per_metre, dac_rate_hz))
-
-
-def octaves_step(samples_per_metre: int, dac_rate_hz: int) -> int:
-    """Return how many samples of a profile make one sample of its coarsest octave; its period is a multiple of this."""
-    return 1 << (min_samples(samples_per_metre, dac_rate_hz).bit_length() - 1)
 
 
 def rendered(header: StreamHeader, actuator: Actuator) -> StreamHeader:

@@ -31,21 +31,10 @@ _DAC_SAMPLES = 3000
 _MEMORY, _DECODED, _HEIGHTS = 0x2000_0000, 0x6000_0000, 0x6008_0000
 
 
-def periodic(decoded_um: NDArray[np.float64], samples_per_metre: int) -> NDArray[np.float64]:
-    """Return one period, um, of a repeated profile: its end crossfaded into its beginning, as profile.h says."""
-    octaves_step = rendering.octaves_step(samples_per_metre, PIEZO_STACK.dac_rate_hz)
-    period = (len(decoded_um) - len(decoded_um) // 16) // octaves_step * octaves_step
-    faded = len(decoded_um) - period
-    rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(faded) / faded)
-    joined = decoded_um[:period].copy()
-    joined[:faded] = rise * decoded_um[:faded] + (1 - rise) * decoded_um[period:]
-    return joined
-
-
 def resampled(
     period_um: NDArray[np.float64], places_m: NDArray[np.float64], samples_per_metre: int, highest_per_metre: float
 ) -> NDArray[np.float64]:
-    """Return a periodic profile at any places, up to a spatial frequency, by its Fourier series: exact."""
+    """Return a repeated profile at any places, up to a spatial frequency, by its Fourier series: exact."""
     spectrum = np.fft.rfft(period_um) / len(period_um)
     length_m = len(period_um) / samples_per_metre
     heights = np.full(len(places_m), spectrum[0].real)
@@ -99,7 +88,7 @@ def main(out: Path) -> None:
     header, decoder, rate_hz = stream.header, stream.decoder(), PIEZO_STACK.dac_rate_hz
     integers, gain = stream.decode_integers(), header.gains[0] / 32768
     decoded = integers[decoder.delay_samples : decoder.delay_samples + stream.samples]
-    period_um = periodic(decoded[:, 0].astype(np.float64) * gain, header.rate_hz)
+    period_um = decoded[:, 0].astype(np.float64) * gain
     time_s = np.arange(round(SECONDS * rate_hz)) / rate_hz
     late_s = (rendering.HAND_DELAY_US + 2 * rendering.HAND_SMOOTHING_US) / 1e6
 

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.fft import dct as fast_dct
 
-from studies.page import OUT, errors_in_one_line, render, results_folder, write_rows
+from studies.page import OUT, commit, errors_in_one_line, render, results_folder, write_rows
 from studies.page import write as write_page
 from vibrocast import codec, textures
 from vibrocast.codec import dct
@@ -25,9 +25,11 @@ from vibrocast.codec.threshold import read_threshold, threshold_amplitude
 from vibrocast.evaluation.charts import DPI, FONT_POINTS, WIDTH_IN
 from vibrocast.evaluation.curves import Curve, Panel, curves
 from vibrocast.files import atomic_write
+from vibrocast.textures import dataset
 from vibrocast.textures.generate import rough_profile
 
-QUANTISERS = ("linear", "log")
+PAPER_QUANTISERS = ("linear", "log")
+QUANTISERS = (*PAPER_QUANTISERS, "log-nearest")
 PAPER_LEVELS = (14, 12, 10, 8, 6, 5, 4)
 LEVELS = range(4, 21)
 B0_DB = (12.0, 8.0, 4.0, 0.0, -4.0, -8.0, -12.0, -16.0, -20.0)
@@ -43,6 +45,9 @@ SIXTEEN_BITS = 65_535
 AMPLITUDES_UM = 1e-3, 30.0
 """Shown of a spectrum; a coefficient of zero is drawn at the lower one."""
 PANEL_IN = 1.75
+RECORDING_LEVELS = (6, 14, 28, 56, 112)
+RECORDING_BLOCKS = ("128", "256", "512", "1024")
+DEFAULT_BLOCK = "512"
 
 
 @dataclass(frozen=True)
@@ -98,6 +103,18 @@ class Line:
     linear_um: float
     log_um: float
     cut_um: float
+
+
+@dataclass(frozen=True)
+class Median:
+    """Medians over recordings of acceleration, of .vct files: bits per sample by either entropy coder, and the SNR."""
+
+    quantiser: str
+    block: str
+    levels: int
+    huffman_bits: float
+    range_bits: float
+    snr_db: float
 
 
 @dataclass(frozen=True)
@@ -205,6 +222,31 @@ def spectra(profiles: Mapping[str, textures.Profile]) -> list[Line]:
     return lines
 
 
+def medians(recordings: Sequence[textures.Recording]) -> list[Median]:
+    """Return the figures of recordings: of each quantiser at several levels, and of linear levels in other blocks."""
+    trials = [*itertools.product(QUANTISERS, (DEFAULT_BLOCK,), RECORDING_LEVELS)]
+    trials += [("linear", block, 14) for block in RECORDING_BLOCKS if block != DEFAULT_BLOCK]
+    return [Median(*trial, *_medians(recordings, *trial)) for trial in trials]
+
+
+def _medians(recordings: Sequence[textures.Recording], quantiser: str, block: str, levels: int) -> Iterator[float]:
+    """Yield the medians at one setting, in the order of `Median`."""
+    setting: codec.Setting = {"quantiser": quantiser, "block": block, "levels": levels}
+    streams = [
+        [
+            as_stream(
+                codec.encode(each.samples, round(each.rate_hz), {**setting, "entropy": entropy}, codec="dct"), "m/s^2"
+            )
+            for each in recordings
+        ]
+        for entropy in ("huffman", "range")
+    ]
+    for coded in streams:
+        yield float(np.median([stream.bits_per_second / stream.header.rate_hz for stream in coded]))
+    decoded = zip(recordings, streams[0], strict=True)
+    yield float(np.median([codec.snr_db(each.samples, stream.decode()) or 0.0 for each, stream in decoded]))
+
+
 def falls(results: Iterable[Result]) -> dict[int, float]:
     """Return the counts of levels at which the SNR is lower than with one level less, and by how many dB."""
     ordered = sorted(results, key=lambda result: result.levels)
@@ -221,12 +263,12 @@ def b0_of_share(results: Sequence[Result], zeros_percent: float) -> float:
     return float(np.interp(zeros_percent, rising[:, 0], rising[:, 1]))
 
 
-def markdown(results: Sequence[Result]) -> str:
-    """Return the page."""
+def markdown(results: Sequence[Result], recordings: Sequence[Median]) -> str:
+    """Return the page; without `recordings` it says nothing of them."""
     names = list(dict.fromkeys(result.surface for result in results))
     uncut = {(row.surface, row.quantiser, row.levels): row for row in results if row.b0_db is None}
     cut = {(row.surface, row.b0_db): row for row in results if row.b0_db is not None}
-    falling = {curve: falls(_curve(results, *curve)) for curve in itertools.product(names, QUANTISERS)}
+    falling = {curve: falls(_curve(results, *curve)) for curve in itertools.product(names, PAPER_QUANTISERS)}
     materials = [name for name in names if name in PUBLISHED]
     return render(
         "texture_paper",
@@ -236,12 +278,20 @@ def markdown(results: Sequence[Result]) -> str:
         surfaces=names,
         materials=materials,
         published=published,
+        paper_quantisers=PAPER_QUANTISERS,
         quantisers=QUANTISERS,
         max_levels=max(LEVELS),
         paper={levels: paper_percent(levels) for levels in PAPER_LEVELS},
         uncut=uncut,
         cut=cut,
         cuts_db=B0_DB,
+        commit=commit(),
+        gains_db=[uncut[name, "log-nearest", 6].snr_db - uncut[name, "log", 6].snr_db for name in materials],
+        at_levels={(row.quantiser, row.levels): row for row in recordings if row.block == DEFAULT_BLOCK},
+        recording_levels=RECORDING_LEVELS if recordings else (),
+        in_blocks=sorted(
+            (row for row in recordings if (row.quantiser, row.levels) == ("linear", 14)), key=lambda row: int(row.block)
+        ),
         falling=falling,
         rises=not any(falling[name, "linear"] for name in materials),
         b0_of_share={
@@ -255,7 +305,7 @@ def draw_levels(path: Path, results: Sequence[Result]) -> None:
     """Draw SNR over the number of levels: a row for generated and one for measured surfaces; ringed where it falls."""
     names = list(dict.fromkeys(result.surface for result in results))
     panels = []
-    for generated, quantiser in itertools.product((True, False), QUANTISERS):
+    for generated, quantiser in itertools.product((True, False), PAPER_QUANTISERS):
         drawn = []
         for name in names:
             curve = _curve(results, name, quantiser)
@@ -300,11 +350,14 @@ def draw_spectra(path: Path, lines: Sequence[Line]) -> None:
         figure.savefig(partial)
 
 
-def write(out: Path, profiles: Mapping[str, textures.Profile]) -> None:
+def write(out: Path, profiles: Mapping[str, textures.Profile], recordings: Sequence[textures.Recording] = ()) -> None:
     """Write OUT/texture_paper.md, and its tables and pictures in OUT/results. Raises OSError, CodecError."""
     folder = results_folder(out)
     results, lines = measure_all(profiles), spectra(profiles)
-    write_page(out / "texture_paper.md", markdown(results))
+    of_recordings = medians(recordings) if recordings else []
+    write_page(out / "texture_paper.md", markdown(results, of_recordings))
+    if of_recordings:
+        write_rows(folder / "texture_paper_recordings.csv", map(_rounded, of_recordings), Median)
     write_rows(folder / "texture_paper.csv", map(_rounded, results), Result)
     write_rows(folder / "texture_paper_spectra.csv", map(_rounded, lines), Line)
     draw_levels(folder / "texture_paper.png", results)
@@ -328,13 +381,20 @@ def _rounded(row: Any) -> Any:
     type=click.Path(exists=True, file_okay=False, path_type=Path),
     help="Add measured height profiles, the CSV files of this folder.",
 )
-def main(out: Path, folder: Path | None) -> None:
+@click.option(
+    "--recordings",
+    "recordings_folder",
+    type=click.Path(exists=True, file_okay=False, path_type=Path),
+    help="Code these recordings of acceleration, too.",
+)
+def main(out: Path, folder: Path | None, recordings_folder: Path | None) -> None:
     """Compare the texture paper's figures with those of the codec dct, coded as in the paper."""
     with errors_in_one_line():
         profiles = generated_profiles()
         for path in sorted(folder.glob("*.csv")) if folder else ():
             profiles[path.stem] = textures.load_profile(path)
-        write(out, profiles)
+        recordings = [dataset.load(entry) for entry in dataset.entries(recordings_folder)] if recordings_folder else []
+        write(out, profiles, recordings)
     click.echo(f"{out / 'texture_paper.md'}: {len(profiles)} surfaces")
 
 

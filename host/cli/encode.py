@@ -49,6 +49,11 @@ from vibrocast.host.cli.steps import (
         show_default=True,
         help="Choose the pitch of heights for this speed, with --spatial.",
     ),
+    click.option(
+        "--crossfade",
+        is_flag=True,
+        help="Fade the end of the profile into its beginning, with --spatial. Default: it repeats as it is.",
+    ),
 )
 @plan_option
 def encode(
@@ -56,6 +61,7 @@ def encode(
     out: Path,
     spatial: bool,
     slowest_hand_speed_mm_s: float,
+    crossfade: bool,
     plan_path: Path | None,
     quality: QualityOptions,
     rate: RateOptions,
@@ -78,7 +84,8 @@ def encode(
             raise click.UsageError(
                 "a profile has no time, so nothing can be held over time; drop the options of rate control"
             )
-        encoding = encoded_profile(profiles.recording_of(file, **vars(recording)), quality, slowest_hand_speed_mm_s)
+        profile = profiles.recording_of(file, **vars(recording))
+        encoding = encoded_profile(profile, quality, slowest_hand_speed_mm_s, crossfade)
         facts = encoding.stream.facts()
         tell(
             f"{out}: {facts['size_bytes']} bytes, {facts['length_mm']:.3f} mm, {facts['samples_per_metre']} samples "

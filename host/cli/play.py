@@ -57,7 +57,7 @@ from vibrocast.host.cli.steps import (
     warn_of_underruns,
 )
 from vibrocast.host.controller import ControllerError
-from vibrocast.host.limits import check_limits
+from vibrocast.host.limits import check_limits, playable
 from vibrocast.host.provenance import Provenance
 from vibrocast.host.report import SCHEMA, Report, Touch, UnfinishedReport, write_json
 from vibrocast.output import actuator_files
@@ -391,7 +391,7 @@ def read_source(
         coded = coded_already(file, quality, replace(recording, unit=None) if recording.unit == "drive" else recording)
         if coded.header.spatial:
             raise BadInput(f"{file}: coded over position; give --positions, or --stroke-mm and --hand-speed-mm-s")
-        source = replace(coded, runtime=runtime)
+        source = replace(playable(coded), runtime=runtime)
     else:
         source = textures.load_for_actuators(file, **vars(recording))
     end_to_end.check_unit(source.header.unit if isinstance(source, Stream) else source.unit, recording.unit)

@@ -50,7 +50,9 @@ def encoded(
     return _noted(encoding)
 
 
-def encoded_profile(recording: textures.Recording, quality: QualityOptions, slowest_mm_s: float) -> Encoding:
+def encoded_profile(
+    recording: textures.Recording, quality: QualityOptions, slowest_mm_s: float, crossfade: bool = False
+) -> Encoding:
     """Encode a height profile as a spatial stream, show how far it is, and say what was not met."""
     if quality.rate_bps is not None or quality.stream_rate_hz != DEFAULT_STREAM_RATE_HZ:
         raise click.UsageError(
@@ -59,7 +61,7 @@ def encoded_profile(recording: textures.Recording, quality: QualityOptions, slow
     arguments = quality.arguments()
     del arguments["rate_bps"], arguments["stream_rate_hz"], arguments["highpass_hz"]  # heights keep their own rules
     with progress.bar("encoding") as update:
-        return _noted(profiles.encode(recording, slowest_mm_s, progress=update, **arguments))
+        return _noted(profiles.encode(recording, slowest_mm_s, crossfade=crossfade, progress=update, **arguments))
 
 
 def _noted(encoding: Encoding) -> Encoding:

@@ -8,16 +8,15 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
-from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.device_protocol.messages import State
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import player
 from vibrocast.host.controller import Controller, ControllerError
-from vibrocast.host.limits import check_limits, fitted
+from vibrocast.host.limits import carried, check_limits, fitted
 from vibrocast.host.stream_session import configure_steps
-from vibrocast.host.study.stimuli import UNCODED_SNR_DB, stream_sha256
+from vibrocast.host.study.stimuli import stream_sha256
 from vibrocast.host.study.trials import Played, Stimulus, StimulusPlayer
 from vibrocast.output.actuator import Actuator, Codes
 from vibrocast.output.rendering import render
@@ -46,7 +45,7 @@ class ControllerPlayer(StimulusPlayer):
 
     One thread at a time talks to the controller. `switch` stops and starts, because a controller plays one stream at a
     time: about 0.4 s lie between. Some streams no controller decodes, such as one that is coded as a whole file. Such a
-    stream is decoded here and sent in the default codec at UNCODED_SNR_DB. That error lies far below the stream's own.
+    stream is decoded here and sent as `limits.carried` says. That error lies far below the stream's own.
     `reconnect_s`: how long a broken connection is opened again.
     """
 
@@ -66,16 +65,16 @@ class ControllerPlayer(StimulusPlayer):
             except StreamError as error:
                 raise ControllerError(f"{stimulus.key}: {error}") from error
             try:
-                carried = fitted(self._controller, stream)
-                self._controller.run(configure_steps(self._controller, carried.header, 1, packets=len(carried.packets)))
+                sent = fitted(self._controller, stream)
+                self._controller.run(configure_steps(self._controller, sent.header, 1, packets=len(sent.packets)))
                 self._controller.stop()
             except StreamError:
-                carried = _carried(stream)
+                sent = carried(stream)
             except ControllerError as error:
                 if error.code is None:
                     raise
-                carried = _carried(stream)
-            self._carried[stream_sha256(stream)] = carried
+                sent = carried(stream)
+            self._carried[stream_sha256(stream)] = sent
 
     def start(self, stimulus: Stimulus) -> None:
         """Play from the beginning; the one before ramps down first. Raises ControllerError, TransportError."""
@@ -259,13 +258,6 @@ class CardPlayer(StimulusPlayer):
             )
         self._known[sha256] = stimulus
         return sha256, self._rendered[sha256][0]
-
-
-def _carried(stream: Stream) -> Stream:
-    """Return a decoded stream, coded again by the default codec for a link."""
-    recording = stream.recording()
-    rate_hz = stream.header.rate_hz
-    return encode_recording(recording, rate_hz, snr_db=UNCODED_SNR_DB, live=True, highpass_hz=None, touch=0).stream
 
 
 class SilentPlayer(StimulusPlayer):

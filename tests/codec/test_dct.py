@@ -18,7 +18,7 @@ from vibrocast import codec, textures
 from vibrocast.codec import Choice, CodecError, Decoder, Framing, Setting, Signal, SignalFormat, dct
 from vibrocast.codec.huffman import MAX_CODE, canonical_codes, code_lengths
 from vibrocast.codec.threshold import DETECTION_THRESHOLD, read_threshold, threshold_amplitude
-from vibrocast.device_protocol.coded_stream import unpack_file
+from vibrocast.device_protocol.coded_stream import PROFILE_UNIT, unpack_file
 from vibrocast.firmware.native_core import library
 from vibrocast.textures.generate import ridges, rough, wood_surface
 
@@ -85,6 +85,23 @@ def test_a_file_is_one_transform_or_equal_ones_near_the_length_of_the_paper(
     assert codec.decoder(dct.IDENTIFIER, stream.configuration, 1).packet_samples == length
     assert codec.decode(stream).shape == heights.shape
     assert all(len(packet) < 400 for packet in stream.packets), "160 coefficients lie below 400 Hz"
+
+
+@pytest.mark.parametrize(("samples", "transforms"), [(640, 1), (1919, 1), (1921, 2), (6400, 5)])
+def test_a_profile_over_position_is_cut_into_transforms_near_10_mm(samples: int, transforms: int) -> None:
+    """A profile has a length, although its packets are those of a live stream."""
+    heights = texture(samples)
+    setting: Setting = {"block": "whole", "levels": 200}
+    stream = codec.encode(heights, 128_000, setting, codec="dct", unit=PROFILE_UNIT, live=True)
+    assert len(stream.packets) == transforms
+    assert codec.decode(stream).shape == heights.shape
+
+
+def test_few_levels_that_raise_the_peak_clip_nothing() -> None:
+    heights = rough(seed=1, seconds=0.2, rate_hz=1e5).samples
+    stream = codec.encode(heights, 100_000, {"block": "whole", "levels": 4, "quantiser": "log"}, codec="dct", unit="um")
+    peak = np.max(np.abs(codec.decode_integers(stream).astype(int))) / 32768 * stream.gains[0]
+    assert np.max(np.abs(heights)) < peak < stream.gains[0]
 
 
 def test_the_greatest_coefficient_of_the_longest_transform_fits() -> None:

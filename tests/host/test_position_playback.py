@@ -9,13 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from numpy.typing import NDArray
+from scipy.fft import dct
 
+from tests.codec.signals import texture
+from tests.codec.test_dct_equations import B0_DB, PAPER_RULES, heights_um
 from vibrocast import codec, textures
-from vibrocast.codec.stream import Stream
+from vibrocast.codec.stream import Stream, read_stream
+from vibrocast.codec.threshold import read_threshold, threshold_amplitude
+from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.files import InputFileError
 from vibrocast.host import end_to_end, position_playback, profiles
 from vibrocast.host.cli.command_line import main
 from vibrocast.host.controller import Controller, ControllerError
+from vibrocast.host.limits import playable
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
@@ -33,7 +40,10 @@ def test_profile_coded_keeps_the_band_that_the_slowest_hand_feels() -> None:
     for slowest_mm_s in (10.0, 40.0):
         encoding = profiles.encode(profiles.recording_of(PROFILE), slowest_mm_s, snr_db=25.0)
         header = encoding.stream.header
-        assert header.spatial and header.rate_hz == pytest.approx(400 / slowest_mm_s * 1000 / 0.34, rel=1e-3)
+        assert header.spatial and 1 <= header.rate_hz / (400 / slowest_mm_s * 1000 / 0.34) < 1.1
+        # A controller repeats a multiple of a power of two: here of the profile's length.
+        assert header.samples is not None and header.samples % 128 == 0
+        assert header.samples / header.rate_hz == pytest.approx(profiles.recording_of(PROFILE).seconds, rel=1e-4)
         assert encoding.quality.snr_db == pytest.approx(25.0, abs=0.5)
         # Nothing is left that would be rendered with images.
         samples = encoding.recording.samples[:, 0]
@@ -43,12 +53,54 @@ def test_profile_coded_keeps_the_band_that_the_slowest_hand_feels() -> None:
 
 @pytest.mark.parametrize("setting", [{}, {"smallest": 0.05, "levels": 14}])
 def test_dct_keeps_the_whole_band_of_a_profile(setting: codec.Setting) -> None:
-    """Its limit at 400 Hz and its threshold need a signal over time; the threshold is rejected."""
+    """Its limit at 400 Hz holds at one hand speed, so blocks have none by default."""
     recording = profiles.recording_of(PROFILE)
     snr_db = profiles.encode(recording, codec_name="dct", setting=setting).quality.snr_db
     assert snr_db is not None and snr_db > 13
-    with pytest.raises(codec.CodecError, match="over time"):
-        profiles.encode(recording, codec_name="dct", setting={"threshold": "on", "levels": 14})
+
+
+@pytest.mark.parametrize(("hand_speed_mm_s", "highest_per_mm"), [(50.0, 8), (25.0, 16)])
+def test_the_limit_and_the_cut_hold_at_a_hand_speed(hand_speed_mm_s: float, highest_per_mm: float) -> None:
+    """400 Hz are 8 waves per mm at 50 mm/s."""
+    fixed: codec.Setting = {"block": "whole", "levels": 65535, "hand_speed_mm_s": hand_speed_mm_s}
+    recording = profiles.recording_of(PROFILE)
+
+    def spectrum(setting: codec.Setting) -> NDArray[np.float64]:
+        heights_um = profiles.encode(recording, codec_name="dct", setting={**fixed, **setting}).stream.decode()
+        return np.abs(dct(heights_um[:, 0], norm="ortho"))
+
+    whole, cut = spectrum({}), spectrum({"threshold": "on", "b0_db": 0})
+    waves_per_mm = np.arange(len(whole)) / 2 / (1000 * recording.seconds)
+    assert np.max(whole[waves_per_mm > 1.01 * highest_per_mm]) < 0.02 < np.median(whole[waves_per_mm < highest_per_mm])
+    amplitudes_um = whole * np.sqrt(2 / len(whole))
+    felt_um = threshold_amplitude(read_threshold(), waves_per_mm * hand_speed_mm_s, "um")
+    inside = (waves_per_mm < 0.99 * highest_per_mm) & (np.abs(amplitudes_um / felt_um - 1) > 0.1)
+    np.testing.assert_array_equal((cut > 0.02)[inside], (amplitudes_um > felt_um)[inside])
+
+
+@pytest.mark.parametrize("block", ["512", "whole"])
+def test_a_cut_that_cannot_reach_the_default_snr_is_coded_as_it_is(block: str) -> None:
+    recording, setting = profiles.recording_of(PROFILE), {"block": block, "threshold": "on"}
+    encoding = profiles.encode(recording, codec_name="dct", setting=setting)
+    assert 2 < (encoding.quality.snr_db or 0) < 8
+    assert "the rest of the setting has its defaults" in (encoding.quality.note or "")
+    with pytest.raises(codec.CodecError, match="cannot be met"):
+        profiles.encode(recording, codec_name="dct", setting=setting, snr_db=14.8)
+
+
+def test_a_profile_too_short_to_repeat_is_rejected() -> None:
+    fine = textures.Recording(np.random.default_rng(1).standard_normal((100, 1)), 2e5, "um", "fine")
+    with pytest.raises(StreamError, match=r"0\.5 mm are too short .* at least 0\.64 mm"):
+        profiles.encode(fine)
+
+
+def test_a_crossfade_makes_the_ends_meet() -> None:
+    ramp = textures.Recording(np.linspace(-9, 9, 1600)[:, None], 1e5, "um", "ramp")
+    for crossfade, samples, jump_um in ((False, 1920, 18.0), (True, 1792, 0.0)):
+        stream = profiles.encode(ramp, 10.0, crossfade=crossfade, setting={"step": 0.001}).stream
+        heights_um = stream.decode()[:, 0]
+        assert len(heights_um) == samples
+        assert abs(heights_um[0] - heights_um[-1]) == pytest.approx(jump_um, abs=0.3)
 
 
 def test_too_slow_a_hand_is_rejected_with_the_slowest_that_can_be() -> None:
@@ -110,7 +162,7 @@ def test_the_played_samples_are_the_computed_ones_also_over_a_link_that_loses_fr
     """Lost packets are sent again; where positions are lost as well, only they make a difference."""
     movement = position_playback.back_and_forth(10.0, 120.0, 1)
     for lost, alike in ((0.0, True), (0.2, False)):
-        link = MemoryLink(SimulatedController(), FaultyDirection(seed=4, lost=lost))
+        link = MemoryLink(SimulatedController(), FaultyDirection(seed=5, lost=lost))
         with Controller(link, link.clock, link.sleep) as controller:
             played = position_playback.play(controller, stream, movement)
         expected = position_playback.computed(stream, played, PIEZO_STACK)
@@ -135,6 +187,73 @@ def test_clocks_that_drift_and_sparse_positions_make_no_difference(stream: Strea
     assert position_playback.as_computed(other, expected, PIEZO_STACK) is False
     late = replace(other, status=replace(played.status, underruns=1))
     assert position_playback.as_computed(late, expected, PIEZO_STACK) is None
+
+
+PAPER_SETTINGS: dict[str, codec.Setting] = {
+    "linear": {"levels": 14},
+    "log": {"levels": 14, "quantiser": "log"},
+    "cut": {"levels": 65535, "threshold": "on", "b0_db": B0_DB},
+}
+
+
+@pytest.mark.parametrize("material", ["wood", "sandpaper", "leather"])
+@pytest.mark.parametrize("rule", PAPER_SETTINGS)
+def test_the_papers_chain_from_end_to_end(rule: str, material: str, tmp_path: Path) -> None:
+    """20 000 heights over 10 mm, one transform, levels or cut, Huffman code, 50 mm/s, repeated every 10 mm."""
+    heights, coded = tmp_path / "10mm.csv", tmp_path / "10mm.vct"
+    textures.save_profile(heights, textures.Profile(heights_um(material), 0.5, material))
+    settings = {"block": "whole", "dc": "drop", **PAPER_SETTINGS[rule]}
+    options = [option for name, value in settings.items() for option in ("--setting", f"{name}={value}")]
+    done = CliRunner().invoke(main, ["encode", str(heights), str(coded), "--spatial", "--codec", "dct", *options])
+    assert done.exit_code == 0, done.output
+    stream = read_stream(coded)
+    # Each coefficient takes its level, although a controller's samples lie 16 times as far apart.
+    _, by_equations = PAPER_RULES[rule]
+    decoded_um = stream.decode()[:, 0]
+    decided_um = dct(decoded_um, norm="ortho")[1:161] * np.sqrt(2 / len(decoded_um))
+    flat_um = textures.load_profile(heights).without_form()
+    own_um = dct(flat_um, norm="ortho")[1:161] * np.sqrt(2 / len(flat_um))
+    assert np.mean(np.isclose(decided_um, by_equations(own_um, 14), rtol=0.005, atol=2e-3)) >= 0.98
+    # The controller gets it in another codec, 60 dB above the error.
+    sent = playable(stream)
+    assert (codec.snr_db(stream.decode(), sent.decode()) or 0) > 60
+    link = MemoryLink(SimulatedController())
+    with Controller(link, link.clock, link.sleep) as controller:
+        member = end_to_end.member(controller, "sim", None)
+        movement = position_playback.Movement(np.array([0.0, 0.7]), np.array([0.0, 35.0]))
+        stroke = position_playback.play_and_compare(member, material, stream, movement)
+    assert stroke.as_computed and stroke.report.stream_bytes == stream.size_bytes
+    period = PIEZO_STACK.dac_rate_hz // 5  # 10 mm at 50 mm/s
+    made_um, codes = stroke.expected.heights_um[period:, 0], stroke.played.dac_codes[period:].astype(int)
+    assert np.max(np.abs(codes[:period] - codes[period : 2 * period])) <= 1
+    np.testing.assert_array_equal(made_um[:period], made_um[period : 2 * period])
+    # The output follows the hand 28 ms late. Compared below 400 Hz, because the seam has all frequencies.
+    spectra = [np.fft.rfft(decoded_um) / len(decoded_um), np.fft.rfft(made_um[:period]) / period]
+    lag = np.exp(-2j * np.pi * np.arange(80) * 0.028 * 5)
+    signal, error = spectra[0][:80], spectra[1][:80] - spectra[0][:80] * lag
+    assert 10 * np.log10(np.sum(np.abs(signal) ** 2) / np.sum(np.abs(error) ** 2)) > 45
+
+
+@pytest.mark.usefixtures("simulated_time")
+def test_a_whole_transform_plays_in_time(tmp_path: Path) -> None:
+    recording, coded = tmp_path / "a.wav", tmp_path / "a.vct"
+    textures.save(recording, textures.Recording(texture(1000), 2800, "m/s^2", "a"))
+    for arguments in (
+        [
+            "encode",
+            str(recording),
+            str(coded),
+            "--codec",
+            "dct",
+            "--setting",
+            "block=whole",
+            "--setting",
+            "levels=14",
+        ],
+        ["play", str(coded), "--device", "serial:port"],
+    ):
+        done = CliRunner().invoke(main, arguments)
+        assert done.exit_code == 0, done.output
 
 
 def test_controllers_that_cannot_are_named(stream: Stream) -> None:

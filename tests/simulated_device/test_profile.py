@@ -31,12 +31,11 @@ from vibrocast.output.profile import (
     HAND_SMOOTHING_US,
     Profile,
     min_samples,
-    octaves_step,
     render,
 )
 
 SAMPLES_PER_METRE = 100_000
-SAMPLES = 2000
+SAMPLES = 2048
 RATE_HZ = 3000
 DELAY_S = (HAND_DELAY_US + 2 * HAND_SMOOTHING_US) / 1e6
 # The promise: exact up to this part of the DAC's rate and of the profile's own.
@@ -47,11 +46,11 @@ Way = Callable[[float], float]
 
 
 @cache
-def heights() -> NDArray[np.int16]:
-    """A rough profile, int16 (SAMPLES,), of all that may be rendered exactly."""
-    spectrum = np.fft.rfft(np.random.default_rng(1).standard_normal(SAMPLES))
-    spectrum[np.fft.rfftfreq(SAMPLES) > EXACT_OF_PROFILE] = 0
-    rough = np.fft.irfft(spectrum, SAMPLES)
+def heights(samples: int = SAMPLES) -> NDArray[np.int16]:
+    """A rough profile, int16 (samples,), of all that may be rendered exactly; its end meets its beginning."""
+    spectrum = np.fft.rfft(np.random.default_rng(1).standard_normal(samples))
+    spectrum[np.fft.rfftfreq(samples) > EXACT_OF_PROFILE] = 0
+    rough = np.fft.irfft(spectrum, samples)
     made: NDArray[np.int16] = np.round(20_000 * rough / np.abs(rough).max()).astype(np.int16)
     return made
 
@@ -62,19 +61,8 @@ def loaded(profile: NDArray[np.int16], dac_rate_hz: int = RATE_HZ) -> Profile:
     return rendered
 
 
-def periodic(profile: NDArray[np.int16], dac_rate_hz: int) -> NDArray[np.float64]:
-    """Return one period of the repeated profile, as vibrocast/profile.h defines it."""
-    step = octaves_step(SAMPLES_PER_METRE, dac_rate_hz)
-    period = (len(profile) - len(profile) // 16) // step * step
-    faded = min(len(profile) - period, period)
-    rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(faded) / faded)
-    made = profile[:period].astype(np.float64)
-    made[:faded] = rise * profile[:faded] + (1 - rise) * profile[period:][:faded]
-    return made
-
-
-def exact(profile: NDArray[np.float64], places_mm: NDArray[np.float64], highest: float) -> NDArray[np.float64]:
-    """Return a periodic profile at any places, its frequencies up to `highest` per sample, by its Fourier series."""
+def exact(profile: NDArray[np.int16], places_mm: NDArray[np.float64], highest: float) -> NDArray[np.float64]:
+    """Return a repeated profile at any places, its frequencies up to `highest` per sample, by its Fourier series."""
     spectrum = np.fft.rfft(profile) / len(profile)
     phase = 2j * np.pi * (places_mm / 1000 * SAMPLES_PER_METRE) / len(profile)
     value = np.full(len(places_mm), spectrum[0].real)
@@ -104,8 +92,8 @@ def test_constant_speed_gives_the_profile_exactly_within_the_band(speed_mm_s: in
     first = round(settled_s * dac_rate_hz)
     time_s = np.arange(first, len(made)) / dac_rate_hz
     places_mm = speed_mm_s * (time_s - DELAY_S) + 0.123
-    profile, per_sample = periodic(heights(), dac_rate_hz), abs(speed_mm_s) / 1000 * SAMPLES_PER_METRE / dac_rate_hz
-    expected = exact(profile, places_mm, EXACT / per_sample)
+    per_sample = abs(speed_mm_s) / 1000 * SAMPLES_PER_METRE / dac_rate_hz
+    expected = exact(heights(), places_mm, EXACT / per_sample)
     window = np.blackman(len(expected))
     # Components above the band are not exact, and leak a little into it.
     inside = np.fft.rfftfreq(len(expected)) < 0.95 * EXACT
@@ -113,15 +101,17 @@ def test_constant_speed_gives_the_profile_exactly_within_the_band(speed_mm_s: in
     assert 10 * np.log10(np.sum(np.abs(signal) ** 2) / np.sum(np.abs(error) ** 2)) > 50
 
 
-@pytest.mark.parametrize("samples", [34, 60, 66, 100, 575])
-def test_short_profile_repeats(samples: int) -> None:
+@pytest.mark.parametrize(("samples", "left_out"), [(32, 0), (32, 31), (64, 2), (96, 4), (544, 31)])
+def test_profile_repeats_as_it_is(samples: int, left_out: int) -> None:
     """From the shortest one on, shorter than the reach of the interpolator in the coarser octaves."""
-    assert samples >= min_samples(SAMPLES_PER_METRE, RATE_HZ) > 33
-    profile, speed_mm_s = heights()[:samples], 50
-    made = rendered_along(loaded(profile), lambda t: speed_mm_s * t, 0.5)[600:]
+    assert samples % min_samples(SAMPLES_PER_METRE, RATE_HZ) == 0
+    profile, speed_mm_s = heights(samples), 50
+    made = rendered_along(loaded(np.append(profile, np.full(left_out, 9999, np.int16))), lambda t: speed_mm_s * t, 0.5)[
+        600:
+    ]
     time_s = np.arange(600, 600 + len(made)) / RATE_HZ
     highest = EXACT * RATE_HZ / (speed_mm_s / 1000 * SAMPLES_PER_METRE)
-    expected = exact(periodic(profile, RATE_HZ), speed_mm_s * (time_s - DELAY_S), highest)
+    expected = exact(profile, speed_mm_s * (time_s - DELAY_S), highest)
     window = np.blackman(len(expected))
     inside = np.fft.rfftfreq(len(expected)) < 0.95 * EXACT
     error, signal = (np.fft.rfft(values * window)[inside] for values in (made - expected, expected))
@@ -148,9 +138,7 @@ def test_nothing_is_aliased(per_dac_sample: float, speed_mm_s: int) -> None:
     per_sample = per_dac_sample * RATE_HZ / (speed_mm_s / 1000 * SAMPLES_PER_METRE)
     if per_sample > 0.43:
         pytest.skip("finer than the profile's band")
-    # Fits the period, so that the crossfade changes nothing.
-    period = len(periodic(heights(), RATE_HZ))
-    grating = 20_000 * np.sin(2 * np.pi * round(per_sample * period) * np.arange(SAMPLES) / period)
+    grating = 20_000 * np.sin(2 * np.pi * round(per_sample * SAMPLES) * np.arange(SAMPLES) / SAMPLES)
     made = rendered_along(loaded(np.round(grating).astype(np.int16)), lambda t: speed_mm_s * t, 0.4)[600:]
     assert 20 * np.log10(max(1.0, float(np.std(made))) / np.std(grating)) < -50
 
@@ -158,14 +146,14 @@ def test_nothing_is_aliased(per_dac_sample: float, speed_mm_s: int) -> None:
 def test_hand_at_rest_leaves_the_output_still() -> None:
     made = rendered_along(loaded(heights()), lambda t: 7.7, 0.5)
     assert np.ptp(made[300:]) == 0
-    expected = exact(periodic(heights(), RATE_HZ), np.array([7.7]), 0.5)[0]
+    expected = exact(heights(), np.array([7.7]), 0.5)[0]
     assert made[-1] == pytest.approx(expected, abs=20)
 
 
 @cache
 def steepest() -> float:
     """Return the steepest slope of the profile, per mm."""
-    return float(np.abs(np.diff(exact(periodic(heights(), RATE_HZ), np.arange(0, 18, 0.002), 0.5))).max() / 0.002)
+    return float(np.abs(np.diff(exact(heights(), np.arange(0, 18, 0.002), 0.5))).max() / 0.002)
 
 
 def max_step(speed_mm_s: float) -> float:
@@ -212,7 +200,7 @@ def test_hand_beyond_all_speeds_and_its_jumps_are_faded_out() -> None:
     assert not made[600:].any()
     jumped = rendered_along(loaded(heights()), lambda t: 3.0 if t < 0.3 else 900.0, 0.8)
     assert np.abs(np.diff(jumped[150:].astype(int))).max() <= max_step(600)  # until it has faded out
-    expected = exact(periodic(heights(), RATE_HZ), np.array([900.0]), 0.5)[0]
+    expected = exact(heights(), np.array([900.0]), 0.5)[0]
     assert jumped[-1] == pytest.approx(expected, abs=20)
 
 

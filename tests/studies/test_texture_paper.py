@@ -9,6 +9,7 @@ from click.testing import CliRunner
 
 from studies import texture_paper
 from studies.texture_paper import Result, code, measure, paper_percent
+from tests.codec.signals import texture
 from vibrocast import codec, textures
 
 
@@ -66,7 +67,11 @@ def test_the_command_writes_page_tables_and_charts(tmp_path: Path, monkeypatch: 
     own = tmp_path / "profiles"
     own.mkdir()
     textures.save_profile(own / "mine.csv", profile())
-    done = CliRunner().invoke(texture_paper.main, ["--out", str(tmp_path / "out"), "--profiles", str(own)])
+    recordings = tmp_path / "recordings"
+    recordings.mkdir()
+    textures.save(recordings / "one.wav", textures.Recording(texture(2800), 2800, "m/s^2", "one"))
+    arguments = ["--out", str(tmp_path / "out"), "--profiles", str(own), "--recordings", str(recordings)]
+    done = CliRunner().invoke(texture_paper.main, arguments)
     assert done.exit_code == 0, done.output
     page = (tmp_path / "out" / "texture_paper.md").read_text()
     assert "| 14 | 23.8 % |" in page
@@ -78,6 +83,11 @@ def test_the_command_writes_page_tables_and_charts(tmp_path: Path, monkeypatch: 
     assert np.all([float(row["huffman_percent"]) > 0 for row in rows])
     with (tmp_path / "out" / "results" / "texture_paper_spectra.csv").open() as file:
         assert len(list(csv.DictReader(file))) == 2 * 160
+    with (tmp_path / "out" / "results" / "texture_paper_recordings.csv").open() as file:
+        medians = list(csv.DictReader(file))
+    assert (medians[0]["quantiser"], medians[0]["levels"]) == ("linear", "6")
+    assert 0 < float(medians[0]["range_bits"]) < float(medians[0]["huffman_bits"])
+    assert {row["block"] for row in medians} == {"128", "256", "512", "1024"}
     for name in ("texture_paper.png", "texture_paper_spectra.png"):
         assert (tmp_path / "out" / "results" / name).read_bytes().startswith(b"\x89PNG")
 

@@ -16,9 +16,8 @@
  * Late positions are caught up with at 600 mm/s at most. From 300 mm/s to there the output fades to 0. After a jump of
  * the position it fades out and, at the new place, in: 20 ms each.
  *
- * The ends. The profile repeats in both directions. A sixteenth of it crossfades from its end to its beginning: at most
- * 4096 samples, and the rest that makes the period a multiple of the coarsest octave's step. A profile shorter than the
- * interpolator's reach repeats too.
+ * The ends. The profile repeats in both directions, as it is. Its period is a multiple of vc_profile_least_samples();
+ * samples beyond it are left out. A profile shorter than the interpolator's reach repeats too.
  *
  * - Samples of several channels, all under the one hand, are interleaved. Numbers of samples are per channel.
  * - A vc_profile belongs to the caller, and has nothing to close. Pointers are used during the call only.
@@ -52,8 +51,8 @@ typedef struct vc_profile vc_profile;
 /* Delay between the time of a host's position and its rendering, so that the next one has arrived by then. */
 #define VC_HAND_DELAY_US 20000
 
-/* Returns the least samples that a profile must have to be rendered at up to 300 mm/s. Returns 0 for a DAC rate below
- * 1000 Hz, and for samples per metre of 0 or above 200 000. */
+/* Returns the least samples that a profile must have to be rendered at up to 300 mm/s: a power of two, at most 128.
+ * Returns 0 for a DAC rate below 1000 Hz, and for samples per metre of 0 or above 200 000. */
 uint32_t vc_profile_least_samples(uint32_t samples_per_metre, uint32_t dac_rate_hz);
 
 /* Returns the bytes of memory, aligned for int64_t, of a profile of at most 2^20 samples in 1 to VC_MAX_CHANNELS

@@ -27,9 +27,6 @@
 #define BAND_256 223u /* 0.87 in 1/256 */
 #define HEIGHT_BITS 8 /* of interpolated heights */
 
-#define CROSSFADE_PART 16
-#define MOST_CROSSFADE 4096u
-
 /* The number of octaves down to the one whose band ends below half the DAC's rate at 600 mm/s. */
 static uint32_t octaves_of(uint32_t samples_per_metre, uint32_t dac_rate_hz)
 {
@@ -43,12 +40,10 @@ static uint32_t octaves_of(uint32_t samples_per_metre, uint32_t dac_rate_hz)
 
 uint32_t vc_profile_least_samples(uint32_t samples_per_metre, uint32_t dac_rate_hz)
 {
-    uint32_t step;
     if (samples_per_metre == 0 || samples_per_metre > MAX_SAMPLES_PER_METRE || dac_rate_hz < MIN_DAC_RATE_HZ)
         return 0;
-    /* The crossfade must leave a sample of the coarsest octave: a step, or a sixteenth of it more. */
-    step = 1u << (octaves_of(samples_per_metre, dac_rate_hz) - 1);
-    return step + step / (CROSSFADE_PART - 1);
+    /* A sample of the coarsest octave. */
+    return 1u << (octaves_of(samples_per_metre, dac_rate_hz) - 1);
 }
 
 size_t vc_profile_size(uint32_t samples, uint32_t channels)
@@ -59,14 +54,13 @@ size_t vc_profile_size(uint32_t samples, uint32_t channels)
 void vc_profile_init(vc_profile *profile, uint32_t samples_per_metre, uint32_t samples, uint32_t channels,
                      uint32_t dac_rate_hz)
 {
-    const uint32_t crossfade = samples / CROSSFADE_PART < MOST_CROSSFADE ? samples / CROSSFADE_PART : MOST_CROSSFADE;
     uint32_t octave;
     memset(profile, 0, sizeof *profile);
     profile->samples_per_metre = samples_per_metre;
     profile->samples = samples;
     profile->channels = channels;
     profile->octaves = octaves_of(samples_per_metre, dac_rate_hz);
-    profile->period = (samples - crossfade) >> (profile->octaves - 1) << (profile->octaves - 1);
+    profile->period = samples >> (profile->octaves - 1) << (profile->octaves - 1);
     for (octave = 1; octave < profile->octaves; octave++)
         profile->first[octave] = profile->first[octave - 1] + (profile->period >> (octave - 1)) + TAPS;
     /* A low-pass of 1 / (1 + n) lags a steady motion by n samples. */
@@ -93,23 +87,6 @@ static void continue_end(vc_profile *profile, uint32_t octave)
     size_t at;
     for (at = 0; at < (size_t)TAPS * profile->channels; at++)
         heights[count + at] = heights[at];
-}
-
-/* Makes the profile periodic: the samples after the period fade out over its beginning, which fades in. */
-static void join_ends(vc_profile *profile)
-{
-    const uint32_t channels = profile->channels, period = profile->period;
-    const uint32_t fade = profile->samples - period < period ? profile->samples - period : period;
-    const int16_t *behind = profile->heights + (size_t)period * channels;
-    uint32_t n, i;
-    for (n = 0; n < fade; n++) {
-        const int64_t rise = vc_raised_cosine(n, fade);
-        for (i = 0; i < channels; i++) {
-            int16_t *height = profile->heights + (size_t)n * channels + i;
-            const int64_t sum = rise * *height + ((1 << 24) - rise) * behind[(size_t)n * channels + i];
-            *height = (int16_t)vc_rounded(sum);
-        }
-    }
 }
 
 /* Makes an octave from the one above it. */
@@ -150,7 +127,6 @@ void vc_profile_load(vc_profile *profile, const int16_t *decoded, uint32_t sampl
     profile->loaded += samples;
     if (profile->loaded < profile->samples)
         return;
-    join_ends(profile);
     continue_end(profile, 0);
     for (octave = 1; octave < profile->octaves; octave++) {
         decimate(profile, octave);
