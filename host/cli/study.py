@@ -117,6 +117,7 @@ def run(
                 aids = Aids(
                     stimulus_seconds=read.stimulus_seconds,
                     masking_noise_dbfs=None if noise is None else noise.level_db,
+                    masking_noise_spectrum="white" if noise is None else noise.spectrum,
                     strokes_per_minute=None if hand is None else 60 / hand.stroke_s,
                 )
                 serve(session, host, port, aids, click.echo)

@@ -114,12 +114,14 @@ class Condition(Table, frozen=True, kw_only=True):
 
 
 class MaskingNoise(Table, frozen=True):
-    """[masking_noise]: white noise that the participant hears, so that nobody hears the actuator.
+    """[masking_noise]: noise that the participant hears, so that nobody hears the actuator.
 
-    `level_db`: its RMS re the full scale of the computer's sound output.
+    `level_db`: its RMS re the full scale of the sound output; peaks lie up to 16 dB higher. `spectrum`: white has the
+    same power in each Hz, and pink in each octave.
     """
 
-    level_db: Annotated[float, within(-80, -6, "level in dB re full scale")] = -30.0
+    level_db: Annotated[float, within(-80, -16, "level in dB re full scale")] = -30.0
+    spectrum: Literal["white", "pink"] = "white"
 
 
 class Hand(Table, frozen=True):
@@ -173,6 +175,8 @@ class StudyTables(Table, frozen=True, kw_only=True):
     method: Annotated[str, one_of(METHODS)]
     seed: Annotated[int, within(0, 2**32 - 1)] = 1
     repetitions: Annotated[int, within(1, 100, "repetitions of each trial")] = 1
+    order: Literal["balanced", "random"] = "balanced"
+    textures_per_participant: Annotated[int, within(1, 100, "textures of each participant")] | None = None
     practice_trials: Annotated[int, within(0, 50, "trials before the first that counts")] = 0
     trials_per_block: Annotated[int, within(1, 1000, "trials from break to break")] = 20
     break_seconds: Annotated[float, within(0, 3600, "least length of a break in s")] = 30.0
@@ -200,6 +204,11 @@ class StudyTables(Table, frozen=True, kw_only=True):
         check_names("textures", [each.name for each in self.textures])
         check_names("conditions", [each.name for each in self.conditions])
         check_names("questions", [each.name for each in self.questions])
+        if (self.textures_per_participant or 0) > len(self.textures):
+            raise ValueError(
+                f"textures_per_participant is {self.textures_per_participant}, and there are {len(self.textures)} "
+                "[[textures]]; lower it, or add textures"
+            )
         roles = [each.role for each in self.conditions]
         for role in (REFERENCE, HIDDEN_REFERENCE):
             if roles.count(role) > 1:
