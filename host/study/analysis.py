@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast.host.study import statistics, stimuli
-from vibrocast.host.study.methods import GRADES, MAIN, design, staircase_of, textures_of
+from vibrocast.host.study.methods import GRADES, MAIN, design, staircase_of, staircases_of
 from vibrocast.host.study.session import LOG, RESULTS, RUN
 from vibrocast.host.study.simulation import SIMULATED
 from vibrocast.host.study.statistics import Correlation, Interval, MixedModel, PairedTest
-from vibrocast.host.study.study_file import CONDITION, HIDDEN_REFERENCE, Study, read_study
+from vibrocast.host.study.study_file import HIDDEN_REFERENCE, Study, read_study
 from vibrocast.host.study.trials import RESULT_COLUMNS, Stimulus, StudyError
 
 STUDY_FILE, STIMULI = "study.toml", "stimuli"
@@ -221,7 +221,7 @@ def _missing(rows: Sequence[Row], study: Study, number: int) -> str | None:
     if first is not None and first.total is not None:
         answered = len({row["trial"] for row in rows})
         return None if answered >= first.total else f"{answered} of {first.total} trials"
-    pairs = [(texture, name) for texture in textures_of(study, number) for name in study.of_role(CONDITION)]
+    pairs = staircases_of(study, number)
     finished = sum(_is_finished([row for row in rows if (row["texture"], row["condition"]) == pair], study)
                    for pair in pairs)  # fmt: skip
     return None if finished == len(pairs) else f"{finished} of {len(pairs)} staircases"

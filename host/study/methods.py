@@ -100,9 +100,9 @@ class FixedDesign(Design):
     def _trials_of(self, texture: str, names: Sequence[str], repetition: int) -> Iterator[Trial]:
         """Return the trials of a texture in one repetition, with its conditions in their balanced order."""
 
-    def _rated(self) -> tuple[str, ...]:
-        """Return the names of the conditions that are rated."""
-        return self.study.of_role(CONDITION, HIDDEN_REFERENCE, ANCHOR)
+    def _rated(self, texture: str) -> tuple[str, ...]:
+        """Return the names of the conditions that are rated of a texture."""
+        return self.study.of_role(CONDITION, HIDDEN_REFERENCE, ANCHOR, texture=texture)
 
     def _main_trials(self) -> Iterator[Trial]:
         """Return all trials: in each repetition all textures, of each texture all conditions in one go."""
@@ -113,7 +113,9 @@ class FixedDesign(Design):
         for repetition in range(study.repetitions):
             row = (self.participant - 1) // shares + repetition
             for texture in balanced_order(names, row, [study.seed, _TEXTURES]):
-                conditions = balanced_order(self._rated(), row, [study.seed, _CONDITIONS, _place(study, texture)])
+                conditions = balanced_order(
+                    self._rated(texture), row, [study.seed, _CONDITIONS, _place(study, texture)]
+                )
                 yield from self._trials_of(texture, conditions, repetition)
 
 
@@ -135,8 +137,8 @@ class SameDifferent(FixedDesign):
 
     question = "Are the two the same?"
 
-    def _rated(self) -> tuple[str, ...]:
-        return self.study.of_role(CONDITION, ANCHOR)
+    def _rated(self, texture: str) -> tuple[str, ...]:
+        return self.study.of_role(CONDITION, ANCHOR, texture=texture)
 
     def _trials_of(self, texture: str, names: Sequence[str], repetition: int) -> Iterator[Trial]:
         reference = self.study.of_role(REFERENCE)[0]
@@ -157,8 +159,8 @@ class Abx(FixedDesign):
 
     question = "Is X the same as A or as B?"
 
-    def _rated(self) -> tuple[str, ...]:
-        return self.study.of_role(CONDITION, ANCHOR)
+    def _rated(self, texture: str) -> tuple[str, ...]:
+        return self.study.of_role(CONDITION, ANCHOR, texture=texture)
 
     def _trials_of(self, texture: str, names: Sequence[str], repetition: int) -> Iterator[Trial]:
         reference = self.study.of_role(REFERENCE)[0]
@@ -178,8 +180,8 @@ class TwoAlternative(FixedDesign):
 
     question = "Which one feels more distorted?"
 
-    def _rated(self) -> tuple[str, ...]:
-        return self.study.of_role(CONDITION, ANCHOR)
+    def _rated(self, texture: str) -> tuple[str, ...]:
+        return self.study.of_role(CONDITION, ANCHOR, texture=texture)
 
     def _trials_of(self, texture: str, names: Sequence[str], repetition: int) -> Iterator[Trial]:
         reference = self.study.of_role(REFERENCE)[0]
@@ -255,7 +257,7 @@ class AdaptiveDesign(Design):
         super().__init__(study, participant)
         assert study.staircase is not None, "the study file is checked"
         self._rule = study.staircase
-        pairs = [(texture, name) for texture in textures_of(study, participant) for name in study.of_role(CONDITION)]
+        pairs = staircases_of(study, participant)
         self._order = (
             shuffled(pairs, [study.seed, participant, _TRIALS])
             if study.order == "random"
@@ -305,6 +307,12 @@ class AdaptiveDesign(Design):
             if self._is_of(each.trial, texture, name):
                 staircase.update(each.answer.values[0] == each.trial.facts["correct"])
         return staircase
+
+
+def staircases_of(study: Study, participant: int) -> list[tuple[str, str]]:
+    """Return texture and condition of each staircase of a participant, in the order of the study file."""
+    names = textures_of(study, participant)
+    return [(texture, name) for texture in names for name in study.of_role(CONDITION, texture=texture)]
 
 
 def staircase_of(study: Study) -> TransformedUpDown | Bayesian:

@@ -28,7 +28,7 @@ information through rate and temporal codes in primate somatosensory cortex", PL
 the stimulus is too coarse. The value is assumed: the order of the shortest gap that people feel in a vibration."""
 COURSE_RATE_HZ = 1000.0
 """Of the courses; the integrator leaves little above half of it."""
-_RATE_HZ = 4 * MAX_HZ  # of squares of what lies below MAX_HZ, without aliases
+_RATE_HZ = 4 * MAX_HZ  # so that squares of bands below MAX_HZ do not alias
 _LEAST_S = 0.2
 _RAMP_S = 0.05  # at both ends, so that they do not click; it counts for nothing
 BANDS_HZ = np.geomspace(MIN_HZ, MAX_HZ, 11)
@@ -71,16 +71,17 @@ QUALITY_PER_DIFFERENCE = 12.0
 
 @dataclass(frozen=True, eq=False)
 class Skin:
-    """The displacement at the skin: float64 (n, channels) in um, at a rate."""
+    """The displacement at the skin: float64 (n, channels) in um, at a rate; and how fast its course is felt."""
 
     displacement_um: Samples
     rate_hz: float
+    integration_s: float = INTEGRATION_S
 
     @cached_property
     def over_threshold(self) -> Samples:
         """The power of each band over its power at the detection threshold, float64 (bands, times).
 
-        A leaky integrator of INTEGRATION_S follows the square of each band, with COURSE_RATE_HZ values a second. Of
+        A leaky integrator of `integration_s` follows the square of each band, with COURSE_RATE_HZ values a second. Of
         several channels the strongest counts in each band and moment. Raises StudyError for values that are no finite
         numbers.
         """
@@ -98,7 +99,7 @@ class Skin:
         spectrum[: len(own)] = own
         bins_hz = np.fft.rfftfreq(fine, 1 / _RATE_HZ)
         spectrum /= threshold_amplitude(read_threshold(), np.maximum(bins_hz, 1), "um")[:, None] / math.sqrt(2)
-        leak = 1 / (1 + 2j * np.pi * bins_hz * INTEGRATION_S)
+        leak = 1 / (1 + 2j * np.pi * bins_hz * self.integration_s)
         courses = []
         for low_hz, high_hz in itertools.pairwise(BANDS_HZ):
             within = (bins_hz >= low_hz) & (bins_hz < high_hz)

@@ -67,20 +67,28 @@ def mean_interval(values: ArrayLike, confidence: float = CONFIDENCE) -> Interval
 def paired_test(values: ArrayLike, reference: ArrayLike, seed: int = 0) -> PairedTest:
     """Return the two-sided paired t-test of values against a reference, both (participants,).
 
-    Without a spread of the differences, t is undefined: p is then 1 where all agree, and None otherwise.
+    t and p as from `t_test`.
     """
-    from scipy import stats
-
     x, y = _finite(values, "values"), _finite(reference, "reference")
     if len(x) != len(y):
         raise StudyError(f"{len(x)} values against {len(y)}; a paired test needs both of every participant")
     differences = x - y
     count, mean = len(x), float(np.mean(x - y)) if len(x) else 0.0
-    effect = effect_size(differences, seed)
-    if count < 2 or not _spreads(differences):
-        return PairedTest(count, mean, None, 1.0 if count >= 2 and not np.any(differences) else None, effect)
-    result = stats.ttest_rel(x, y)
-    return PairedTest(count, mean, float(result.statistic), float(result.pvalue), effect)
+    return PairedTest(count, mean, *t_test(differences), effect_size(differences, seed))
+
+
+def t_test(differences: ArrayLike) -> tuple[float | None, float | None]:
+    """Return t and the two-sided p of paired differences (participants,), with one degree of freedom less than those.
+
+    Without a spread of the differences, t is undefined: p is then 1 where all agree, and None otherwise.
+    """
+    from scipy import stats
+
+    array = _finite(differences, "differences")
+    if len(array) < 2 or not _spreads(array):
+        return None, 1.0 if len(array) >= 2 and not np.any(array) else None
+    result = stats.ttest_1samp(array, 0.0)
+    return float(result.statistic), float(result.pvalue)
 
 
 def effect_size(differences: ArrayLike, seed: int = 0) -> Interval:

@@ -82,12 +82,13 @@ class StudyTexture(TextureTable, frozen=True, kw_only=True):
 class Condition(Table, frozen=True, kw_only=True):
     """An entry of [[conditions]]: how a texture is coded. Without `codec` and `model` it is the recording itself.
 
-    `role`: one of ROLES. `touch`: as in `vibrocast.encode`. `lowpass_hz`: an anchor's corner. `gain_db`: a change of
-    level on purpose.
+    `role`: one of ROLES. `textures`: the names of those that it is for; None = all. `touch`: as in `vibrocast.encode`.
+    `lowpass_hz`: an anchor's corner. `gain_db`: a change of level on purpose.
     """
 
     name: Name
     role: Annotated[str, one_of(ROLES)] = CONDITION
+    textures: Annotated[tuple[Name, ...], Meta(min_length=1)] | None = None
     codec: Text | None = None
     model: Text | None = None
     setting: dict[str, str | int | float] = field(default_factory=dict)
@@ -209,6 +210,18 @@ class StudyTables(Table, frozen=True, kw_only=True):
                 f"textures_per_participant is {self.textures_per_participant}, and there are {len(self.textures)} "
                 "[[textures]]; lower it, or add textures"
             )
+        names = [each.name for each in self.textures]
+        for condition in self.conditions:
+            if unknown := [name for name in condition.textures or () if name not in names]:
+                raise ValueError(
+                    f"condition {condition.name} is for {unknown[0]!r}, and no [[textures]] is named so; choose of "
+                    f"{', '.join(names)}"
+                )
+            if condition.textures is not None and (condition.role != CONDITION or self.method == "paired_comparison"):
+                raise ValueError(
+                    f"condition {condition.name}: a condition for some textures goes with the role {CONDITION!r}, and "
+                    "not with paired_comparison; drop textures"
+                )
         roles = [each.role for each in self.conditions]
         for role in (REFERENCE, HIDDEN_REFERENCE):
             if roles.count(role) > 1:
@@ -236,9 +249,14 @@ class Study(StudyTables, frozen=True, kw_only=True):
         """The condition that all others are compared with; None in a study without."""
         return next((each for each in self.conditions if each.role == REFERENCE), None)
 
-    def of_role(self, *roles: str) -> tuple[str, ...]:
-        """Return the names of the conditions of some roles."""
-        return tuple(each.name for each in self.conditions if each.role in roles)
+    def conditions_of(self, texture: str) -> tuple[Condition, ...]:
+        """Return the conditions of a texture."""
+        return tuple(each for each in self.conditions if each.textures is None or texture in each.textures)
+
+    def of_role(self, *roles: str, texture: str | None = None) -> tuple[str, ...]:
+        """Return the names of the conditions of some roles; of one texture or of all."""
+        conditions = self.conditions if texture is None else self.conditions_of(texture)
+        return tuple(each.name for each in conditions if each.role in roles)
 
     def recordings(self) -> Mapping[str, Recording]:
         """Return each texture's recording by name. Raises StudyError, which names the table."""
