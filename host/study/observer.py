@@ -186,7 +186,8 @@ class Observer:
 
         Levels over threshold differ in each band and moment. The differences combine over bands as independent
         observations do: the root of the sum of squares (Green and Swets, Signal Detection Theory and Psychophysics,
-        1966, chapter 9). Over time their mean square counts, so that a long stimulus is no easier. Nobody knows where
+        1966, chapter 9). Moments count as independent observations too, in the mean: a steady difference has the size
+        of the just noticeable one, which was measured with steady vibrations. Nobody knows where
         in a texture it begins: the shift counts at which the two are most alike. A part under the threshold, or far
         under a stronger one in its band, hardly changes a level. The longer one counts as far as the shorter one lasts.
         """
