@@ -126,10 +126,11 @@ class MaskingNoise(Table, frozen=True):
 
 
 class Hand(Table, frozen=True):
-    """[hand]: the pace at which the hand strokes; the page shows it."""
+    """[hand]: the pace at which the hand strokes; the page shows it. `plays`: whether stimuli play by its position."""
 
     speed_mm_s: Annotated[float, within(1, 1000, "speed in mm/s")]
     stroke_mm: Annotated[float, within(5, 500, "length of a stroke in mm")] = 100.0
+    plays: bool = False
 
     @property
     def stroke_s(self) -> float:
@@ -222,6 +223,13 @@ class StudyTables(Table, frozen=True, kw_only=True):
                     f"condition {condition.name}: a condition for some textures goes with the role {CONDITION!r}, and "
                     "not with paired_comparison; drop textures"
                 )
+        if self.hand is not None and self.hand.plays:
+            for texture in self.textures:
+                if texture.hand_speed_mm_s != self.hand.speed_mm_s:
+                    raise ValueError(
+                        f"texture {texture.name}: stimuli play by position, so its hand_speed_mm_s must be that of "
+                        f"[hand], {self.hand.speed_mm_s:g}; correct one of the two"
+                    )
         roles = [each.role for each in self.conditions]
         for role in (REFERENCE, HIDDEN_REFERENCE):
             if roles.count(role) > 1:
