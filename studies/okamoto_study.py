@@ -38,7 +38,7 @@ DEGREES = 9
 """Of freedom: ten people graded each texture."""
 EXAMPLES = Path(__file__).parents[1] / "examples" / "studies"
 PARTICIPANTS = 15
-STUDIES = 40
+STUDIES = 100
 """Simulated studies of the design. Each has its own people, orders and noise, so their spread is that of the method."""
 INTEGRATIONS_S = (0.2, 0.02, INTEGRATION_S, 0.005)
 TEXTURES = ("wood", "sandpaper", "leather")
@@ -366,14 +366,18 @@ class Integration:
     noticed_percent: float
 
 
-def integrations(stage: Stage, table: Sequence[Published], seeds: Iterable[int]) -> list[Integration]:
-    """Return the agreement for each of INTEGRATIONS_S, and who notices sandpaper with four linear levels."""
+def integrations(
+    stage: Stage, simulated: Simulated, table: Sequence[Published], seeds: Sequence[int]
+) -> list[Integration]:
+    """Return the agreement for each of INTEGRATIONS_S, and who notices sandpaper with four linear levels.
+
+    `simulated`: the studies with the observer's own.
+    """
     found = []
-    seeds = list(seeds)
     for integration_s in INTEGRATIONS_S:
-        simulated = stage.grades(seeds, integration_s)
-        agreeing, rho = (np.percentile(each, SPREAD) for each in simulated.agreement(table))
-        noticed = 100 * float(np.mean(simulated.tests["sandpaper", f"{LINEAR} 4"][1]))
+        other = simulated if integration_s == INTEGRATION_S else stage.grades(seeds, integration_s)
+        agreeing, rho = (np.percentile(each, SPREAD) for each in other.agreement(table))
+        noticed = 100 * float(np.mean(other.tests["sandpaper", f"{LINEAR} 4"][1]))
         found.append(Integration(integration_s, agreeing, rho, noticed))
     return found
 
@@ -516,7 +520,7 @@ def write(out: Path, studies: int) -> None:
         stage = Stage(Path(folder))
         simulated = stage.grades(seeds)
         rows, sensitivities = results(stage, simulated, table), stage.sensitivities(seeds)
-        integrated = integrations(stage, table, seeds[: max(2, studies // 4)])
+        integrated = integrations(stage, simulated, table, seeds)
     tables = results_folder(out)
     write_rows(tables / "simulated_study.csv", map(_rounded, rows), Result)
     write_rows(tables / "simulated_study_sensitivity.csv", map(_rounded, sensitivities), Sensitivity)
