@@ -351,17 +351,18 @@ def _comparison_note(controller: Controller, result: player.PlaybackResult, unre
     )
 
 
-def at_the_skin(stream: Stream, actuator: Actuator) -> Recording:
+def at_the_skin(stream: Stream, actuator: Actuator, loops: int = 1) -> Recording:
     """Return the displacement at the skin, um, aligned to the recording, at SKIN_OVERSAMPLING times the DAC's rate.
 
-    Raises ControllerError where the actuator's DAC cannot play the stream, StreamError for a height profile.
+    The stream plays `loops` times without a gap. Raises ControllerError where the actuator's DAC cannot play the
+    stream, StreamError for a height profile.
     """
     if stream.header.spatial:
         raise StreamError("a height profile moves the skin only under a hand; play it with --positions or --stroke-mm")
     decoder = stream.decoder()
     late_s = decoder.delay_samples / stream.header.rate_hz + output_delay_s(stream.header, actuator)
-    codes, _ = render(stream.header, stream.decode_integers(), decoder.delay_samples, actuator)
-    skin = _skin_um(actuator, codes, late_s, 0.0, stream.seconds)
+    codes, _ = render(stream.header, stream.decode_integers(), decoder.delay_samples, actuator, loops=loops)
+    skin = _skin_um(actuator, codes, late_s, 0.0, loops * stream.seconds)
     return Recording(skin, SKIN_OVERSAMPLING * actuator.dac_rate_hz, "um", "skin")
 
 

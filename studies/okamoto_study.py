@@ -1,396 +1,550 @@
 """Puts simulated observers through the texture paper's listening study: `python -m studies.okamoto_study`."""
 
+import csv
 import itertools
-import math
-import tempfile
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
+from typing import Any, TypeVar
 
 import click
+import msgspec
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from scipy import stats
 
-from studies.page import OUT, errors_in_one_line, render, results_folder, write_rows
+from studies.page import OUT, commit, errors_in_one_line, render, results_folder, write_rows
 from studies.page import write as write_page
-from studies.texture_paper import HAND_SPEED_MM_S, PAPER_LEVELS, PUBLISHED, SIXTEEN_BITS, STRETCH_MM, generated_profiles
-from vibrocast import pages, pictures, textures
+from studies.texture_paper import HAND_SPEED_MM_S, STRETCH_MM, generated_profiles
+from vibrocast import pictures, textures
 from vibrocast.files import atomic_write
-from vibrocast.host.study import analysis, statistics, stimuli
-from vibrocast.host.study.analysis import ALPHA, Analysis
-from vibrocast.host.study.simulation import SkinOf, simulate_participant
-from vibrocast.host.study.study_file import Study, read_study
-from vibrocast.host.study.trials import Stimulus
-from vibrocast.output.actuator import ACTUATORS, Actuator
+from vibrocast.host.study import statistics, stimuli
+from vibrocast.host.study.analysis import ALPHA
+from vibrocast.host.study.methods import MAIN, Answered, design
+from vibrocast.host.study.observer import INTEGRATION_S, Observer, Skin
+from vibrocast.host.study.simulation import SkinOf
+from vibrocast.host.study.study_file import Study, StudyTexture, read_study
+from vibrocast.host.study.trials import Answer
+from vibrocast.output.actuator import ACTUATORS
 
-OBSERVERS = 10
-"""Of each texture, as in the paper."""
-REPETITIONS = 2
-PAIRS = 4
-"""Same-different trials of each condition and observer, half of them the same. The count is this study's own."""
-LEVELS = (*PAPER_LEVELS, 20, 28, 40, 64, 128)
-"""The paper's, and finer ones: an observer may notice all of the paper's."""
-CUTS_DB = (-20, -16, -12, -8, -4, 0, 4, 8, 12)
-"""The paper's range is -12 to 12 dB."""
-LIMIT_HZ = 400
-GAIN_DB = -6.0
-"""Of all stimuli, so that no limit of the actuator acts."""
-ACTUATOR = "piezo-stack"
-UNCOMPRESSED, AGAIN = "uncompressed", "uncompressed again"
+TABLES = Path(__file__).parent / "data" / "okamoto_tables.csv"
+"""Tables 2 to 4 of S. Okamoto and Y. Yamada, IEEE Transactions on Haptics 6(1), 2013: t with DEGREES, and p."""
+DEGREES = 9
+"""Of freedom: ten people graded each texture."""
+EXAMPLES = Path(__file__).parents[1] / "examples" / "studies"
+PARTICIPANTS = 15
+STUDIES = 100
+"""Simulated studies of the design. Each has its own people, orders and noise, so their spread is that of the method."""
+INTEGRATIONS_S = (0.2, 0.02, INTEGRATION_S, 0.005)
+TEXTURES = ("wood", "sandpaper", "leather")
 LINEAR, LOG, CUT = FAMILIES = ("linear", "log", "cut")
-VALUES: Mapping[str, Sequence[float]] = {LINEAR: sorted(LEVELS), LOG: sorted(LEVELS), CUT: CUTS_DB}
+AGAIN, UNCOMPRESSED = "uncompressed again", "uncompressed"
+EXCEPTIONS = {"wood": 8, "sandpaper": 10, "leather": 12}
+"""Linear levels that the paper names as unexpectedly similar to the original."""
+SENSITIVITIES = {LINEAR: (0.67, 0.87), CUT: (0.60, 1.15)}
+"""The paper's ranges of d' at the limits of okamoto_pairs.toml: two people, 20 presentations of each condition."""
+MODELS: tuple[statistics.Model, ...] = ("yes_no", "independent", "differencing")
+CRITICAL_T = float(stats.t.ppf(1 - ALPHA / 2, DEGREES))
+"""From this t on, a difference counts as noticed."""
+SPREAD = (5, 50, 95)
+"""Percentiles over the studies."""
+
+Key = tuple[str, str]
+"""Texture and condition."""
+Values = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Published:
+    """A row of the paper's Tables 2 to 4: a texture under a condition, its t and p."""
+
+    texture: str
+    family: str
+    parameter: float
+    t: float
+    p: float
+
+    @property
+    def key(self) -> Key:
+        """Texture and condition, as the study file names it."""
+        return self.texture, f"{self.family} {self.parameter:g}"
+
+    @property
+    def is_noticed(self) -> bool:
+        """Whether the test finds a difference."""
+        return self.p < ALPHA
+
+
+def read_tables() -> list[Published]:
+    """Return the rows of TABLES."""
+    with TABLES.open(newline="", encoding="utf-8") as file:
+        return [
+            Published(
+                row["texture"], row["algorithm"].removesuffix("_db"), *map(float, (row["level"], row["t9"], row["p"]))
+            )
+            for row in csv.DictReader(file)
+        ]
 
 
 @dataclass(frozen=True)
 class Result:
-    """One texture under one condition, as simulated observers judged it.
+    """One texture under one condition. Of t and of the percentiles: over STUDIES simulated studies.
 
-    `parameter`: levels L, or the offset b0 of the cut in dB. `mean_grade`: 0 = same to 3 = different. `t`, `p`: of the
-    paired t-test against the hidden reference, without correction. `holm_p`: corrected over the conditions of the
-    texture. `sensitivity`: d' of same-different trials, with its bootstrap interval.
+    `paper_t`, `paper_p`: from the paper's tables. `noticed_percent`: of the studies. `grade`: the mean, 0 = same to 3 =
+    different. `energy_db`: of the coded texture over the uncompressed one. `snr_db`: against the uncompressed one.
     """
 
     texture: str
     family: str
     parameter: float
-    snr_db: float | None
-    mean_grade: float
-    difference: float
-    t: float | None
-    p: float | None
-    holm_p: float | None
-    sensitivity: float | None
-    sensitivity_low: float | None
-    sensitivity_high: float | None
-
-    @property
-    def is_noticed(self) -> bool:
-        """Whether the t-test finds a higher grade than that of the hidden reference."""
-        return self.difference > 0 and (self.p is None or self.p < ALPHA)
+    paper_t: float
+    paper_p: float
+    t_low: float
+    t: float
+    t_high: float
+    noticed_percent: float
+    grade: float
+    energy_db: float
+    snr_db: float
 
 
-def setting(family: str, parameter: float) -> str:
-    """Return the setting of the codec dct in TOML."""
-    levels = SIXTEEN_BITS if family == CUT else int(parameter)
-    cut = f', threshold = "on", b0_db = {parameter:g}' if family == CUT else ""
-    quantiser = LOG if family == LOG else LINEAR
-    return (
-        f'{{ quantiser = "{quantiser}", levels = {levels}, block = "whole", limit_hz = {LIMIT_HZ}, dc = "drop"{cut} }}'
-    )
+@dataclass(frozen=True)
+class Sensitivity:
+    """d' of a condition at the paper's limits by one formula, in studies: the median and the 5 and 95 % percentiles."""
+
+    texture: str
+    family: str
+    parameter: float
+    formula: str
+    paper_low: float
+    paper_high: float
+    low: float
+    value: float
+    high: float
 
 
-def conditions() -> dict[str, tuple[str, float]]:
-    """Return family and parameter of each condition by its name."""
-    return {f"{family} {value:g}": (family, value) for family in FAMILIES for value in VALUES[family]}
+@dataclass(frozen=True)
+class Simulated:
+    """Simulated studies: grades (studies, people) of each stimulus, and its t and whether it is noticed, (studies,)."""
+
+    grades: Mapping[Key, Values]
+
+    @cached_property
+    def tests(self) -> Mapping[Key, tuple[Values, NDArray[np.bool_]]]:
+        """t against the hidden reference, 0 where all people agree, and whether it is noticed."""
+        found = {}
+        for key, grades in self.grades.items():
+            pairs = [statistics.t_test(each) for each in grades - self.grades[key[0], AGAIN]]
+            t = np.array([0.0 if each is None else each for each, _ in pairs])
+            found[key] = t, (t > 0) & np.array([p is not None and p < ALPHA for _, p in pairs])
+        return found
+
+    def agreement(self, table: Sequence[Published]) -> tuple[Values, Values]:
+        """Return in how many rows of the table significance agrees, and Spearman's rho of t, both (studies,)."""
+        noticed = np.array([self.tests[row.key][1] for row in table])
+        paper = np.array([row.is_noticed for row in table])[:, None]
+        t = np.array([self.tests[row.key][0] for row in table])
+        rho = [float(stats.spearmanr(each, [row.t for row in table]).statistic) for each in t.T]
+        return np.sum(noticed == paper, axis=0).astype(float), np.array(rho)
 
 
-def study_file(method: str, repetitions: int, names: Iterable[str]) -> str:
-    """Return the study of a method in TOML. The profile of each texture lies next to it, as NAME.csv.
-
-    The uncompressed texture loses DC and all above 400 Hz too, so that quantisation alone is judged.
-    """
-    lines = [
-        'name = "okamoto"',
-        'title = "The listening study of the texture paper"',
-        f'method = "{method}"',
-        "seed = 2013",
-        f"repetitions = {repetitions}",
-        "trials_per_block = 1000",
-        "stimulus_seconds = 5",
-        "match_levels = false",
-        f"gain_db = {GAIN_DB:g}",
-    ]
-    for name in names:
-        lines += ["[[textures]]", f'name = "{name}"', f'file = "{name}.csv"', f"hand_speed_mm_s = {HAND_SPEED_MM_S:g}"]
-    whole = setting(LINEAR, SIXTEEN_BITS)
-    for name, role in ((UNCOMPRESSED, "reference"), (AGAIN, "hidden reference")):
-        lines += ["[[conditions]]", f'name = "{name}"', f'role = "{role}"', 'codec = "dct"', f"setting = {whole}"]
-    for name, (family, parameter) in conditions().items():
-        lines += ["[[conditions]]", f'name = "{name}"', 'codec = "dct"', f"setting = {setting(family, parameter)}"]
-    return "\n".join(lines) + "\n"
-
-
-def first_stretch(profile: textures.Profile) -> textures.Profile:
-    """Return the first 10 mm of a profile, the length of the paper's; a shorter one as it is."""
-    count = round(1000 * STRETCH_MM / profile.spacing_um)
-    return replace(profile, heights_um=profile.heights_um[:count])
-
-
-def judge(profiles: Mapping[str, textures.Profile], observers: int, folder: Path) -> tuple[Analysis, Analysis]:
-    """Let simulated observers grade all conditions and compare pairs; return both analyses. Raises StudyError."""
-    actuator = ACTUATORS[ACTUATOR]
-    for name, profile in profiles.items():
-        textures.save_profile(folder / f"{name}.csv", first_stretch(profile))
-    graded = _study(folder, "degradation", REPETITIONS, profiles)
-    prepared = stimuli.prepare(graded, actuator)
-    skin_of = SkinOf(prepared, actuator)
-    found = []
-    for study in (graded, _study(folder, "same_different", PAIRS // 2, profiles)):
-        out = folder / study.method
-        _simulate(study, prepared, skin_of, observers, out, actuator)
-        found.append(analysis.analyse(out))
-    return found[0], found[1]
-
-
-def _study(folder: Path, method: str, repetitions: int, names: Iterable[str]) -> Study:
-    path = folder / f"{method}.toml"
-    path.write_text(study_file(method, repetitions, names), encoding="utf-8")
-    return read_study(path)
-
-
-def _simulate(
-    study: Study, prepared: Sequence[Stimulus], skin_of: SkinOf, observers: int, out: Path, actuator: Actuator
-) -> None:
-    """Write the results folder of a study with simulated observers."""
-    stimuli.save(out / analysis.STIMULI, tuple(prepared), actuator)
-    (out / analysis.STUDY_FILE).write_bytes((Path(study.folder) / f"{study.method}.toml").read_bytes())
-    for number in range(1, observers + 1):
-        simulate_participant(study, prepared, skin_of, number, out / f"participant_{number:03}")
-
-
-def results(graded: Analysis, compared: Analysis) -> list[Result]:
-    """Return a row for each texture and condition."""
-    sensitivities = {(each.texture, each.condition): each.sensitivity for each in compared.detections}
-    snrs_db = {(each.texture, each.condition): each.facts["snr_db"] for each in graded.stimuli}
-    families = conditions()
-    rows = []
-    for each in graded.ratings:
-        if each.test is not None and each.condition in families:
-            key = each.texture, each.condition
-            d = sensitivities[key]
-            rows.append(
-                Result(
-                    each.texture,
-                    *families[each.condition],
-                    snrs_db[key],
-                    each.mean.value or 0.0,
-                    each.test.difference,
-                    each.test.t,
-                    each.test.p,
-                    each.test.holm_p,
-                    d.value,
-                    d.low,
-                    d.high,
-                )
-            )
-    return rows
-
-
-def limit(rows: Iterable[Result], texture: str, family: str, among: Sequence[float]) -> float | None:
-    """Return the coarsest value among some from which on nobody noticed a condition; None where all were noticed.
-
-    The fewest levels, or the highest b0. It ends at the first value that is noticed, from the finest one on.
-    """
-    own = {row.parameter: row for row in rows if (row.texture, row.family) == (texture, family)}
+def limit(noticed: Mapping[float, bool], family: str) -> float | None:
+    """Return the coarsest value from which on nothing is noticed, from the finest one on; None if that is noticed."""
     found = None
-    for value in sorted(among, reverse=family != CUT):
-        if own[value].is_noticed:
+    for value in sorted(noticed, reverse=family != CUT):
+        if noticed[value]:
             break
         found = value
     return found
 
 
 @dataclass(frozen=True)
-class Fall:
-    """Two neighbouring counts of levels of which the finer one got the worse grade.
-
-    `p`: of the paired t-test, after Holm's correction over all steps of the texture.
-    """
+class Limit:
+    """The limit of a texture: the paper's, and in which per cent of studies it came out as each value, most first."""
 
     texture: str
-    coarse: float
-    fine: float
-    difference: float
-    p: float | None
+    family: str
+    paper: float | None
+    percent: Mapping[float | None, float]
 
 
-def falls(graded: Analysis, texture: str) -> list[Fall]:
-    """Return where linear quantisation with more levels was graded as worse."""
-    grades = {each.condition: each.by_participant for each in graded.ratings if each.texture == texture}
-    steps = list(itertools.pairwise(sorted(LEVELS)))
-    pairs = [(grades[f"{LINEAR} {fine:g}"], grades[f"{LINEAR} {coarse:g}"]) for coarse, fine in steps]
-    tests = [statistics.paired_test(list(fine.values()), list(coarse.values())) for fine, coarse in pairs]
-    corrected = statistics.holm([test.p for test in tests])
-    return [
-        Fall(texture, *step, test.difference, p)
-        for step, test, p in zip(steps, tests, corrected, strict=True)
-        if test.difference > 0
-    ]
-
-
-@dataclass(frozen=True)
-class Claim:
-    """A finding of the paper, and that of the simulated observers. `is_order`: it compares surfaces or settings."""
-
-    text: str
-    paper: str
-    here: str
-    agrees: bool
-    is_order: bool
-
-
-def claims(rows: Sequence[Result], falling: Sequence[Fall]) -> list[Claim]:
-    """Return the paper's findings of its listeners, orders first, with those of simulated observers."""
-    names = ("wood", "sandpaper", "leather")
-    # Where even the finest is noticed, the limit lies beyond it.
-    levels = {name: limit(rows, name, LINEAR, LEVELS) or math.inf for name in names}
-    paper_levels = {name: limit(rows, name, LINEAR, PAPER_LEVELS) for name in names}
-    cuts_db = {name: limit(rows, name, CUT, CUTS_DB) for name in names}
-    heights_db = [-math.inf if value is None else value for value in cuts_db.values()]
-    zero = {row.texture: row.is_noticed for row in rows if (row.family, row.parameter) == (CUT, 0)}
-    worse = [each for each in falling if each.fine <= max(PAPER_LEVELS)]
-
-    def order(text: str, holds: bool, here: str) -> Claim:
-        return Claim(text, "yes", here, holds, is_order=True)
-
-    found = [
-        order(
-            "leather bears fewer linear levels than wood and sandpaper",
-            levels["leather"] < min(levels["wood"], levels["sandpaper"]),
-            ", ".join(f"{name} {_level(value)}" for name, value in levels.items()),
-        ),
-        order(
-            "b0 rises from wood over sandpaper to leather",
-            heights_db == sorted(set(heights_db)) and len(set(heights_db)) == len(names),
-            ", ".join(f"{name} {_cut(value)}" for name, value in cuts_db.items()),
-        ),
-        order(
-            "a cut at the threshold, b0 = 0 dB, is noticed on wood and sandpaper",
-            zero["wood"] and zero["sandpaper"],
-            f"noticed on {pages.listed([name for name in names if zero[name]]) or 'none'}",
-        ),
-        order(
-            "mean grades do not fall at every step to more linear levels",
-            bool(worse),
-            "; ".join(f"{each.texture}: {each.fine:g} worse than {each.coarse:g}" for each in worse) or "no such step",
-        ),
-    ]
-    for name in names:
-        paper, here = PUBLISHED[name].levels, paper_levels[name]
-        text = f"{name}: fewest levels, of the paper's, that were not noticed"
-        found.append(Claim(text, f"{paper}", "none" if here is None else f"{here:g}", here == paper, is_order=False))
-    for name in names:
-        paper_db, here_db = PUBLISHED[name].b0_db, cuts_db[name]
-        text = f"{name}: highest b0 that was not noticed"
-        found.append(Claim(text, _cut(paper_db), _cut(here_db), here_db == paper_db, is_order=False))
+def limits(simulated: Simulated, table: Sequence[Published]) -> list[Limit]:
+    """Return the limits of all textures, among the paper's conditions."""
+    found = []
+    for texture, family in itertools.product(TEXTURES, FAMILIES):
+        rows = [row for row in table if (row.texture, row.family) == (texture, family)]
+        if rows:
+            studies = np.array([simulated.tests[row.key][1] for row in rows]).T
+            values = [row.parameter for row in rows]
+            counts = Counter(limit(dict(zip(values, each, strict=True)), family) for each in studies.tolist())
+            paper = limit({row.parameter: row.is_noticed for row in rows}, family)
+            percent = {value: 100 * count / len(studies) for value, count in counts.most_common()}
+            found.append(Limit(texture, family, paper, percent))
     return found
 
 
-def _level(value: float) -> str:
-    return f"{value:g}" if math.isfinite(value) else f"more than {max(LEVELS)}"
+def agreeing_percent(found: Sequence[Limit]) -> float:
+    """Return in how many per cent of all studies and limits the paper's came out."""
+    return float(np.mean([each.percent.get(each.paper, 0.0) for each in found]))
 
 
-def _cut(value: float | None) -> str:
-    return f"below {min(CUTS_DB):+g} dB" if value is None else f"{value:+g} dB"
+@dataclass(frozen=True)
+class Similar:
+    """Linear levels that the paper names as unexpectedly similar to the original.
+
+    `worse`: by how much the mean grade is worse than that of the next finer levels; percentiles SPREAD over the
+    studies. `percent`: of the studies in which it is not worse.
+    """
+
+    texture: str
+    levels: int
+    finer: float
+    worse: Values
+    percent: float
 
 
-def draw(path: Path, graded: Analysis) -> None:
-    """Draw mean grades over levels and over the offset of the cut, a column for each of the paper's materials."""
-    grades = {(each.texture, each.condition): each.mean for each in graded.ratings}
-    names = list(PUBLISHED)
-    figure = Figure(figsize=(9.6, 5.2), layout="constrained")
-    figure.suptitle("Simulated observers, not people", fontsize=pictures.SMALL_POINTS, color=pictures.GREY)
-    grid = figure.subplots(2, len(names), sharey=True, sharex="row")
-    for column, name in enumerate(names):
-        for row, (families, paper) in enumerate(
-            (((LINEAR, LOG), PUBLISHED[name].levels), ((CUT,), PUBLISHED[name].b0_db))
+def similar(simulated: Simulated, table: Sequence[Published]) -> list[Similar]:
+    """Return EXCEPTIONS as simulated observers grade them."""
+    found = []
+    for texture, levels in EXCEPTIONS.items():
+        finer = min(row.parameter for row in table if row.texture == texture and row.family == LINEAR
+                    and row.parameter > levels)  # fmt: skip
+        grades = [simulated.grades[texture, f"{LINEAR} {each:g}"].mean(axis=1) for each in (levels, finer)]
+        worse = grades[0] - grades[1]
+        found.append(Similar(texture, levels, finer, np.percentile(worse, SPREAD), 100 * float(np.mean(worse <= 0))))
+    return found
+
+
+def orders(simulated: Simulated, table: Sequence[Published]) -> dict[str, float]:
+    """Return the orders that the paper reports, with the per cent of studies that have them."""
+    studies = len(simulated.grades[TEXTURES[0], AGAIN])
+    holds: dict[str, list[bool]] = {}
+    for study in range(studies):
+
+        def reached(texture: str, family: str, beyond: float, study: int = study) -> float:
+            rows = [row for row in table if (row.texture, row.family) == (texture, family)]
+            found = limit({row.parameter: bool(simulated.tests[row.key][1][study]) for row in rows}, family)
+            return beyond if found is None else found
+
+        levels, cuts = ([reached(name, *way) for name in TEXTURES] for way in ((LINEAR, np.inf), (CUT, -np.inf)))
+        grades = [
+            [simulated.grades[name, f"{LINEAR} {value}"][study].mean() for value in (14, 12, 10, 8, 6, 5, 4)]
+            for name in TEXTURES
+        ]
+        noticed = [bool(simulated.tests[name, f"{CUT} 0"][1][study]) for name in ("wood", "sandpaper")]
+        for text, is_so in (
+            ("leather bears fewer linear levels than wood and sandpaper", levels[2] < min(levels[:2])),
+            ("b0 rises from wood over sandpaper to leather", cuts[0] < cuts[1] < cuts[2]),
+            ("a cut at the threshold, b0 = 0 dB, is noticed on wood and sandpaper", all(noticed)),
+            ("some coarser linear levels get a better mean grade", any(np.any(np.diff(each) < 0) for each in grades)),
         ):
-            axes = grid[row, column]
-            for family in families:
-                _draw_grades(axes, family, {value: grades[name, f"{family} {value:g}"] for value in VALUES[family]})
-            axes.axvline(paper, color=pictures.INK, linestyle=":", linewidth=1.2, label="the paper's limit")
-            axes.set_title(name, fontsize=pictures.POINTS)
-            axes.set_xlabel("b0 of the cut, dB" if row else "levels L", fontsize=pictures.SMALL_POINTS)
-            axes.tick_params(labelsize=pictures.SMALL_POINTS)
-            axes.spines[["top", "right"]].set_visible(False)
-            axes.grid(color=pictures.PALE, linewidth=0.7)
-            axes.set_ylim(-0.1, 3.1)
-        grid[0, column].set_xscale("log", base=2)
-        grid[0, column].set_xticks([4, 8, 16, 32, 64, 128], ["4", "8", "16", "32", "64", "128"])
-    for axes in grid[:, 0]:
-        axes.set_ylabel("mean grade", fontsize=pictures.SMALL_POINTS)
-    grid[0, 0].legend(fontsize=pictures.SMALL_POINTS, frameon=False)
+            holds.setdefault(text, []).append(bool(is_so))
+    return {text: 100 * float(np.mean(each)) for text, each in holds.items()}
+
+
+class Stage:
+    """The stimuli of the study, prepared once, as simulated observers feel them."""
+
+    def __init__(self, folder: Path) -> None:
+        actuator = ACTUATORS["piezo-stack"]
+        for name, profile in generated_profiles().items():
+            count = round(1000 * STRETCH_MM / profile.spacing_um)
+            textures.save_profile(folder / f"{name}.csv", replace(profile, heights_um=profile.heights_um[:count]))
+        self.graded, self.compared = (
+            _with_profiles(read_study(EXAMPLES / name), folder) for name in ("okamoto.toml", "okamoto_pairs.toml")
+        )
+        prepared = stimuli.prepare(self.graded, actuator)
+        skin_of = SkinOf(prepared, actuator)
+        self.facts = {(each.texture, each.condition): each.facts for each in prepared}
+        self._skins = {each.key: skin_of(each.key, 0.0) for each in prepared}
+        self._heights = {
+            (each.texture, each.condition): each.stream.with_gain(-each.gain_db).decode() for each in prepared
+        }
+
+    def energy_db(self, key: Key) -> float:
+        """Return the energy of a coded texture over that of the uncompressed one."""
+        coded, whole = (float(np.sum(self._heights[key[0], name] ** 2)) for name in (key[1], UNCOMPRESSED))
+        return 10 * float(np.log10(coded / whole)) if coded else -np.inf
+
+    def simulate(
+        self, study: Study, seeds: Iterable[int], integration_s: float
+    ) -> dict[Key, list[dict[int, list[int]]]]:
+        """Let PARTICIPANTS take part once for each seed; return answers of each stimulus by study and participant."""
+        skins: Mapping[str, Skin] = {
+            key: replace(skin, integration_s=integration_s) for key, skin in self._skins.items()
+        }
+        found: dict[Key, list[dict[int, list[int]]]] = {}
+        seeds = list(seeds)
+        for number, seed in enumerate(seeds):
+            drawn = msgspec.structs.replace(study, seed=seed)
+            for participant in range(1, PARTICIPANTS + 1):
+                observer, trials = Observer(seed, participant), design(drawn, participant)
+                history: list[Answered] = []
+                while (trial := trials.next_trial(history)) is not None:
+                    felt = {each.label: skins[str(each.stimulus)] for each in trial.intervals}
+                    values = observer.answer(study.method, trial, felt)
+                    history.append(Answered(trial, Answer(values, 0.0, {})))
+                    if trial.phase == MAIN:
+                        key = trial.texture, str(trial.facts["condition"])
+                        by_study = found.setdefault(key, [{} for _ in seeds])
+                        by_study[number].setdefault(participant, []).append(values[0])
+        return found
+
+    def grades(self, seeds: Iterable[int], integration_s: float = INTEGRATION_S) -> Simulated:
+        """Return the grades of simulated studies, one for each seed."""
+        answers = self.simulate(self.graded, seeds, integration_s)
+        return Simulated(
+            {
+                key: np.array([[np.mean(own) for _, own in sorted(people.items())] for people in by_study])
+                for key, by_study in answers.items()
+            }
+        )
+
+    def sensitivities(self, seeds: Iterable[int]) -> list[Sensitivity]:
+        """Return d' at the paper's limits by each formula, from pairs that are the same and that differ."""
+        answers = self.simulate(self.compared, seeds, INTEGRATION_S)
+        rows = []
+        for texture, family in itertools.product(TEXTURES, (LINEAR, CUT)):
+            ((condition, by_study),) = [
+                (name, own) for (of, name), own in answers.items() if of == texture and name.startswith(family)
+            ]
+            value = condition.split()[1]
+            for model in MODELS:
+                found = []
+                for different, same in zip(by_study, answers[texture, UNCOMPRESSED], strict=True):
+                    hits, false_alarms = (list(itertools.chain(*each.values())) for each in (different, same))
+                    rates = statistics.rates(sum(hits), len(hits), sum(false_alarms), len(false_alarms))
+                    found.append(statistics.sensitivity_same_different(*rates, model))
+                spread = map(float, np.percentile(found, SPREAD))
+                rows.append(Sensitivity(texture, family, float(value), model, *SENSITIVITIES[family], *spread))
+        return rows
+
+
+def _with_profiles(study: Study, folder: Path) -> Study:
+    """Return a study with the surfaces of the page on the texture paper."""
+    named = tuple(StudyTexture(name=name, file=f"{name}.csv", hand_speed_mm_s=HAND_SPEED_MM_S) for name in TEXTURES)
+    return msgspec.structs.replace(study, textures=named, folder=str(folder))
+
+
+def results(stage: Stage, simulated: Simulated, table: Sequence[Published]) -> list[Result]:
+    """Return a row for each condition of the paper's tables."""
+    rows = []
+    for row in table:
+        t, noticed = simulated.tests[row.key]
+        low, median, high = np.percentile(t, SPREAD).tolist()
+        rows.append(
+            Result(
+                texture=row.texture,
+                family=row.family,
+                parameter=row.parameter,
+                paper_t=row.t,
+                paper_p=row.p,
+                t_low=low,
+                t=median,
+                t_high=high,
+                noticed_percent=100 * float(np.mean(noticed)),
+                grade=float(np.mean(simulated.grades[row.key])),
+                energy_db=stage.energy_db(row.key),
+                snr_db=stage.facts[row.key]["snr_db"] or 0.0,
+            )
+        )
+    return rows
+
+
+@dataclass(frozen=True)
+class Integration:
+    """How simulated studies agree with the paper under another time of integration."""
+
+    integration_s: float
+    agreeing: Values
+    rho: Values
+    noticed_percent: float
+
+
+def integrations(
+    stage: Stage, simulated: Simulated, table: Sequence[Published], seeds: Sequence[int]
+) -> list[Integration]:
+    """Return the agreement for each of INTEGRATIONS_S, and who notices sandpaper with four linear levels.
+
+    `simulated`: the studies with the observer's own.
+    """
+    found = []
+    for integration_s in INTEGRATIONS_S:
+        other = simulated if integration_s == INTEGRATION_S else stage.grades(seeds, integration_s)
+        agreeing, rho = (np.percentile(each, SPREAD) for each in other.agreement(table))
+        noticed = 100 * float(np.mean(other.tests["sandpaper", f"{LINEAR} 4"][1]))
+        found.append(Integration(integration_s, agreeing, rho, noticed))
+    return found
+
+
+STYLES: Mapping[str, tuple[str, str]] = {
+    LINEAR: ("o", pictures.BLUE),
+    LOG: ("s", pictures.ORANGE),
+    CUT: ("o", pictures.BLUE),
+}
+"""Marker and colour of each family; the paper's values are hollow and of the same shape."""
+
+
+def _axes_style(axes: Axes) -> None:
+    axes.tick_params(labelsize=pictures.SMALL_POINTS)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(color=pictures.PALE, linewidth=0.7)
+
+
+def draw_t(path: Path, rows: Sequence[Result]) -> None:
+    """Draw t of the paper and of the simulated studies over levels and over b0, a column for each texture."""
+    figure = Figure(figsize=(9.6, 5.6), layout="constrained")
+    figure.suptitle("Simulated observers, not people: 5 to 95 % of the studies", fontsize=pictures.POINTS)
+    grid = figure.subplots(2, len(TEXTURES), sharey=True, sharex="row")
+    for (line, families), (column, texture) in itertools.product(
+        enumerate(((LINEAR, LOG), (CUT,))), enumerate(TEXTURES)
+    ):
+        axes = grid[line, column]
+        for family, shift in zip(families, (-0.12, 0.12), strict=False):
+            own = [row for row in rows if (row.texture, row.family) == (texture, family)]
+            if not own:
+                continue
+            marker, colour = STYLES[family]
+            x = np.array([row.parameter for row in own]) + (shift if family != CUT else 0.0)
+            t = np.array([(row.t, row.t - row.t_low, row.t_high - row.t) for row in own]).T
+            style: Any = {"color": colour, "markersize": 4, "elinewidth": 1.0, "linewidth": 0.8}
+            name = "threshold cut" if family == CUT else f"{family} levels"
+            axes.errorbar(x, t[0], t[1:], fmt=f"{marker}-", label=f"{name}: simulated", **style)
+            axes.plot(
+                x, [row.paper_t for row in own], marker, markersize=7, markerfacecolor="none",
+                markeredgecolor=pictures.INK, label=f"{name}: the paper",
+            )  # fmt: skip
+        axes.axhline(CRITICAL_T, color=pictures.INK, linestyle=":", linewidth=1.0)
+        axes.set_yscale("symlog", linthresh=3, linscale=1.2)
+        axes.set_yticks([0, 1, 2, 3, 5, 10, 20], ["0", "1", "2", "3", "5", "10", "20"])
+        axes.set_title(texture, fontsize=pictures.POINTS)
+        axes.set_xlabel("b0 of the cut, dB" if line else "levels L", fontsize=pictures.SMALL_POINTS)
+        _axes_style(axes)
+        if column == 0:
+            axes.set_ylabel("t, 9 degrees of freedom", fontsize=pictures.SMALL_POINTS)
+            axes.legend(fontsize=pictures.SMALL_POINTS, frameon=False)
     with atomic_write(path) as partial:
         pictures.write(figure, partial)
 
 
-def _draw_grades(axes: Axes, family: str, means: Mapping[float, statistics.Interval]) -> None:
-    """Draw a line of mean grades with their intervals."""
-    marker, colour = {LINEAR: ("o-", pictures.BLUE), LOG: ("s--", pictures.ORANGE), CUT: ("o-", pictures.BLUE)}[family]
-    centre = np.array([each.value for each in means.values()], float)
-    ends = np.array([(each.low, each.high) for each in means.values()], float)
-    style: Any = {"color": colour, "markersize": 4, "linewidth": 1.2, "elinewidth": 0.8}
-    axes.errorbar(list(means), centre, np.abs(ends.T - centre), fmt=marker, label=f"{family} levels", **style)
+FORMULAS: Mapping[str, tuple[str, str, str]] = {
+    "yes_no": ("z(H) - z(F)", "o", pictures.BLUE),
+    "independent": ("independent observation", "s", pictures.ORANGE),
+    "differencing": ("differencing", "^", pictures.GREEN),
+}
+"""Name, marker and colour of each formula of d'."""
 
 
-def markdown(graded: Analysis, rows: Sequence[Result], observers: int) -> str:
+def draw_sensitivities(path: Path, rows: Sequence[Sensitivity]) -> None:
+    """Draw d' at the paper's limits by each formula, with the paper's ranges."""
+    figure = Figure(figsize=(7.2, 3.4), layout="constrained")
+    axes = figure.subplots()
+    axes.set_title("Simulated observers, not people: 5 to 95 % of the studies", fontsize=pictures.POINTS)
+    places = list(dict.fromkeys((row.texture, row.family, row.parameter) for row in rows))
+    for place, key in enumerate(places):
+        for row in rows:
+            if (row.texture, row.family, row.parameter) == key:
+                name, marker, colour = FORMULAS[row.formula]
+                y = place + 0.22 * (1 - MODELS.index(row.formula))
+                axes.fill_between(
+                    [row.paper_low, row.paper_high], place - 0.4, place + 0.4, color=pictures.PALE,
+                    label="the paper's range" if place == 0 and row.formula == MODELS[0] else None,
+                )  # fmt: skip
+                axes.errorbar(
+                    row.value, y, xerr=[[row.value - row.low], [row.high - row.value]], fmt=marker, color=colour,
+                    markersize=5, elinewidth=1.0, label=name if place == 0 else None,
+                )  # fmt: skip
+    axes.set_yticks(range(len(places)), [f"{texture}, {_setting(family, value)}" for texture, family, value in places])
+    axes.invert_yaxis()
+    axes.set_xlabel("d'", fontsize=pictures.SMALL_POINTS)
+    _axes_style(axes)
+    axes.legend(fontsize=pictures.SMALL_POINTS, frameon=False)
+    with atomic_write(path) as partial:
+        pictures.write(figure, partial)
+
+
+def _setting(family: str, value: float) -> str:
+    return f"b0 {value:+g} dB" if family == CUT else f"{family} L = {value:g}"
+
+
+def markdown(
+    rows: Sequence[Result],
+    simulated: Simulated,
+    table: Sequence[Published],
+    sensitivities: Sequence[Sensitivity],
+    integrated: Sequence[Integration],
+    studies: int,
+) -> str:
     """Return the page."""
-    names = [each.name for each in graded.study.textures]
-    falling = [fall for name in PUBLISHED for fall in falls(graded, name)]
-    found = claims(rows, falling)
+    agreeing, rho = simulated.agreement(table)
+    found = limits(simulated, table)
+    noticed = sum(row.is_noticed for row in table)
     return render(
         "okamoto_study",
-        observers=observers,
-        repetitions=REPETITIONS,
-        pairs=PAIRS,
-        gain_db=GAIN_DB,
-        actuator=ACTUATOR,
-        limit_hz=LIMIT_HZ,
-        alpha=ALPHA,
-        claims=found,
-        orders=[each for each in found if each.is_order],
-        measured=[name for name in names if name not in PUBLISHED],
-        names=names,
-        materials=list(PUBLISHED),
-        steps=len(PUBLISHED) * (len(LEVELS) - 1),
-        certain=[each for each in falling if each.p is not None and each.p < ALPHA],
+        rows={(row.texture, row.family, row.parameter): row for row in rows},
+        table=table,
+        studies=studies,
+        participants=PARTICIPANTS,
+        agreeing=np.percentile(agreeing, SPREAD),
+        rho=np.percentile(rho, SPREAD),
+        constant=max(noticed, len(table) - noticed),
+        limits=found,
+        limits_percent=agreeing_percent(found),
+        similar=similar(simulated, table),
+        orders=orders(simulated, table),
+        sensitivities=sensitivities,
+        formulas={key: name for key, (name, *_) in FORMULAS.items()},
+        integrated=integrated,
+        chosen_s=INTEGRATION_S,
+        textures=TEXTURES,
         families=FAMILIES,
         cut=CUT,
-        values=VALUES,
-        max_levels=max(LEVELS),
-        rows={(row.texture, row.family, row.parameter): row for row in rows},
-        hidden=[each.mean.value for each in graded.ratings if each.condition == AGAIN],
-        levels_db={each.texture: each.facts["level_db"] for each in graded.stimuli if each.condition == UNCOMPRESSED},
-        limits={(name, family): limit(rows, name, family, VALUES[family]) for name in names for family in FAMILIES},
-        falling=falling,
+        values={family: sorted({row.parameter for row in table if row.family == family}) for family in FAMILIES},
+        setting=_setting,
+        alpha=ALPHA,
+        commit=commit(),
+        hidden=[float(np.mean(simulated.grades[name, AGAIN])) for name in TEXTURES],
     )
 
 
-def write(out: Path, profiles: Mapping[str, textures.Profile], observers: int) -> None:
-    """Write OUT/simulated_study.md, and its table and picture in OUT/results. Raises StudyError, OSError."""
-    with tempfile.TemporaryDirectory() as folder:
-        graded, compared = judge(profiles, observers, Path(folder))
-    rows = results(graded, compared)
+def write(out: Path, studies: int) -> None:
+    """Write OUT/simulated_study.md, and its tables and pictures in OUT/results. Raises StudyError, OSError."""
+    table = read_tables()
+    seeds = range(1, studies + 1)
+    with TemporaryDirectory() as folder:
+        stage = Stage(Path(folder))
+        simulated = stage.grades(seeds)
+        rows, sensitivities = results(stage, simulated, table), stage.sensitivities(seeds)
+        integrated = integrations(stage, simulated, table, seeds)
     tables = results_folder(out)
     write_rows(tables / "simulated_study.csv", map(_rounded, rows), Result)
-    draw(tables / "simulated_study.svg", graded)
-    write_page(out / "simulated_study.md", markdown(graded, rows, observers))
+    write_rows(tables / "simulated_study_sensitivity.csv", map(_rounded, sensitivities), Sensitivity)
+    draw_t(tables / "simulated_study.svg", rows)
+    draw_sensitivities(tables / "simulated_study_sensitivity.svg", sensitivities)
+    write_page(out / "simulated_study.md", markdown(rows, simulated, table, sensitivities, integrated, studies))
 
 
-def _rounded(row: Result) -> Result:
+Row = TypeVar("Row", Result, Sensitivity)
+
+
+def _rounded(row: Row) -> Row:
     values: Any = [float(f"{value:.4g}") if isinstance(value, float) else value for value in astuple(row)]
-    return Result(*values)
+    return type(row)(*values)
 
 
 @click.command()
 @OUT
-@click.option("--observers", type=click.IntRange(3), default=OBSERVERS, show_default=True, help="Simulate so many.")
-@click.option(
-    "--profiles",
-    "folder",
-    type=click.Path(exists=True, file_okay=False, path_type=Path),
-    help="Add measured height profiles, the CSV files of this folder.",
-)
-def main(out: Path, observers: int, folder: Path | None) -> None:
-    """Let simulated observers take part in the texture paper's study, and compare their orderings with the paper's."""
+@click.option("--studies", type=click.IntRange(2), default=STUDIES, show_default=True, help="Simulate so many.")
+def main(out: Path, studies: int) -> None:
+    """Let simulated observers take part in the texture paper's study, and compare them with its tables."""
     with errors_in_one_line():
-        profiles = generated_profiles()
-        for path in sorted(folder.glob("*.csv")) if folder else ():
-            profiles[path.stem] = textures.load_profile(path)
-        write(out, profiles, observers)
-    click.echo(f"{out / 'simulated_study.md'}: {len(profiles)} surfaces, {observers} simulated observers")
+        write(out, studies)
+    click.echo(f"{out / 'simulated_study.md'}: {studies} simulated studies of {PARTICIPANTS} observers")
 
 
 if __name__ == "__main__":

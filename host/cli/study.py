@@ -102,7 +102,7 @@ def run(
     read = read_study(study_path)
     actuator = chosen_actuator(read, actuator_name)
     prepared = prepared_once(read, driven(address, actuator), study_path, out)
-    with open_player(address, actuator, prepared) as player:
+    with open_player(address, actuator, prepared, read) as player:
         session = Session(read, prepared, participant, participant_folder(out, participant), player, address)
         try:
             for warning in session.state().warnings:
@@ -117,6 +117,7 @@ def run(
                 aids = Aids(
                     stimulus_seconds=read.stimulus_seconds,
                     masking_noise_dbfs=None if noise is None else noise.level_db,
+                    masking_noise_spectrum="white" if noise is None else noise.spectrum,
                     strokes_per_minute=None if hand is None else 60 / hand.stroke_s,
                 )
                 serve(session, host, port, aids, click.echo)
@@ -232,10 +233,15 @@ def participant_folder(out: Path, participant: int) -> Path:
 
 
 @contextlib.contextmanager
-def open_player(address: str, actuator: Actuator, prepared: tuple[Stimulus, ...]) -> Iterator[StimulusPlayer]:
-    """Open a device for a study, and prepare it for all stimuli. Raises ControllerError, TransportError."""
-    from vibrocast.host.study.device_player import CardPlayer, ControllerPlayer
+def open_player(
+    address: str, actuator: Actuator, prepared: tuple[Stimulus, ...], read: Study
+) -> Iterator[StimulusPlayer]:
+    """Open a device for a study, and prepare it for all stimuli. Raises ControllerError, TransportError, BadInput."""
+    from vibrocast.host.study.device_player import CardPlayer, ControllerPlayer, HandPlayer
 
+    hand = read.hand if read.hand is not None and read.hand.plays else None
+    if hand is not None and devices.is_sound_card(address):
+        raise BadInput(f"{address} knows no position of the hand; give a controller, or drop plays from [hand]")
     if devices.is_sound_card(address):
         player = CardPlayer(*devices.sound_card_of(address, actuator))
         try:
@@ -245,6 +251,8 @@ def open_player(address: str, actuator: Actuator, prepared: tuple[Stimulus, ...]
             player.close()
         return
     with devices.connect(address, actuator=actuator) as controller:
-        on_controller = ControllerPlayer(controller)
+        on_controller = (
+            ControllerPlayer(controller) if hand is None else HandPlayer(controller, hand, read.stimulus_seconds)
+        )
         on_controller.prepare(prepared)
         yield on_controller

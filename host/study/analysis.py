@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast.host.study import statistics, stimuli
-from vibrocast.host.study.methods import GRADES, MAIN, design, staircase_of
+from vibrocast.host.study.methods import GRADES, MAIN, design, staircase_of, staircases_of
 from vibrocast.host.study.session import LOG, RESULTS, RUN
 from vibrocast.host.study.simulation import SIMULATED
 from vibrocast.host.study.statistics import Correlation, Interval, MixedModel, PairedTest
-from vibrocast.host.study.study_file import CONDITION, HIDDEN_REFERENCE, Study, read_study
+from vibrocast.host.study.study_file import HIDDEN_REFERENCE, Study, read_study
 from vibrocast.host.study.trials import RESULT_COLUMNS, Stimulus, StudyError
 
 STUDY_FILE, STIMULI = "study.toml", "stimuli"
@@ -72,7 +72,8 @@ class Rating:
 class Detection:
     """How well people distinguished a stimulus from its reference. `correct`: part of the answers that were right.
 
-    `sensitivity`: d', by differencing in same-different trials and ABX; `independent`: d' by independent observation.
+    `sensitivity`: d', by differencing in same-different trials and ABX; `independent`: d' by independent observation;
+    `yes_no`: z(H) - z(F) of same-different trials, None for other methods.
     """
 
     texture: str
@@ -81,6 +82,7 @@ class Detection:
     correct: float
     sensitivity: Interval
     independent: Interval
+    yes_no: Interval | None
 
 
 @dataclass(frozen=True)
@@ -219,7 +221,7 @@ def _missing(rows: Sequence[Row], study: Study, number: int) -> str | None:
     if first is not None and first.total is not None:
         answered = len({row["trial"] for row in rows})
         return None if answered >= first.total else f"{answered} of {first.total} trials"
-    pairs = [(texture.name, name) for texture in study.textures for name in study.of_role(CONDITION)]
+    pairs = staircases_of(study, number)
     finished = sum(_is_finished([row for row in rows if (row["texture"], row["condition"]) == pair], study)
                    for pair in pairs)  # fmt: skip
     return None if finished == len(pairs) else f"{finished} of {len(pairs)} staircases"
@@ -356,6 +358,8 @@ def _detections(read: Analysis) -> list[Detection]:
             for each in read.counted:
                 own = [row for row in each.rows if (row["texture"], row["condition"]) == (texture.name, name)]
                 same = [row for row in each.rows if (row["texture"], row["condition"]) == (texture.name, reference)]
+                if not own:  # another participant's texture
+                    continue
                 correct = sum(row["correct"] == "1" for row in own)
                 right, total = right + correct, total + len(own)
                 false_alarms = sum(row["correct"] == "0" for row in same)
@@ -365,7 +369,8 @@ def _detections(read: Analysis) -> list[Detection]:
             if total:
                 d = statistics.sensitivity(method, counts)
                 independent = statistics.sensitivity(method, counts, model="independent")
-                found.append(Detection(texture.name, name, total, right / total, d, independent))
+                yes_no = statistics.sensitivity(method, counts, model="yes_no") if method == "same_different" else None
+                found.append(Detection(texture.name, name, total, right / total, d, independent, yes_no))
     return found
 
 
@@ -381,6 +386,7 @@ def _preferences(read: Analysis) -> list[Preference]:
                     first, second = names.index(row["condition"]), names.index(row["comparison"])
                     chosen, other = (first, second) if row["value"] == "0" else (second, first)
                     wins[place, chosen, other] += 1
+        wins = wins[np.any(wins, axis=(1, 2))]  # of those who met the texture
         total = wins.sum(axis=0)
         if total.sum():
             met = total + total.T
@@ -607,6 +613,7 @@ def _tables(read: Analysis) -> dict[str, list[dict[str, Any]]]:
                 "correct": each.correct,
                 **_cells("sensitivity", each.sensitivity),
                 **_cells("independent", each.independent),
+                **({} if each.yes_no is None else _cells("yes_no", each.yes_no)),
             }
             for each in read.detections
         ]

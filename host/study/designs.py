@@ -1,4 +1,4 @@
-"""Orders of trials: balanced Latin squares, drawn from a seed, with a row for each participant."""
+"""Orders of trials: balanced Latin squares, random orders and shares of textures, drawn from a seed."""
 
 from collections.abc import Sequence
 from typing import TypeVar
@@ -28,6 +28,16 @@ def balanced_order(items: Sequence[Item], row: int, seed: Sequence[int]) -> list
     names = np.random.default_rng(list(seed)).permutation(len(items))
     rows = williams_square(len(items))
     return [items[names[place]] for place in rows[row % len(rows)]]
+
+
+def balanced_share(items: Sequence[Item], count: int, row: int, seed: Sequence[int]) -> list[Item]:
+    """Return `count` neighbours on a circle of the items, from place `row` on; the seed draws the circle.
+
+    So each item belongs to equally many shares if the number of rows is a multiple of the number of items.
+    """
+    circle = np.random.default_rng(list(seed)).permutation(len(items))
+    chosen = {int(circle[(row + place) % len(items)]) for place in range(count)}
+    return [item for place, item in enumerate(items) if place in chosen]
 
 
 def shuffled(items: Sequence[Item], seed: Sequence[int]) -> list[Item]:

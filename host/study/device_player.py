@@ -1,22 +1,26 @@
 """Plays the stimuli of a study on a controller, on a sound card or nowhere: one interface for the session."""
 
+import math
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.coded_stream import StreamError
-from vibrocast.device_protocol.messages import State
+from vibrocast.device_protocol.messages import State, Status
 from vibrocast.device_protocol.transports import TransportError
-from vibrocast.host import player
+from vibrocast.host import player, position_playback, profiles
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.limits import carried, check_limits, fitted
+from vibrocast.host.position_playback import Movement, back_and_forth
 from vibrocast.host.stream_session import configure_steps
-from vibrocast.host.study.stimuli import stream_sha256
+from vibrocast.host.study.stimuli import UNCODED_SNR_DB, stream_sha256
+from vibrocast.host.study.study_file import Hand
 from vibrocast.host.study.trials import Played, Stimulus, StimulusPlayer
 from vibrocast.output.actuator import Actuator, Codes
 from vibrocast.output.rendering import render
@@ -155,20 +159,75 @@ class ControllerPlayer(StimulusPlayer):
         except (StreamError, ValueError) as error:
             self._error = ControllerError(f"{stimulus.key} cannot be played: {error}")
         if latest is not None and begun_utc is not None:
-            limits = latest.status
-            limited = limits.compensation_clipped + limits.voltage_limited + limits.slew_limited + limits.power_limited
-            self._played.append(
-                Played(
-                    stimulus=stimulus.key,
-                    stream_sha256=stream_sha256(stimulus.stream),
-                    started_utc=begun_utc.isoformat(timespec="microseconds"),
-                    latency_ms=1000 * (begun_s - asked_s),
-                    gain_db=stimulus.gain_db,
-                    limited=limited,
-                    underruns=limits.underruns,
-                    seconds=time.monotonic() - begun_s,
-                )
+            self._note(stimulus, latest.status, begun_utc, begun_s, asked_s)
+
+    def _note(self, stimulus: Stimulus, status: Status, begun_utc: datetime, begun_s: float, asked_s: float) -> None:
+        """Note what was played, from the last status."""
+        limited = status.compensation_clipped + status.voltage_limited + status.slew_limited + status.power_limited
+        self._played.append(
+            Played(
+                stimulus=stimulus.key,
+                stream_sha256=stream_sha256(stimulus.stream),
+                started_utc=begun_utc.isoformat(timespec="microseconds"),
+                latency_ms=1000 * (begun_s - asked_s),
+                gain_db=stimulus.gain_db,
+                limited=limited,
+                underruns=status.underruns,
+                seconds=time.monotonic() - begun_s,
             )
+        )
+
+
+class HandPlayer(ControllerPlayer):
+    """Plays stimuli over position: under the controller's own sensor of the hand, or under the strokes of `hand`.
+
+    A stimulus that is coded over time, for a hand at `hand.speed_mm_s`, is a height profile at that speed. It is
+    decoded here and sent as a profile in the default codec at UNCODED_SNR_DB. The controller repeats it at its ends.
+    `seconds`: duration of a presentation. A controller without a sensor gets strokes there and back, one a beat.
+    """
+
+    def __init__(self, controller: Controller, hand: Hand, seconds: float) -> None:
+        super().__init__(controller)
+        self._speed_mm_s = hand.speed_mm_s
+        # The highest speed of a cosine is pi / 2 times its mean.
+        whole = back_and_forth(hand.stroke_mm, math.pi / 2 * hand.speed_mm_s, math.ceil(seconds / (2 * hand.stroke_s)))
+        within = whole.times_s <= seconds
+        self._movement = Movement(whole.times_s[within], whole.positions_mm[within])
+
+    def prepare(self, stimuli: Sequence[Stimulus]) -> None:
+        """Make a profile of each stimulus, and load it once. Raises ControllerError, TransportError."""
+        for stimulus in stimuli:
+            recording = stimulus.stream.recording()
+            over_position = replace(recording, rate_hz=1000 * recording.rate_hz / self._speed_mm_s)
+            try:
+                profile = profiles.encode(over_position, snr_db=UNCODED_SNR_DB, touch=0).stream
+                position_playback.load(self._controller, profile)
+            except (ControllerError, ValueError) as error:
+                raise ControllerError(f"{stimulus.key} as a height profile: {error}") from error
+            finally:
+                self._controller.stop()
+            self._carried[stream_sha256(stimulus.stream)] = profile
+
+    def _play(self, stimulus: Stimulus, stopping: threading.Event) -> None:
+        """Play one stimulus, in its own thread."""
+        asked_s = time.monotonic()
+        begun: tuple[datetime, float] | None = None
+
+        def watch(part: float) -> None:
+            nonlocal begun
+            if begun is None and part > 0:
+                begun = datetime.now(UTC), time.monotonic()
+            if stopping.is_set():
+                raise _Stopped
+
+        try:
+            profile = self._carried[stream_sha256(stimulus.stream)]
+            with suppress(_Stopped):
+                position_playback.play(self._controller, profile, self._movement, watch)
+            if begun is not None:
+                self._note(stimulus, self._controller.request_status(), *begun, asked_s)
+        except (ControllerError, TransportError) as error:
+            self._error = error
 
 
 class CardPlayer(StimulusPlayer):

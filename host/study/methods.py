@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vibrocast.host.study.designs import balanced_order, shuffled
+from vibrocast.host.study.designs import balanced_order, balanced_share, shuffled
 from vibrocast.host.study.staircases import Bayesian, TransformedUpDown
 from vibrocast.host.study.study_file import ANCHOR, CONDITION, HIDDEN_REFERENCE, REFERENCE, Study
 from vibrocast.host.study.trials import Answer, Choices, Interval, Sliders, Trial
@@ -18,7 +18,7 @@ GRADES = ("same", "possibly same", "possibly different", "different")
 QUALITIES = ("bad", "poor", "fair", "good", "excellent")
 """The ranges of the scale of ITU-R BS.1534-3."""
 # Each draw has its own random numbers, so that one choice does not move another.
-_CONDITIONS, _TEXTURES, _PRACTICE, _LABELS, _SIDES = range(5)
+_CONDITIONS, _TEXTURES, _PRACTICE, _LABELS, _SIDES, _SHARES, _TRIALS = range(7)
 
 
 @dataclass(frozen=True)
@@ -82,6 +82,8 @@ class FixedDesign(Design):
     def __init__(self, study: Study, participant: int) -> None:
         super().__init__(study, participant)
         main = list(self._main_trials())
+        if study.order == "random":
+            main = shuffled(main, [study.seed, participant, _TRIALS])
         practice = shuffled(main, [study.seed, participant, _PRACTICE])[: study.practice_trials]
         numbered = [replace(each, phase=PRACTICE, feedback=study.feedback_in_practice) for each in practice]
         numbered += [replace(each, block=2 + place // study.trials_per_block) for place, each in enumerate(main)]
@@ -98,19 +100,22 @@ class FixedDesign(Design):
     def _trials_of(self, texture: str, names: Sequence[str], repetition: int) -> Iterator[Trial]:
         """Return the trials of a texture in one repetition, with its conditions in their balanced order."""
 
-    def _rated(self) -> tuple[str, ...]:
-        """Return the names of the conditions that are rated."""
-        return self.study.of_role(CONDITION, HIDDEN_REFERENCE, ANCHOR)
+    def _rated(self, texture: str) -> tuple[str, ...]:
+        """Return the names of the conditions that are rated of a texture."""
+        return self.study.of_role(CONDITION, HIDDEN_REFERENCE, ANCHOR, texture=texture)
 
     def _main_trials(self) -> Iterator[Trial]:
         """Return all trials: in each repetition all textures, of each texture all conditions in one go."""
         study = self.study
-        names = [each.name for each in study.textures]
+        names = textures_of(study, self.participant)
+        # Participants with other textures share a row, so that each texture meets all rows.
+        shares = len(study.textures) if study.textures_per_participant else 1
         for repetition in range(study.repetitions):
-            row = self.participant - 1 + repetition
+            row = (self.participant - 1) // shares + repetition
             for texture in balanced_order(names, row, [study.seed, _TEXTURES]):
-                number = names.index(texture)
-                conditions = balanced_order(self._rated(), row, [study.seed, _CONDITIONS, number])
+                conditions = balanced_order(
+                    self._rated(texture), row, [study.seed, _CONDITIONS, _place(study, texture)]
+                )
                 yield from self._trials_of(texture, conditions, repetition)
 
 
@@ -132,8 +137,8 @@ class SameDifferent(FixedDesign):
 
     question = "Are the two the same?"
 
-    def _rated(self) -> tuple[str, ...]:
-        return self.study.of_role(CONDITION, ANCHOR)
+    def _rated(self, texture: str) -> tuple[str, ...]:
+        return self.study.of_role(CONDITION, ANCHOR, texture=texture)
 
     def _trials_of(self, texture: str, names: Sequence[str], repetition: int) -> Iterator[Trial]:
         reference = self.study.of_role(REFERENCE)[0]
@@ -154,8 +159,8 @@ class Abx(FixedDesign):
 
     question = "Is X the same as A or as B?"
 
-    def _rated(self) -> tuple[str, ...]:
-        return self.study.of_role(CONDITION, ANCHOR)
+    def _rated(self, texture: str) -> tuple[str, ...]:
+        return self.study.of_role(CONDITION, ANCHOR, texture=texture)
 
     def _trials_of(self, texture: str, names: Sequence[str], repetition: int) -> Iterator[Trial]:
         reference = self.study.of_role(REFERENCE)[0]
@@ -175,8 +180,8 @@ class TwoAlternative(FixedDesign):
 
     question = "Which one feels more distorted?"
 
-    def _rated(self) -> tuple[str, ...]:
-        return self.study.of_role(CONDITION, ANCHOR)
+    def _rated(self, texture: str) -> tuple[str, ...]:
+        return self.study.of_role(CONDITION, ANCHOR, texture=texture)
 
     def _trials_of(self, texture: str, names: Sequence[str], repetition: int) -> Iterator[Trial]:
         reference = self.study.of_role(REFERENCE)[0]
@@ -252,8 +257,12 @@ class AdaptiveDesign(Design):
         super().__init__(study, participant)
         assert study.staircase is not None, "the study file is checked"
         self._rule = study.staircase
-        pairs = [(texture.name, name) for texture in study.textures for name in study.of_role(CONDITION)]
-        self._order = balanced_order(pairs, participant - 1, [study.seed, _CONDITIONS])
+        pairs = staircases_of(study, participant)
+        self._order = (
+            shuffled(pairs, [study.seed, participant, _TRIALS])
+            if study.order == "random"
+            else balanced_order(pairs, participant - 1, [study.seed, _CONDITIONS])
+        )
 
     def next_trial(self, history: Sequence[Answered]) -> Trial | None:
         """Return the next trial of the staircase under way, or the first of the next one; None after the last."""
@@ -300,6 +309,12 @@ class AdaptiveDesign(Design):
         return staircase
 
 
+def staircases_of(study: Study, participant: int) -> list[tuple[str, str]]:
+    """Return texture and condition of each staircase of a participant, in the order of the study file."""
+    names = textures_of(study, participant)
+    return [(texture, name) for texture in names for name in study.of_role(CONDITION, texture=texture)]
+
+
 def staircase_of(study: Study) -> TransformedUpDown | Bayesian:
     """Return the staircase that a study asks for, before its first answer."""
     rule = study.staircase
@@ -330,6 +345,13 @@ DESIGNS: Mapping[str, type[Design]] = {
 def design(study: Study, participant: int) -> Design:
     """Return the trials of a participant, from 1."""
     return DESIGNS[study.method](study, participant)
+
+
+def textures_of(study: Study, participant: int) -> list[str]:
+    """Return the names of the textures that a participant meets, in the order of the study file."""
+    names = [each.name for each in study.textures]
+    count = study.textures_per_participant or len(names)
+    return balanced_share(names, count, participant - 1, [study.seed, _SHARES])
 
 
 def _place(study: Study, texture: str) -> int:

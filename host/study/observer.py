@@ -1,10 +1,11 @@
 """A simulated observer, for tests of a study and for planning its size. It is not a person.
 
 It stands on textbook properties of touch: detection thresholds, just noticeable differences that grow with the level,
-and internal noise. It feels how strong each band is on average. So it does not feel rhythm, phase or the course of a
-texture. Numbers marked "assumed" have no source; settings replace them.
+and internal noise. It feels how the strength of each band goes on in time. So it feels rhythm and envelope, but no fine
+structure faster than its integration. Numbers marked "assumed" have no source; settings replace them.
 """
 
+import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,15 +14,23 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.codec.threshold import MAX_HZ, MIN_HZ, band_parts, read_threshold, threshold_amplitude
+from vibrocast.codec.threshold import MAX_HZ, MIN_HZ, read_threshold, threshold_amplitude
 from vibrocast.host.study.methods import PRACTICE
 from vibrocast.host.study.trials import Choices, Sliders, StudyError, Trial
 
 Samples = NDArray[np.float64]
 
-FRAME_S = 0.2
-"""The skin sums vibration over about this time: Verrillo, "Temporal summation in vibrotactile sensitivity", JASA 37,
-1965."""
+INTEGRATION_S = 0.01
+"""Time constant of the leaky integrator of a band's power. Spike timing of afferents shapes what people feel of
+vibration (Mackevicius et al., "Millisecond precision spike timing shapes tactile perception", Journal of Neuroscience
+32(44), 2012). The course of the strength stands in the rates of cortical neurons (Harvey et al., "Multiplexing stimulus
+information through rate and temporal codes in primate somatosensory cortex", PLoS Biology 11(5), 2013). So a mean over
+the stimulus is too coarse. The value is assumed: the order of the shortest gap that people feel in a vibration."""
+COURSE_RATE_HZ = 1000.0
+"""Of the courses; the integrator leaves little above half of it."""
+_RATE_HZ = 4 * MAX_HZ  # so that squares of bands below MAX_HZ do not alias
+_LEAST_S = 0.2
+_RAMP_S = 0.05  # at both ends, so that they do not click; it counts for nothing
 BANDS_HZ = np.geomspace(MIN_HZ, MAX_HZ, 11)
 """Edges of ten bands, two thirds of an octave each. Assumed: bands that the skin tells apart side by side. Critical
 bands of touch are about this wide or wider (Makous, Friedman and Vierck, "A critical band filter in touch", Journal of
@@ -62,33 +71,46 @@ QUALITY_PER_DIFFERENCE = 12.0
 
 @dataclass(frozen=True, eq=False)
 class Skin:
-    """The displacement at the skin: float64 (n, channels) in um, at a rate."""
+    """The displacement at the skin: float64 (n, channels) in um, at a rate; and how fast its course is felt."""
 
     displacement_um: Samples
     rate_hz: float
+    integration_s: float = INTEGRATION_S
 
     @cached_property
     def over_threshold(self) -> Samples:
-        """The mean power of each band over its power at the detection threshold, float64 (bands,).
+        """The power of each band over its power at the detection threshold, float64 (bands, times).
 
-        Hann windows of FRAME_S overlap by half. Of several channels the strongest counts in each band. Raises
-        StudyError for values that are no finite numbers.
+        A leaky integrator of `integration_s` follows the square of each band, with COURSE_RATE_HZ values a second. Of
+        several channels the strongest counts in each band and moment. Raises StudyError for values that are no finite
+        numbers.
         """
         if not np.all(np.isfinite(self.displacement_um)) or not self.rate_hz > 0:
             raise StudyError("the skin's displacement has values that are no numbers; check the stimulus")
-        block = max(8, round(FRAME_S * self.rate_hz))
-        signal = np.pad(self.displacement_um, ((0, max(0, block - len(self.displacement_um))), (0, 0)))
-        window = np.hanning(block + 1)[:-1]
-        frames = np.lib.stride_tricks.sliding_window_view(signal, block, axis=0)[:: block // 2]
-        power = np.mean(2 * np.abs(np.fft.rfft(frames * window)) ** 2, axis=0) / (block * np.sum(window**2))
-        spacing_hz = self.rate_hz / block
-        bins_hz = spacing_hz * np.maximum(1, np.arange(power.shape[-1]))
-        threshold = threshold_amplitude(read_threshold(), bins_hz, "um") ** 2 / 2
-        parts = band_parts(power.shape[-1], spacing_hz, BANDS_HZ[:-1], BANDS_HZ[1:])
-        return np.asarray(np.max((power / threshold) @ parts, axis=0))
+        count = max(len(self.displacement_um), round(_LEAST_S * self.rate_hz))
+        signal = np.zeros((count, self.displacement_um.shape[1]))
+        if len(self.displacement_um):
+            ramp = np.minimum(1, np.minimum(np.arange(count), np.arange(count)[::-1]) / (_RAMP_S * self.rate_hz))
+            signal[: len(self.displacement_um)] = self.displacement_um - np.mean(self.displacement_um, axis=0)
+            signal *= ramp[:, None]
+        fine = round(count / self.rate_hz * _RATE_HZ)
+        spectrum = np.zeros((fine // 2 + 1, signal.shape[1]), complex)
+        own = np.fft.rfft(signal, axis=0)[: len(spectrum)] * (fine / count)
+        spectrum[: len(own)] = own
+        bins_hz = np.fft.rfftfreq(fine, 1 / _RATE_HZ)
+        spectrum /= threshold_amplitude(read_threshold(), np.maximum(bins_hz, 1), "um")[:, None] / math.sqrt(2)
+        leak = 1 / (1 + 2j * np.pi * bins_hz * self.integration_s)
+        courses = []
+        for low_hz, high_hz in itertools.pairwise(BANDS_HZ):
+            within = (bins_hz >= low_hz) & (bins_hz < high_hz)
+            band = np.fft.irfft(spectrum * within[:, None], fine, axis=0)
+            power = np.fft.irfft(np.fft.rfft(band**2, axis=0) * leak[:, None], fine, axis=0)
+            courses.append(np.max(power, axis=1, initial=0.0))
+        ramp_samples = round(_RAMP_S * _RATE_HZ)
+        return np.array(courses)[:, ramp_samples : -ramp_samples : round(_RATE_HZ / COURSE_RATE_HZ)]
 
     def excitation_db(self, threshold_db: float = 0.0) -> Samples:
-        """Return the level of each band (bands,): 10 log10(1 + power over that at threshold).
+        """Return the course of the level of each band (bands, times): 10 log10(1 + power over that at threshold).
 
         So a band far over the threshold has its level over it, and one far under it has 0. `threshold_db`: by which a
         person's thresholds are higher.
@@ -116,6 +138,7 @@ class Observer:
         self._criteria = np.array(GRADE_CRITERIA) * math.exp(
             float(self._settings.criterion_spread * random.standard_normal())
         )
+        self._distances: dict[tuple[Skin, Skin], float] = {}
 
     def answer(self, method: str, trial: Trial, skins: Mapping[str, Skin | None]) -> tuple[int, ...]:
         """Return the answer to a trial from the skin of each label; None = silence. Raises StudyError."""
@@ -161,12 +184,21 @@ class Observer:
     def distance(self, one: Skin, other: Skin) -> float:
         """Return how far two stimuli differ, in just noticeable differences.
 
-        Levels over threshold differ in each band. The differences combine over bands as independent observations do:
-        the root of the sum of squares (Green and Swets, Signal Detection Theory and Psychophysics, 1966, chapter 9).
-        A part under the threshold, or far under a stronger one in its band, hardly changes a level.
+        Levels over threshold differ in each band and moment. The differences combine over bands as independent
+        observations do: the root of the sum of squares (Green and Swets, Signal Detection Theory and Psychophysics,
+        1966, chapter 9). Moments count as independent observations too, in the mean: a steady difference has the size
+        of the just noticeable one, which was measured with steady vibrations. Nobody knows where
+        in a texture it begins: the shift counts at which the two are most alike. A part under the threshold, or far
+        under a stronger one in its band, hardly changes a level. The longer one counts as far as the shorter one lasts.
         """
-        levels = one.excitation_db(self.threshold_db), other.excitation_db(self.threshold_db)
-        return float(np.linalg.norm(levels[0] - levels[1]) / self._settings.weber_db)
+        if (one, other) not in self._distances:
+            a, b = one.excitation_db(self.threshold_db), other.excitation_db(self.threshold_db)
+            times = min(a.shape[1], b.shape[1])
+            a, b = a[:, :times], b[:, :times]
+            alike = np.sum(np.fft.rfft(a) * np.conj(np.fft.rfft(b)), axis=0)
+            b = np.roll(b, int(np.argmax(np.fft.irfft(alike, times))), axis=1)
+            self._distances[one, other] = math.sqrt(np.sum((a - b) ** 2) / times) / self._settings.weber_db
+        return self._distances[one, other]
 
     def detectability(self, one: Skin) -> float:
         """Return how far a stimulus lies over nothing: 1 at the detection threshold.
@@ -174,11 +206,11 @@ class Observer:
         That is d' with noise of 1: 76 % correct of two alternatives, as thresholds are measured. The power of all bands
         adds up, as in the Pacinian channel (Bensmaia, Hollins and Yau, Perception & Psychophysics 67(5), 2005).
         """
-        power = float(np.sum(one.over_threshold)) * 10 ** (-self.threshold_db / 10)
+        power = float(np.sum(np.mean(one.over_threshold, axis=1))) * 10 ** (-self.threshold_db / 10)
         return 10 * math.log10(1 + power) / AT_THRESHOLD_DB
 
     def _strength(self, one: Skin) -> float:
-        """Return the mean level over bands, in just noticeable differences."""
+        """Return the mean level over bands and time, in just noticeable differences."""
         return float(np.mean(one.excitation_db(self.threshold_db)) / self._settings.weber_db)
 
 

@@ -14,8 +14,10 @@ from typing import Annotated, Any, TypeVar
 from urllib.parse import urlsplit
 
 import msgspec
+import numpy as np
 import uvicorn
 from msgspec import Meta
+from numpy.typing import NDArray
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
@@ -31,6 +33,8 @@ from vibrocast.host.study.trials import Break, Message, Paused, Question, Reject
 
 DEFAULT_HOST = "127.0.0.1"
 DEFAULT_PORT = 8017
+NOISE_RATE_HZ = 48_000
+"""Of the masking noise; the page knows it too."""
 CALL_THE_EXPERIMENTER = "Please call the experimenter."
 
 _PAGES = Path(__file__).with_name("page")
@@ -82,13 +86,31 @@ class Aids:
 
     Attributes:
         stimulus_seconds: For about so long each texture plays. None: unknown.
-        masking_noise_dbfs: RMS level of white noise, re the full scale of the headphones' sound card. None: no noise.
+        masking_noise_dbfs: RMS level of noise, re the full scale of the headphones' sound card. None: no noise.
+        masking_noise_spectrum: "white" or "pink".
         strokes_per_minute: Pace of the hand that a dot and ticks give. None: no pace.
     """
 
     stimulus_seconds: float | None = None
     masking_noise_dbfs: float | None = None
+    masking_noise_spectrum: str = "white"
     strokes_per_minute: float | None = None
+
+
+def masking_noise(spectrum: str) -> NDArray[np.float32]:
+    """Return 10 s of noise at NOISE_RATE_HZ with an RMS of 1: float32 (n,), which repeats without a seam.
+
+    White noise has the same power in each Hz from 20 Hz on, and pink noise in each octave: 3 dB less in each Hz with
+    each octave. Headphones play nothing below 20 Hz.
+    """
+    count = 10 * NOISE_RATE_HZ
+    frequency_hz = np.fft.rfftfreq(count, 1 / NOISE_RATE_HZ)
+    amplitude = np.zeros(len(frequency_hz))
+    heard = frequency_hz >= 20
+    amplitude[heard] = frequency_hz[heard] ** (-0.5 if spectrum == "pink" else 0.0)
+    phase = np.random.default_rng(0).uniform(0, 2 * np.pi, len(frequency_hz))
+    samples = np.fft.irfft(amplitude * np.exp(1j * phase), count)
+    return np.asarray(samples / np.sqrt(np.mean(samples**2)), np.float32)
 
 
 class StudyPages:
@@ -112,6 +134,7 @@ class StudyPages:
             routes=[
                 Route("/", self._page("participant.html")),
                 Route("/api/screen", self._participant_screen),
+                Route("/api/noise", self._noise),
                 *(self._participant_action(*action) for action in self._participant_actions()),
                 Route(secret, self._only_experimenter(self._page("experimenter.html"))),
                 Route(f"{secret}/state", self._only_experimenter(self._experimenter_state)),
@@ -182,6 +205,13 @@ class StudyPages:
         await self._wait_for_change(request)
         self._seen = time.monotonic()
         return JSONResponse(await run_in_threadpool(self.participant_screen))
+
+    async def _noise(self, _request: Request) -> Response:
+        """Send the masking noise as float32, little endian."""
+        if self._aids.masking_noise_dbfs is None:
+            raise HTTPException(404, "this study has no masking noise")
+        samples = await run_in_threadpool(masking_noise, self._aids.masking_noise_spectrum)
+        return Response(samples.astype("<f4").tobytes(), media_type="application/octet-stream")
 
     def _only_experimenter(
         self, endpoint: Callable[[Request], Awaitable[Response]]

@@ -1,5 +1,6 @@
 """Leads a simulated observer through a study: the same session as a person's, without a device."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -27,7 +28,9 @@ class SkinOf:
     def __call__(self, key: str, gain_db: float) -> Skin:
         """Return the skin of a stimulus; at most the first seconds, which are as the rest."""
         if (key, gain_db) not in self._skins:
-            recording = at_the_skin(self._stimuli[key].stream.with_gain(gain_db), self._actuator)
+            stimulus = self._stimuli[key]
+            loops = min(stimulus.loops, math.ceil(_MAX_SKIN_S / stimulus.stream.seconds))
+            recording = at_the_skin(stimulus.stream.with_gain(gain_db), self._actuator, loops)
             samples = recording.samples[: round(_MAX_SKIN_S * recording.rate_hz)]
             self._skins[key, gain_db] = Skin(samples, recording.rate_hz)
         return self._skins[key, gain_db]

@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from vibrocast.host.study.trials import StudyError
 
 Values = NDArray[np.float64]
-Model = Literal["differencing", "independent"]
-"""How an observer decides: by the difference of two stimuli, or by classifying each."""
+Model = Literal["differencing", "independent", "yes_no"]
+"""How an observer decides: by the difference of two stimuli, by classifying each, or as if each pair were one stimulus
+with or without a signal."""
 
 CONFIDENCE = 0.95
 BOOTSTRAPS = 2000
@@ -66,20 +67,28 @@ def mean_interval(values: ArrayLike, confidence: float = CONFIDENCE) -> Interval
 def paired_test(values: ArrayLike, reference: ArrayLike, seed: int = 0) -> PairedTest:
     """Return the two-sided paired t-test of values against a reference, both (participants,).
 
-    Without a spread of the differences, t is undefined: p is then 1 where all agree, and None otherwise.
+    t and p as from `t_test`.
     """
-    from scipy import stats
-
     x, y = _finite(values, "values"), _finite(reference, "reference")
     if len(x) != len(y):
         raise StudyError(f"{len(x)} values against {len(y)}; a paired test needs both of every participant")
     differences = x - y
     count, mean = len(x), float(np.mean(x - y)) if len(x) else 0.0
-    effect = effect_size(differences, seed)
-    if count < 2 or not _spreads(differences):
-        return PairedTest(count, mean, None, 1.0 if count >= 2 and not np.any(differences) else None, effect)
-    result = stats.ttest_rel(x, y)
-    return PairedTest(count, mean, float(result.statistic), float(result.pvalue), effect)
+    return PairedTest(count, mean, *t_test(differences), effect_size(differences, seed))
+
+
+def t_test(differences: ArrayLike) -> tuple[float | None, float | None]:
+    """Return t and the two-sided p of paired differences (participants,), with one degree of freedom less than those.
+
+    Without a spread of the differences, t is undefined: p is then 1 where all agree, and None otherwise.
+    """
+    from scipy import stats
+
+    array = _finite(differences, "differences")
+    if len(array) < 2 or not _spreads(array):
+        return None, 1.0 if len(array) >= 2 and not np.any(array) else None
+    result = stats.ttest_1samp(array, 0.0)
+    return float(result.statistic), float(result.pvalue)
 
 
 def effect_size(differences: ArrayLike, seed: int = 0) -> Interval:
@@ -178,11 +187,14 @@ def sensitivity_same_different(hit_rate: float, false_alarm_rate: float, model: 
 
     By the differencing model, the observer compares the difference with a criterion k: F = 2 Phi(-k / sqrt(2)),
     H = Phi((d' - k) / sqrt(2)) + Phi((-d' - k) / sqrt(2)). By independent observation, the observer classifies each of
-    the two: d' = 2 z((1 + sqrt(2 p - 1)) / 2) with p = Phi((z(H) - z(F)) / 2).
+    the two: d' = 2 z((1 + sqrt(2 p - 1)) / 2) with p = Phi((z(H) - z(F)) / 2). "yes_no" is z(H) - z(F) itself, also
+    below 0. It takes the pair for one stimulus, and is smaller than the others.
     """
     from scipy.special import ndtr, ndtri
 
     z_difference = sensitivity_yes_no(hit_rate, false_alarm_rate)
+    if model == "yes_no":
+        return z_difference
     if z_difference <= 0:
         return 0.0
     if model == "independent":
@@ -229,8 +241,10 @@ def sensitivity(method: str, counts: ArrayLike, seed: int = 0, model: Model = "d
     forced choice and ABX: correct answers, trials. Counts are pooled over participants, with the log-linear correction.
     Where sensitivities differ, the pooled one lies below their mean (Macmillan and Creelman 2005, chapter 13).
     `model`: of same-different and ABX trials; "differencing" where stimuli rove from trial to trial, "independent"
-    where they stay the same. Raises StudyError.
+    where they stay the same; "yes_no" of same-different trials alone. Raises StudyError.
     """
+    if model == "yes_no" and method != "same_different":
+        raise StudyError(f"{method}: z(H) - z(F) is of same-different trials; choose another model")
     table = np.asarray(counts, np.float64)
     columns = 4 if method == "same_different" else 2
     if table.ndim != 2 or table.shape[1] != columns or not np.all(np.isfinite(table)) or np.any(table < 0):

@@ -56,11 +56,11 @@ def prepare(study: Study, actuator: Actuator, progress: Callable[[float], None] 
     """
     prepared: list[Stimulus] = []
     recordings = study.recordings()
-    count = len(recordings) * len(study.conditions)
+    count = sum(len(study.conditions_of(name)) for name in recordings)
     for name, recording in recordings.items():
         check_unit(recording.unit, None)
         cut = _cut(recording, study.stimulus_seconds)
-        ordered = sorted(study.conditions, key=lambda each: each.role != REFERENCE)
+        ordered = sorted(study.conditions_of(name), key=lambda each: each.role != REFERENCE)
         first: Stimulus | None = None
         for condition in ordered:
             with located(f"texture {name}, condition {condition.name}", StudyError):

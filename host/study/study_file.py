@@ -82,12 +82,13 @@ class StudyTexture(TextureTable, frozen=True, kw_only=True):
 class Condition(Table, frozen=True, kw_only=True):
     """An entry of [[conditions]]: how a texture is coded. Without `codec` and `model` it is the recording itself.
 
-    `role`: one of ROLES. `touch`: as in `vibrocast.encode`. `lowpass_hz`: an anchor's corner. `gain_db`: a change of
-    level on purpose.
+    `role`: one of ROLES. `textures`: the names of those that it is for; None = all. `touch`: as in `vibrocast.encode`.
+    `lowpass_hz`: an anchor's corner. `gain_db`: a change of level on purpose.
     """
 
     name: Name
     role: Annotated[str, one_of(ROLES)] = CONDITION
+    textures: Annotated[tuple[Name, ...], Meta(min_length=1)] | None = None
     codec: Text | None = None
     model: Text | None = None
     setting: dict[str, str | int | float] = field(default_factory=dict)
@@ -114,19 +115,22 @@ class Condition(Table, frozen=True, kw_only=True):
 
 
 class MaskingNoise(Table, frozen=True):
-    """[masking_noise]: white noise that the participant hears, so that nobody hears the actuator.
+    """[masking_noise]: noise that the participant hears, so that nobody hears the actuator.
 
-    `level_db`: its RMS re the full scale of the computer's sound output.
+    `level_db`: its RMS re the full scale of the sound output; peaks lie up to 16 dB higher. `spectrum`: white has the
+    same power in each Hz, and pink in each octave.
     """
 
-    level_db: Annotated[float, within(-80, -6, "level in dB re full scale")] = -30.0
+    level_db: Annotated[float, within(-80, -16, "level in dB re full scale")] = -30.0
+    spectrum: Literal["white", "pink"] = "white"
 
 
 class Hand(Table, frozen=True):
-    """[hand]: the pace at which the hand strokes; the page shows it."""
+    """[hand]: the pace at which the hand strokes; the page shows it. `plays`: whether stimuli play by its position."""
 
     speed_mm_s: Annotated[float, within(1, 1000, "speed in mm/s")]
     stroke_mm: Annotated[float, within(5, 500, "length of a stroke in mm")] = 100.0
+    plays: bool = False
 
     @property
     def stroke_s(self) -> float:
@@ -173,6 +177,8 @@ class StudyTables(Table, frozen=True, kw_only=True):
     method: Annotated[str, one_of(METHODS)]
     seed: Annotated[int, within(0, 2**32 - 1)] = 1
     repetitions: Annotated[int, within(1, 100, "repetitions of each trial")] = 1
+    order: Literal["balanced", "random"] = "balanced"
+    textures_per_participant: Annotated[int, within(1, 100, "textures of each participant")] | None = None
     practice_trials: Annotated[int, within(0, 50, "trials before the first that counts")] = 0
     trials_per_block: Annotated[int, within(1, 1000, "trials from break to break")] = 20
     break_seconds: Annotated[float, within(0, 3600, "least length of a break in s")] = 30.0
@@ -200,6 +206,30 @@ class StudyTables(Table, frozen=True, kw_only=True):
         check_names("textures", [each.name for each in self.textures])
         check_names("conditions", [each.name for each in self.conditions])
         check_names("questions", [each.name for each in self.questions])
+        if (self.textures_per_participant or 0) > len(self.textures):
+            raise ValueError(
+                f"textures_per_participant is {self.textures_per_participant}, and there are {len(self.textures)} "
+                "[[textures]]; lower it, or add textures"
+            )
+        names = [each.name for each in self.textures]
+        for condition in self.conditions:
+            if unknown := [name for name in condition.textures or () if name not in names]:
+                raise ValueError(
+                    f"condition {condition.name} is for {unknown[0]!r}, and no [[textures]] is named so; choose of "
+                    f"{', '.join(names)}"
+                )
+            if condition.textures is not None and (condition.role != CONDITION or self.method == "paired_comparison"):
+                raise ValueError(
+                    f"condition {condition.name}: a condition for some textures goes with the role {CONDITION!r}, and "
+                    "not with paired_comparison; drop textures"
+                )
+        if self.hand is not None and self.hand.plays:
+            for texture in self.textures:
+                if texture.hand_speed_mm_s != self.hand.speed_mm_s:
+                    raise ValueError(
+                        f"texture {texture.name}: stimuli play by position, so its hand_speed_mm_s must be that of "
+                        f"[hand], {self.hand.speed_mm_s:g}; correct one of the two"
+                    )
         roles = [each.role for each in self.conditions]
         for role in (REFERENCE, HIDDEN_REFERENCE):
             if roles.count(role) > 1:
@@ -227,9 +257,14 @@ class Study(StudyTables, frozen=True, kw_only=True):
         """The condition that all others are compared with; None in a study without."""
         return next((each for each in self.conditions if each.role == REFERENCE), None)
 
-    def of_role(self, *roles: str) -> tuple[str, ...]:
-        """Return the names of the conditions of some roles."""
-        return tuple(each.name for each in self.conditions if each.role in roles)
+    def conditions_of(self, texture: str) -> tuple[Condition, ...]:
+        """Return the conditions of a texture."""
+        return tuple(each for each in self.conditions if each.textures is None or texture in each.textures)
+
+    def of_role(self, *roles: str, texture: str | None = None) -> tuple[str, ...]:
+        """Return the names of the conditions of some roles; of one texture or of all."""
+        conditions = self.conditions if texture is None else self.conditions_of(texture)
+        return tuple(each.name for each in conditions if each.role in roles)
 
     def recordings(self) -> Mapping[str, Recording]:
         """Return each texture's recording by name. Raises StudyError, which names the table."""

@@ -1,79 +1,121 @@
-"""Simulated observers in the texture paper's study: its conditions, limits, claims and page."""
+"""Simulated observers in the texture paper's study: its tables, limits, agreement and page."""
 
-from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy import stats
 
 from studies import okamoto_study
-from studies.okamoto_study import CUT, LINEAR, LOG, Fall, Result, claims, limit
-from studies.texture_paper import PUBLISHED, generated_profiles
+from studies.okamoto_study import (
+    AGAIN,
+    CUT,
+    DEGREES,
+    EXAMPLES,
+    LINEAR,
+    TEXTURES,
+    Published,
+    Simulated,
+    limit,
+    limits,
+    orders,
+    read_tables,
+    similar,
+)
+from studies.texture_paper import PUBLISHED
+from vibrocast.host.study.methods import FixedDesign, design
 from vibrocast.host.study.study_file import read_study
 
 
-def row(texture: str, family: str, parameter: float, is_noticed: bool) -> Result:
-    return Result(texture, family, parameter, 10.0, 1.0, 0.5, 3.0, 0.01 if is_noticed else 0.5, 0.5, 1.0, 0.0, 2.0)
+def test_each_p_of_the_tables_follows_from_its_t() -> None:
+    table = read_tables()
+    assert len(table) == 51
+    for row in table:
+        assert row.p == pytest.approx(2 * stats.t.sf(row.t, DEGREES), rel=0.02), row
+
+
+def test_the_study_file_has_the_conditions_of_the_tables() -> None:
+    study = read_study(EXAMPLES / "okamoto.toml")
+    for texture in TEXTURES:
+        assert set(study.of_role("condition", texture=texture)) == {
+            condition for name, condition in (row.key for row in read_tables()) if name == texture
+        }
+    found: FixedDesign = design(study, 1)  # type: ignore[assignment]
+    trials = found._trials
+    assert len({trial.texture for trial in trials}) == 2
+    counts = {(each.texture, each.facts["condition"]): 0 for each in trials}
+    for each in trials:
+        counts[each.texture, each.facts["condition"]] += 1
+    assert set(counts.values()) == {4}
+    assert study.hand is not None and study.hand.stroke_s == pytest.approx(1 / 1.25)
+    assert study.masking_noise is not None and study.masking_noise.spectrum == "pink"
+    pairs = read_study(EXAMPLES / "okamoto_pairs.toml")
+    for texture in TEXTURES:
+        assert 2 * pairs.repetitions * len(pairs.of_role("condition", texture=texture)) == 40
 
 
 def test_limits_end_at_the_first_noticed_value_from_the_finest() -> None:
-    levels = [row("wood", LINEAR, value, value in (4, 8)) for value in (4, 6, 8, 10, 12)]
-    assert limit(levels, "wood", LINEAR, (4, 6, 8, 10, 12)) == 10
-    assert limit(levels, "wood", LINEAR, (4, 6)) == 6
-    assert limit(levels, "wood", LINEAR, (8,)) is None
-    cuts = [row("wood", CUT, value, value > 0) for value in (-8, -4, 0, 4)]
-    assert limit(cuts, "wood", CUT, (-8, -4, 0, 4)) == 0
+    assert limit({4: True, 6: False, 8: True, 10: False, 12: False}, LINEAR) == 10
+    assert limit({4: True, 6: False}, LINEAR) == 6
+    assert limit({8: True}, LINEAR) is None
+    assert limit({-8: False, -4: False, 0: False, 4: True}, CUT) == 0
 
 
-def test_a_better_grade_than_the_hidden_reference_is_not_noticed() -> None:
-    assert row("wood", LINEAR, 4, True).is_noticed
-    assert not replace(row("wood", LINEAR, 4, True), difference=-0.5).is_noticed
+def people(table: list[Published], studies: int) -> Simulated:
+    """Return studies in which ten people notice exactly what those of the paper do, with t in the paper's order."""
+    reference = np.tile([0.0, 0.5], (studies, 5))
+    ranks = stats.rankdata([row.t for row in table])
+    grades = {(texture, AGAIN): reference for texture in TEXTURES}
+    for row, rank in zip(table, ranks, strict=True):
+        spread = np.linspace(-1, 1, 10)
+        spread /= np.std(spread, ddof=1) / np.sqrt(10)
+        t = 2.2 * rank / 51 if not row.is_noticed else 2.3 + rank
+        grades[row.key] = reference + 0.01 * (t + spread)
+    return Simulated(grades)
 
 
-def rows_of(levels: dict[str, int], cuts_db: dict[str, float]) -> list[Result]:
-    """Return results in which each texture has these limits."""
-    rows = [row(name, LINEAR, value, value < levels[name]) for name in levels for value in okamoto_study.LEVELS]
-    return rows + [row(name, CUT, value, value > cuts_db[name]) for name in cuts_db for value in okamoto_study.CUTS_DB]
+def test_people_like_those_of_the_paper_agree_with_it() -> None:
+    table = read_tables()
+    simulated = people(table, 3)
+    agreeing, rho = simulated.agreement(table)
+    assert agreeing.tolist() == [51] * 3
+    assert rho == pytest.approx(1)
+    found = limits(simulated, table)
+    assert len(found) == 8
+    for each in found:
+        assert each.percent == {each.paper: 100}
+        if each.family != okamoto_study.LOG:
+            paper = PUBLISHED[each.texture]
+            assert each.paper == (paper.b0_db if each.family == CUT else paper.levels)
+    assert set(orders(simulated, table).values()) == {100}
+    assert {each.texture: each.percent for each in similar(simulated, table)} == {
+        "wood": 0,  # its t is higher than that of ten levels, by a little
+        "sandpaper": 100,
+        "leather": 100,
+    }
 
 
-def test_listeners_like_those_of_the_paper_agree_with_every_claim() -> None:
-    levels = {name: each.levels for name, each in PUBLISHED.items()}
-    cuts_db = {name: each.b0_db for name, each in PUBLISHED.items()}
-    found = claims(rows_of(levels, cuts_db), [Fall("wood", 4, 5, 0.5, 0.01)])
-    assert [each.text for each in found if not each.agrees] == []
-    assert sum(each.is_order for each in found) == 4
-
-
-def test_other_listeners_disagree() -> None:
-    found = claims(rows_of(dict.fromkeys(PUBLISHED, 1000), dict.fromkeys(PUBLISHED, -100.0)), [])
-    agreeing = [each.text for each in found if each.agrees]
-    assert agreeing == ["a cut at the threshold, b0 = 0 dB, is noticed on wood and sandpaper"]
-    assert "more than 128" in found[0].here
-
-
-def test_the_study_file_can_be_read(tmp_path: Path) -> None:
-    for name in PUBLISHED:
-        (tmp_path / f"{name}.csv").touch()
-    path = tmp_path / "study.toml"
-    path.write_text(okamoto_study.study_file("degradation", 2, PUBLISHED))
-    study = read_study(path)
-    assert len(study.conditions) == 2 + len(okamoto_study.conditions())
-    settings = {each.name: each.setting for each in study.conditions}
-    assert settings["cut -8"]["b0_db"] == -8
-    assert settings["log 14"]["quantiser"] == "log"
+def test_people_who_notice_nothing_agree_by_chance() -> None:
+    table = read_tables()
+    reference = np.tile([0.0, 0.5], (2, 5))
+    simulated = Simulated({(texture, AGAIN): reference for texture in TEXTURES} | {row.key: reference for row in table})
+    with pytest.warns(stats.ConstantInputWarning):
+        agreeing, _ = simulated.agreement(table)
+    assert agreeing.tolist() == [51 - sum(row.is_noticed for row in table)] * 2
+    assert {
+        each.texture: next(iter(each.percent)) for each in limits(simulated, table) if each.family == LINEAR
+    } == dict.fromkeys(TEXTURES, 4)
 
 
 def test_the_page_is_written_for_few_observers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(okamoto_study, "REPETITIONS", 1)
-    monkeypatch.setattr(okamoto_study, "PAIRS", 2)
-    monkeypatch.setattr(okamoto_study, "LEVELS", (4, 128))
-    monkeypatch.setattr(okamoto_study, "PAPER_LEVELS", (4,))
-    monkeypatch.setattr(okamoto_study, "CUTS_DB", (-20, 0))
-    monkeypatch.setattr(okamoto_study, "VALUES", {LINEAR: (4, 128), LOG: (4, 128), CUT: (-20, 0)})
-    okamoto_study.write(tmp_path, generated_profiles(), 3)
+    monkeypatch.setattr(okamoto_study, "PARTICIPANTS", 6)
+    monkeypatch.setattr(okamoto_study, "INTEGRATIONS_S", (0.01,))
+    okamoto_study.write(tmp_path, 2)
     page = (tmp_path / "simulated_study.md").read_text()
     assert "**A simulated observer is not a person.**" in page
     assert "Simulated observers, not people" in (tmp_path / "results/simulated_study.svg").read_text()
-    lines = (tmp_path / "results/simulated_study.csv").read_text().splitlines()
-    assert len(lines) == 1 + 3 * 6
-    grades = {tuple(line.split(",")[:3]): float(line.split(",")[4]) for line in lines[1:]}
-    assert grades["leather", "linear", "4"] > grades["leather", "linear", "128"]
+    lines = [line.split(",") for line in (tmp_path / "results/simulated_study.csv").read_text().splitlines()]
+    assert len(lines) == 1 + 51
+    grades = {tuple(line[:3]): float(line[lines[0].index("grade")]) for line in lines[1:]}
+    assert grades["leather", "linear", "4.0"] > grades["leather", "linear", "14.0"]
+    assert len((tmp_path / "results/simulated_study_sensitivity.csv").read_text().splitlines()) == 1 + 6 * 3

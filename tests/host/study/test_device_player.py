@@ -4,6 +4,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.host.study.small_study import stimuli_of, text_of
@@ -11,9 +12,9 @@ from vibrocast.device_protocol.transports import SerialTransport, TransportError
 from vibrocast.host import devices
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.study import stimuli
-from vibrocast.host.study.device_player import ControllerPlayer
+from vibrocast.host.study.device_player import ControllerPlayer, HandPlayer
 from vibrocast.host.study.stimuli import stream_sha256
-from vibrocast.host.study.study_file import read_study
+from vibrocast.host.study.study_file import Hand, read_study
 from vibrocast.host.study.trials import Stimulus
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.simulated_device.controller import Controller as SimulatedController
@@ -64,6 +65,33 @@ def test_another_stimulus_and_a_stop_end_the_first_one(player: ControllerPlayer,
     assert player.playing() == made[1].key
     player.stop()
     assert player.playing() is None
+
+
+def test_a_stimulus_plays_by_the_position_of_the_hand(made: tuple[Stimulus, ...]) -> None:
+    hand = Hand(speed_mm_s=50, stroke_mm=10, plays=True)
+    with devices.connect("sim", actuator=PIEZO_STACK) as controller:
+        player = HandPlayer(controller, hand, 0.5)
+        player.prepare(made[:1])
+        # One stroke a beat of 0.2 s, for 0.5 s.
+        times_s, positions_mm = player._movement.times_s, player._movement.positions_mm
+        assert np.interp([0, 0.1, 0.2, 0.4], times_s, positions_mm) == pytest.approx([0, 5, 10, 0], abs=0.01)
+        assert times_s[-1] == pytest.approx(0.5, abs=0.005)
+        # The heights over position are those over time at the hand's speed.
+        sent, recording = player._carried[stream_sha256(made[0].stream)].profile(), made[0].stream.recording()
+        over_time = recording.samples[:, 0]
+        places_mm = np.arange(len(sent.heights_um)) * sent.spacing_um / 1000
+        wanted_um = np.interp(places_mm, 50 * np.arange(len(over_time)) / recording.rate_hz, over_time)
+        inner = (places_mm > 1) & (places_mm < 14)
+        assert np.std((sent.heights_um - wanted_um)[inner]) < 0.1 * np.std(wanted_um)
+        player.start(made[0])
+        wait_for_rest(player)
+        player.start(made[0])
+        time.sleep(0.4)
+        player.stop()
+        whole, stopped = player.take_played()
+    assert whole.stimulus == stopped.stimulus == made[0].key
+    assert whole.stream_sha256 == stream_sha256(made[0].stream)
+    assert whole.seconds > 0.5
 
 
 def test_a_stream_that_no_controller_decodes_goes_in_another_coding(player: ControllerPlayer, folder: Path) -> None:

@@ -97,10 +97,21 @@ def test_a_lower_snr_lies_farther_away(kind: str) -> None:
 @pytest.mark.parametrize("frequency_hz", [30.0, 250.0, 600.0])
 def test_what_is_far_under_the_threshold_or_masked_does_not_count(frequency_hz: float) -> None:
     wood = texture("wood")
-    assert observer().distance(skin(wood), skin(wood, tone(frequency_hz, -20))) < 0.1
+    assert observer().distance(skin(wood), skin(wood, tone(frequency_hz, -24))) < 0.1
     loud = tone(220, 40)
-    # 25 dB under a tone of the same band, though 15 dB over the threshold.
-    assert observer().distance(skin(loud), skin(loud, tone(240, 15))) < 0.1
+    # 35 dB under a tone of the same band, though 5 dB over the threshold. A stronger one beats with it.
+    assert observer().distance(skin(loud), skin(loud, tone(240, 5))) < 0.15
+    assert observer().distance(skin(loud), skin(loud, tone(240, 25))) > 0.5
+
+
+def test_the_course_in_time_is_felt_and_its_beginning_is_not() -> None:
+    # Clicks every 50 ms, and the same power spectrum with other phases: noise that repeats as often.
+    clicks = np.zeros((2800, 1))
+    clicks[::140] = 20.0
+    phases = np.random.default_rng(1).uniform(0, 2 * np.pi, 1401)
+    noise = np.fft.irfft(np.fft.rfft(clicks[:, 0]) * np.exp(1j * phases), 2800)[:, None]
+    assert observer().distance(skin(clicks), skin(noise)) > 2
+    assert observer().distance(skin(noise), skin(np.roll(noise, 60, axis=0))) < 0.5
 
 
 def test_offset_and_silence_are_not_felt() -> None:

@@ -7,12 +7,13 @@ import time
 from typing import Any
 
 import httpx
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.host.study.stub_run import CONDITIONS, LOST, WELCOME, StubRun, mushra, served, trial
-from vibrocast.host.study.server import CALL_THE_EXPERIMENTER, Aids, StudyPages, serve
+from vibrocast.host.study.server import CALL_THE_EXPERIMENTER, NOISE_RATE_HZ, Aids, StudyPages, serve
 from vibrocast.host.study.trials import Break, Message, Question, Run, Screen, StudyError
 
 
@@ -27,8 +28,8 @@ SCREENS: tuple[Screen, ...] = (WELCOME, Question("age", "Your age?"), trial(1), 
 class Client:
     """A browser that sends requests to the application itself, and knows the screen which it shows."""
 
-    def __init__(self, run: Run) -> None:
-        self.pages = StudyPages(run, Aids())
+    def __init__(self, run: Run, aids: Aids | None = None) -> None:
+        self.pages = StudyPages(run, aids or Aids())
         self.application = self.pages.application()
 
     def request(self, method: str, url: str, **content: Any) -> httpx.Response:
@@ -63,6 +64,20 @@ def error(response: httpx.Response) -> str:
     text: str = response.json()["error"]
     assert text and "\n" not in text
     return text
+
+
+@pytest.mark.parametrize(("spectrum", "db_per_octave"), [("white", 0.0), ("pink", -3.0103)])
+def test_masking_noise_has_the_slope_of_its_name_and_no_seam(spectrum: str, db_per_octave: float) -> None:
+    assert Client(StubRun(SCREENS)).get("/api/noise").status_code == 404
+    client = Client(StubRun(SCREENS), Aids(masking_noise_dbfs=-30.0, masking_noise_spectrum=spectrum))
+    samples = np.frombuffer(client.get("/api/noise").content, "<f4").astype(float)
+    assert np.sqrt(np.mean(samples**2)) == pytest.approx(1, abs=1e-3)
+    assert np.max(np.abs(samples)) < 10 ** (16 / 20)
+    assert abs(samples[0] - samples[-1]) < 5 * np.std(np.diff(samples))
+    power = np.abs(np.fft.rfft(samples)) ** 2
+    hz = np.arange(len(power)) * NOISE_RATE_HZ / len(samples)
+    levels_db = [10 * np.log10(np.mean(power[(hz >= low) & (hz < 2 * low)])) for low in (31.25 * 2.0 ** np.arange(9))]
+    assert np.diff(levels_db) == pytest.approx(db_per_octave, abs=0.05)
 
 
 def test_a_participant_walks_through_a_run() -> None:

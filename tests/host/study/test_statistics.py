@@ -125,6 +125,14 @@ def test_yes_no_sensitivity_and_the_log_linear_correction() -> None:
     assert own.sensitivity_yes_no(*own.rates(50, 50, 5, 50)) == pytest.approx(3.57, abs=0.01)
 
 
+def test_yes_no_sensitivity_of_pairs_is_the_difference_of_two_z() -> None:
+    # 18 of 20 and 4 of 20, corrected: z(18.5 / 21) = 1.1790 and z(4.5 / 21) = -0.7916 in a table of the normal curve.
+    assert own.sensitivity("same_different", [[18, 20, 4, 20]], model="yes_no").value == pytest.approx(1.971, abs=2e-3)
+    assert own.sensitivity("same_different", [[4, 20, 18, 20]], model="yes_no").value == pytest.approx(-1.971, abs=2e-3)
+    with pytest.raises(StudyError, match="same-different"):
+        own.sensitivity("abx", [[4, 20]], model="yes_no")
+
+
 # Worked examples in the help texts of the Palamedes toolbox (Prins and Kingdom), PAL_SDT_1AFCsameDiff_DiffMod_PHFtoDP,
 # PAL_SDT_1AFCsameDiff_IndMod_PHFtoDP and PAL_SDT_2AFCmatchSample_DiffMod_PHFtoDP.
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from tests.host.study.stub_run import chromium
 from vibrocast.host.cli.command_line import main
 
 ROOT = Path(__file__).parents[3]
-STUDY = ROOT / "examples" / "studies" / "okamoto.toml"
+STUDY = ROOT / "examples" / "studies" / "textures_short.toml"
 
 
 def shortened(folder: Path) -> Path:
@@ -25,13 +25,13 @@ def shortened(folder: Path) -> Path:
     for key, value in (("repetitions", 1), ("practice_trials", 1), ("break_seconds", 0), ("stimulus_seconds", 0.3)):
         text, count = re.subn(rf"^{key} = \S+", f"{key} = {value}", text, flags=re.MULTILINE)
         assert count == 1
-    path = folder / "okamoto.toml"
+    path = folder / "textures_short.toml"
     path.write_text(text)
     return path
 
 
 def test_simulated_observers_take_part_and_are_reported(tmp_path: Path) -> None:
-    out = tmp_path / "okamoto"
+    out = tmp_path / "short"
     for arguments in (["simulate", STUDY, "--participants", 3, "--out", out], ["report", out]):
         result = CliRunner().invoke(main, ["study", *map(str, arguments)])
         assert result.exit_code == 0, result.stderr
@@ -48,7 +48,7 @@ def test_simulated_observers_take_part_and_are_reported(tmp_path: Path) -> None:
 def test_a_scripted_participant_takes_part_in_chromium(tmp_path: Path) -> None:
     from playwright.sync_api import expect, sync_playwright
 
-    out = tmp_path / "okamoto"
+    out = tmp_path / "short"
     command = ["study", "run", str(shortened(tmp_path)), "--participant", "7", "--port", "0", "--out", str(out)]
     program = "from vibrocast.host.cli.entry import main; main()"
     process = subprocess.Popen(
