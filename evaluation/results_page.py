@@ -74,11 +74,13 @@ def write_results(
     description: Description,
     held_out: Sequence[HeldOut] = (),
     progress: Callable[[float], object] = lambda part: None,
+    redrawn: bool = False,
 ) -> None:
     """Write OUT/results.md and, in OUT/results, its charts and tables, each with its data as CSV, and the description.
 
     Imported points count where no codec of that name was measured, on the recordings that were. `progress` is called
-    with the part done, from 0 to 1. Raises OSError where a file cannot be written.
+    with the part done, from 0 to 1. `redrawn`: the page there is of these figures. Raises OSError where a file cannot
+    be written.
     """
     folder = out / "results"
     folder.mkdir(parents=True, exist_ok=True)
@@ -107,7 +109,7 @@ def write_results(
         measurements=measurements,
         name=charts.name,
     )
-    (out / "results.md").write_text(page, encoding="utf-8")
+    pages.write_figures(out / "results.md", page, redrawn)
 
 
 def read_held_out(folder: Path) -> list[HeldOut]:
@@ -321,7 +323,7 @@ def main(out: Path) -> None:
                 f"{folder / 'description.csv'}: {len(described)} rows in place of one; run the benchmark again"
             )
         tables: dict[str, Any] = {name: read_rows(folder / f"{name}.csv", kind) for name, kind in TABLES.items()}
-        write_results(out, Measurements(**tables), described[0], read_held_out(folder))
+        write_results(out, Measurements(**tables), described[0], read_held_out(folder), redrawn=True)
     except OSError as error:
         raise click.ClickException(f"{error.filename}: {error.strerror}; give the --out of a benchmark") from error
     except PointsError as error:

@@ -465,7 +465,7 @@ def main(out: Path, from_tables: bool) -> None:
     with page.errors_in_one_line():
         if from_tables:
             out.mkdir(parents=True, exist_ok=True)
-            page.write(out / "firmware.md", rendered())
+            page.write(out / "firmware.md", rendered(), redrawn=True)
             return
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary)

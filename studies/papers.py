@@ -32,6 +32,7 @@ from vibrocast.evaluation.comparison import (
 from vibrocast.evaluation.points import MEASURED, Point, PointsError, read_rows
 from vibrocast.evaluation.speed import RATES, RATIO, Speed
 from vibrocast.evaluation.tables import as_rows, frame
+from vibrocast.files import atomic_write
 from vibrocast.host import profiles
 from vibrocast.output import profile as rendering
 from vibrocast.output.actuator import PIEZO_STACK, followed_gain
@@ -519,7 +520,8 @@ def main(folder: Path, out: Path) -> None:
             )
             figure = charts.Chart("waveforms", title, samples).write(results, charts.plot_waveforms)
             write(out / "papers.md", page(measurements, claims, sensitivity, figure))
-            write(results / "note.md", note(read_rows(results / "held_out.csv", HeldOut)))
+            with atomic_write(results / "note.md") as partial:  # a part of another page
+                partial.write_text(note(read_rows(results / "held_out.csv", HeldOut)), encoding="utf-8")
     except (PointsError, cells.BenchError) as error:
         raise click.ClickException(str(error)) from error
     click.echo(f"{out / 'papers.md'}: {len(claims)} claims")
