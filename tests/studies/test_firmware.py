@@ -31,7 +31,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "benchmarks" / "firmware.md"
 M4F = CORES["M4F"]
 BUILDS = [
     ("M4F", 0),
-    *(pytest.param(build, marks=pytest.mark.slow) for build in (("M4F", 1), ("M7", 0), ("M33", 0))),
+    *(pytest.param(build, marks=pytest.mark.slow) for build in (("M4F", 1), ("M7", 0), ("M33", 0), ("M0+", 0))),
 ]
 FUNCTIONS = [
     f"vc_{name}_{function}"
