@@ -23,6 +23,8 @@ NOTE = "note.md"
 """In OUT/results: a text of your own in Markdown, which the page shows among its evidence."""
 HELD_OUT = "held_out.csv"
 """In OUT/results: rows of HeldOut, if codecs were measured on recordings kept apart."""
+EMBEDDED = "embedded_load.svg"
+"""In OUT/results: the chart of studies.embedded_load, if it was drawn."""
 ALL_PEERS = "all peers"
 TEMPLATE = Path(__file__).with_name("results.md.jinja")
 RATE_SCALES = (SNR, ST_SIM_2800, SPQI)
@@ -141,6 +143,7 @@ def _head(folder: Path, measurements: Measurements) -> dict[str, Any]:
         "imported": imported,
         "note": note.read_text(encoding="utf-8").strip() if (note := folder / NOTE).exists() else "",
         "failures": [(*kind, some) for kind, some in failures.items()],
+        "embedded": EMBEDDED if (folder / EMBEDDED).exists() else "",
         "max_listed_failures": MAX_LISTED_FAILURES,
         "scales": SHOWN_SCALES,
         "all_scales": SCALES,

@@ -29,6 +29,8 @@ STREAMS = Path(__file__).parents[1] / "codec"
 SHIPPED = firmware.TABLES / "firmware_loads.csv"
 PAGE = Path(__file__).parents[2] / "docs" / "benchmarks" / "firmware.md"
 M4F = CORES["M4F"]
+LIMITS_PERCENT = {"mdct": 3.0, "eva-16": 3.0, "eva-32": 8.0, "eva-64": 25.0, "eva-128": 75.0}
+"""Wanted: less than this load of a Cortex-M4F."""
 BUILDS = [
     ("M4F", 0),
     *(pytest.param(build, marks=pytest.mark.slow) for build in (("M4F", 1), ("M7", 0), ("M33", 0), ("M0+", 0))),
@@ -226,7 +228,7 @@ def test_the_shipped_figures_are_what_is_counted(programs: Programs) -> None:
     run = emulated_core.decode(programs["M4F", 0], M4F, stream)
     shipped = next(row for row in rows if (row["decoder"], row["texture"]) == ("mdct", "rough"))
     assert float(shipped["instructions"]) == pytest.approx(run.instructions, rel=0.05), "run studies.firmware"
-    for decoder, percent in firmware.LIMITS_PERCENT.items():
+    for decoder, percent in LIMITS_PERCENT.items():
         counts = [float(row["instructions"]) for row in rows if row["decoder"] == decoder]
         assert 100 * max(counts) * firmware.RATE_HZ / M4F.clock_hz < percent
 

@@ -59,13 +59,13 @@ static int by_bin(const vc_slp_configuration *configuration)
 
 void vc_slp_model_reset(vc_slp_model *model, const vc_slp_configuration *configuration)
 {
-    unsigned i;
+    unsigned context, i;
     /* Assumes that magnitudes have a geometric distribution with the mean that the context expects (in 1/64). */
-    for (i = 0; i < VC_SLP_LEVEL_PROBABILITIES; i++) {
-        const uint32_t context = i % VC_SLP_NEIGHBOUR_CONTEXTS;
+    for (context = 0; context < VC_SLP_NEIGHBOUR_CONTEXTS; context++) {
         const uint32_t expected = class_start(context) + class_start(context + 1);
-        model->level[i] =
-            (uint16_t)(by_bin(configuration) ? VC_UNTRAINED / 4 : 65535u * (uint64_t)expected / (expected + 128));
+        const uint32_t odds = by_bin(configuration) ? VC_UNTRAINED / 4 : 65535u * expected / (expected + 128);
+        for (i = context; i < VC_SLP_LEVEL_PROBABILITIES; i += VC_SLP_NEIGHBOUR_CONTEXTS)
+            model->level[i] = (uint16_t)odds;
     }
     model->frames = 0;
     model->silent[0] = model->silent[1] = model->silent[2] = VC_UNTRAINED / 8;
@@ -128,18 +128,20 @@ static unsigned level_context(const vc_slp_channel *channel, uint32_t k)
     return scale_class(expected >> 1);
 }
 
-/* `probabilities`: of the first decision in this context, then of the next one `contexts` further on, and so on. */
-static int32_t code_level(vc_range_coder *coder, int encoding, uint16_t *probabilities, uint32_t contexts,
-                          unsigned shift, int32_t level)
+/* `probability`: of the first decision in this context. Those of the next ones lie `contexts` further on each, and
+ * end before `end`. */
+static int32_t code_level(vc_range_coder *coder, int encoding, uint16_t *probability, const uint16_t *end,
+                          uint32_t contexts, unsigned shift, int32_t level)
 {
     const uint32_t wanted = (uint32_t)(level < 0 ? -level : level);
-    const uint32_t last = VC_SLP_LEVEL_PROBABILITIES / contexts - 1;
     uint32_t magnitude = 0;
     int negative;
     while (magnitude < VC_SLP_UNARY_LIMIT &&
-           vc_adaptive_code(coder, encoding, wanted > magnitude,
-                            &probabilities[(magnitude < last ? magnitude : last) * contexts], shift))
+           vc_adaptive_code(coder, encoding, wanted > magnitude, probability, shift)) {
         magnitude++;
+        if (end - probability > (ptrdiff_t)contexts)
+            probability += contexts;
+    }
     if (magnitude == VC_SLP_UNARY_LIMIT) {
         if (encoding) {
             vc_golomb_encode(coder, wanted - VC_SLP_UNARY_LIMIT);
@@ -164,6 +166,8 @@ void vc_slp_code_frame(vc_range_coder *coder, int encoding, vc_slp_model *model,
     const unsigned shift = !by_bin(configuration)
                                ? ADAPTATION
                                : ADAPTATION - (model->frames < FAST_FRAMES) - (model->frames < MEDIUM_FRAMES);
+    const uint32_t contexts = configuration->contexts;
+    const uint16_t *const end = &model->level[VC_SLP_LEVEL_PROBABILITIES / contexts * contexts];
     uint32_t k;
     frame->silent = coded(coder, encoding, frame->silent, &model->silent[channel->silent_history]);
     channel->silent_history = (uint8_t)((channel->silent_history << 1 | frame->silent) & 3);
@@ -186,7 +190,7 @@ void vc_slp_code_frame(vc_range_coder *coder, int encoding, vc_slp_model *model,
         if (!frame->silent) {
             const uint32_t context = by_bin(configuration) ? k : level_context(channel, k);
             frame->levels[k] =
-                code_level(coder, encoding, &model->level[context], configuration->contexts, shift, frame->levels[k]);
+                code_level(coder, encoding, &model->level[context], end, contexts, shift, frame->levels[k]);
         }
         magnitude = (uint32_t)(frame->levels[k] < 0 ? -frame->levels[k] : frame->levels[k]);
         channel->now[k + 2] = (uint8_t)(magnitude < 126 ? magnitude : 126);
