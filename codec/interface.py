@@ -320,6 +320,7 @@ class Codec:
             and StreamError for a malformed packet; None where the layout does not allow it.
         learned_transform: Describes the transform of a model; None where there is none.
         physical_rate_point_sets: The curves that need a signal in a physical unit.
+        named_rate_point_sets: The curves that a benchmark measures only where it names them.
         needs_model: Whether there are no built-in tables.
         controls_rate: Whether encoders take a rate control.
         keeps_waveform: Whether decoded samples come near the input, so that an SNR can be a target.
@@ -355,6 +356,7 @@ class Codec:
     repack: Callable[[bytes, int, bytes | None, Sequence[bytes], int], tuple[bytes, list[bytes]]] | None = None
     learned_transform: Callable[[bytes], LearnedTransform] | None = None
     physical_rate_point_sets: frozenset[str] = frozenset()
+    named_rate_point_sets: frozenset[str] = frozenset()
     needs_model: bool = False
     controls_rate: bool = False
     keeps_waveform: bool = True

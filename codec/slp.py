@@ -6,6 +6,7 @@ reads none of its streams.
 """
 
 import math
+from collections.abc import Mapping
 from functools import lru_cache, partial
 
 import numpy as np
@@ -23,6 +24,7 @@ from vibrocast.codec.interface import (
     Signal,
     SignalFormat,
     number,
+    word,
 )
 from vibrocast.codec.linear_prediction import reflection_codes, sparse_predictors, stabilised
 from vibrocast.codec.mdct import RATE_CONTROLLED
@@ -39,6 +41,9 @@ QUANTISER_OFFSETS_OF_STEP_CODE = 2
 """Units of the quantiser offset in one step code."""
 LEVELS = 32
 """Levels of `quality`, the coarsest 0."""
+NEIGHBOURS, BIN = "neighbours", "bin"
+ROUNDING, PLAIN_ROUNDING = 98 / 256, 0.5
+"""By the first, a value nearly between two levels takes the lower one, which saves more than it spoils."""
 _ANALYSIS_SAMPLES = 512
 """Samples to which a predictor is fitted: those up to the end of its frame."""
 _CHUNK_FRAMES = 128
@@ -65,6 +70,8 @@ class SlpEncoder(PacketwiseEncoder):
         frame: int,
         order: int,
         shaping: float,
+        contexts: str,
+        rounding: float,
         signal_format: SignalFormat,
         framing: Framing,
         rate_control: RateControl | None = None,
@@ -72,8 +79,10 @@ class SlpEncoder(PacketwiseEncoder):
         """Make an encoder with a quantiser step relative to each channel's RMS value.
 
         `frame`: samples per frame. `order`: of the predictor. `shaping`: weight of the detection threshold in the
-        steps, 0 to 1. `rate_control`: chooses the quantiser offset of each packet, in 1/16 octave of the steps; None =
-        no offsets. Raises CodecError for a frame, channel count or packet length that the codec cannot have.
+        steps, 0 to 1. `contexts`: of magnitudes, by NEIGHBOURS or one a BIN. `rounding`: what is added to a magnitude
+        in steps, whose fraction is then dropped. `rate_control`: chooses the quantiser offset of each packet, in 1/16
+        octave of the steps; None = no offsets. Raises CodecError for a frame, channel count or packet length that the
+        codec cannot have.
         """
         if frame not in FRAMES:
             raise CodecError(f"frames of {frame} samples; choose one of {', '.join(map(str, FRAMES))}")
@@ -86,7 +95,7 @@ class SlpEncoder(PacketwiseEncoder):
         self._quantiser_offsets = range(-QUANTISER_OFFSETS_OF_STEP_CODE * max(step_codes), self._silent + 1)
         self.configuration = bytes(
             (
-                FRAMES.index(frame) << 5 | order,
+                (contexts == BIN) << 7 | FRAMES.index(frame) << 5 | order,
                 self._packet_blocks & 255,
                 self._packet_blocks >> 8,
                 min(round(256 * shaping), 255),
@@ -95,7 +104,9 @@ class SlpEncoder(PacketwiseEncoder):
                 *(RATE_CONTROLLED if rate_control else b""),
             )
         )
-        self._core = CoreEncoder(NAME, self.configuration, self._channels, framing.refresh_packets)
+        self._core = CoreEncoder(
+            NAME, self.configuration, self._channels, framing.refresh_packets, round(256 * rounding)
+        )
         self._before: Signal = np.zeros((_ANALYSIS_SAMPLES + order, self._channels))
 
     def _code_packets(self, signal: Signal) -> list[bytes]:
@@ -152,6 +163,8 @@ def make_encoder(
         int(str(setting["frame"])),
         int(number(setting, "order")),
         number(setting, "shaping"),
+        word(setting, "contexts"),
+        number(setting, "rounding"),
         signal_format,
         framing,
         rate_control,
@@ -163,6 +176,16 @@ def make_decoder(configuration: bytes, channels: int, tables: bytes | None = Non
     return CoreDecoder(NAME, configuration, channels)
 
 
+VARIANTS: Mapping[str, Setting] = {
+    f"{NAME}-plain": {"rounding": PLAIN_ROUNDING},
+    f"{NAME}-bin": {"contexts": BIN},
+    f"{NAME}-plain-bin": {"rounding": PLAIN_ROUNDING, "contexts": BIN},
+    f"{NAME}-shaping-0.5": {"shaping": 0.5},
+    f"{NAME}-shaping-0.5-plain-bin": {"shaping": 0.5, "rounding": PLAIN_ROUNDING, "contexts": BIN},
+    f"{NAME}-shaping-1": {"shaping": 1.0},
+}
+"""Other readings of the public descriptions: of the weight of the threshold, the rounding and the contexts."""
+
 CODEC = Codec(
     name=NAME,
     identifier=IDENTIFIER,
@@ -172,8 +195,20 @@ CODEC = Codec(
         "frame": Parameter("samples per frame", "64", choices=tuple(map(str, FRAMES))),
         "order": Parameter("order of the predictor; 0 = no prediction", 8, low=0, high=MAX_ORDER, whole=True),
         "shaping": Parameter("how far the error follows the detection threshold; 0 = white error", 0.1, low=0, high=1),
+        "contexts": Parameter(
+            "what the bits of a magnitude depend on: its neighbours, or its bin alone",
+            NEIGHBOURS,
+            choices=(NEIGHBOURS, BIN),
+        ),
+        "rounding": Parameter(
+            "part of a step added before rounding down; 0.5 = to the nearest level", ROUNDING, low=0, high=0.5
+        ),
     },
-    rate_point_sets={NAME: tuple({"quality": quality} for quality in range(LEVELS))},
+    rate_point_sets={
+        name: tuple({"quality": quality, **given} for quality in range(LEVELS))
+        for name, given in {NAME: {}, **VARIANTS}.items()
+    },
+    named_rate_point_sets=frozenset(VARIANTS),
     make_encoder=make_encoder,
     make_decoder=make_decoder,
     controls_rate=True,

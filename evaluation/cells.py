@@ -167,9 +167,10 @@ def methods(
     programs.
 
     A name is that of a codec, which stands for all its sets of rate points and families, or of one of these; no name at
-    all stands for all codecs. A set of rate points that needs a physical unit is left out of traces without one, unless
-    it is named. Raises BenchError for unknown names, for those of codecs that need a model where there is none, and for
-    programs or families that are called like a codec or set of rate points.
+    all stands for all codecs. Some sets are measured only where their own name stands. A set of rate points that needs
+    a physical unit is left out of traces without one, unless it is named. Raises BenchError for unknown names, for
+    those of codecs that need a model where there is none, and for programs or families that are called like a codec or
+    set of rate points.
     """
     of_codecs = [
         Method(
@@ -181,6 +182,7 @@ def methods(
         for known in codec.CODECS.values()
         if not known.needs_model
         for rate_point_set, settings in known.rate_point_sets.items()
+        if rate_point_set not in known.named_rate_point_sets or rate_point_set in names
     ]
     taken = {*codec.CODECS, *(method.name for method in of_codecs)}
     every = [*of_codecs, *families(models)]

@@ -49,12 +49,15 @@ FAR_DB = 20.0
 
 BACKGROUND = ("slp", "dct", "lc3", "wavpack", "g72", "amr", "flac", "parametric")
 """The first letters of curves that stay grey. All others without a style in pictures.CODECS may be a reader's own."""
-MAIN = ("mdct", "vcpwq", "mpeg", "opus", "speex")
+MAIN = ("mdct", "slp", "eva", "vcpwq", "mpeg", "opus", "speex")
 """The groups in the chart for a first look."""
 CORE, OTHER_RUNTIME = " (core)", " (onnx)"
 """End the names of costs of a model: by the controller's decoder, by one that only hosts have."""
 MARKERS = {"o": "circles", "s": "squares", "^": "triangles"}
 MAX_EXCESS_PERCENT = 300.0
+AREA_OF_BYTE = 0.0015
+"""Of a mark, in square points."""
+MARKED_BYTES = (20_000, 200_000)
 FAR_PERCENT = 150.0
 MAX_NUMBERED_ROWS = 80
 LOGARITHMIC = (*TIMES, "flash_bytes")
@@ -123,7 +126,7 @@ def plot_comparison(path: Path, table: pl.DataFrame, title: str, rate_hz: float 
     _decorate(axes)
     labels = []
     for place, (codec, curve) in enumerate(curves.items()):
-        style = style_of(codec)
+        style = _inked(codec)
         bits, mean = np.transpose([(row.bits_per_sample, row.mean) for row in curve if math.isfinite(row.mean)])
         labels.append(
             _Label(*_draw_line(axes, bits, mean, style, front=not place), named(codec).name, style, not place)
@@ -276,6 +279,56 @@ def plot_cost_points(path: Path, table: pl.DataFrame, title: str, scale: Scale) 
     pictures.write(figure, path)
 
 
+def plot_loads(path: Path, table: pl.DataFrame, title: str, scales: Sequence[Scale]) -> None:
+    """Draw quality over the load of processors: a row of panels for each quality, one for each `cost` of the rows.
+
+    The area of a mark is `memory_bytes`. No mark lies above the line; dots mark a full processor. Raises OSError.
+    """
+    rows = as_rows(table)
+    costs = list(dict.fromkeys(row.cost for row in rows))
+    names = [_short(row.codec) for row in rows]
+    figure = _figure(title, [PANEL_IN * 0.75] * len(scales), names, across=len(costs), bottom_in=0.85)
+    panels = figure.subplots(len(scales), len(costs), squeeze=False, sharex="col", sharey="row")
+    for scale, cost, axes in ((s, c, panels[i][j]) for i, s in enumerate(scales) for j, c in enumerate(costs)):
+        of_scale = [row for row in rows if row.quality == scale.field]
+        shown = [row for row in of_scale if row.cost == cost]
+        _set_quality_axis(axes, scale, [row.value for row in of_scale])
+        _set_log_axis(axes, [row.load_percent for row in rows if row.cost == cost])
+        if cost != costs[0]:
+            axes.set_ylabel("")
+        if scale == scales[-1]:
+            axes.set_xlabel(cost)
+        axes.axvline(100, color=INK, linewidth=0.8, linestyle=":")
+        front = sorted((row.load_percent, row.value) for row in shown if not _beaten(row, shown))
+        (first, _), (_, best) = front[0], front[-1]
+        edges = [(first, axes.get_ylim()[0]), *front, (axes.get_xlim()[1], best)]
+        axes.step(*np.transpose(edges), where="post", color=GREY, linewidth=1, zorder=1)
+        labels = []
+        for row in shown:
+            style, place = _inked(row.codec), (row.load_percent, row.value)
+            axes.scatter(*place, row.memory_bytes * AREA_OF_BYTE, color=style.colour, alpha=0.6, linewidth=0)
+            labels.append(_Label(*place, _short(row.codec), style, row.codec == MAIN[0]))
+        _write_labels(axes, labels)
+    marks = [
+        panels[0][0].scatter([], [], size * AREA_OF_BYTE, color=GREY, label=f"{size // 1000} kB")
+        for size in MARKED_BYTES
+    ]
+    figure.legend(
+        handles=marks, loc="lower left", ncols=2, frameon=False, fontsize=FONT_POINTS, title="area: code, model and RAM"
+    )
+    pictures.write(figure, path)
+
+
+def _beaten(row: Any, rows: Sequence[Any]) -> bool:
+    """Return whether another row has more quality for no more load, or as much for less."""
+    return any(
+        other.load_percent <= row.load_percent
+        and other.value >= row.value
+        and (other.load_percent, other.value) != (row.load_percent, row.value)
+        for other in rows
+    )
+
+
 def plot_bd_rates(
     path: Path, table: pl.DataFrame, title: str, scales: Sequence[Scale], kinds: Mapping[str, str]
 ) -> None:
@@ -367,6 +420,11 @@ def style_of(codec: str) -> Style:
     if group in pictures.CODECS:
         return pictures.CODECS[group]
     return Style(GREY, width=0.8) if group in BACKGROUND else pictures.OTHERS
+
+
+def _inked(codec: str) -> Style:
+    """Return the style of a curve where none stays in the background."""
+    return Style(INK) if is_grey(codec) else style_of(codec)
 
 
 def is_grey(codec: str) -> bool:

@@ -319,7 +319,7 @@ def cost_points(measurements: Measurements, scale: Scale, names: Sequence[str]) 
     """
     found = []
     for rate in RATES:
-        means = _means_at(measurements, scale, rate)
+        means = means_at(measurements, scale, rate)
         found += [
             (rate, with_runtime(cost), cost.source, means[cost.codec], name, value, cost.flash_bytes)
             for cost in as_rows(curve_costs(measurements, rate))
@@ -349,7 +349,7 @@ def with_runtime(row: Any) -> str:
     return f"{row.codec} ({row.runtime})" if row.runtime else str(row.codec)
 
 
-def _means_at(measurements: Measurements, scale: Scale, rate: float) -> dict[str, float]:
+def means_at(measurements: Measurements, scale: Scale, rate: float) -> dict[str, float]:
     """Return the mean quality of the codecs that have one for every recording at this rate."""
     means = {}
     for codec in measurements.curves:
@@ -478,7 +478,7 @@ def marginal_costs(measurements: Measurements) -> pl.DataFrame:
     by a finer setting). `than` is the best codec that decodes faster, and `gained_db` the gain over it. TIMES and
     `flash_bytes` are those for each decibel of that gain; null where there is none.
     """
-    means = _means_at(measurements, SNR, BITS_PER_SAMPLE)
+    means = means_at(measurements, SNR, BITS_PER_SAMPLE)
     costs = curve_costs(measurements).filter(pl.col("codec").is_in(list(means)), source=MEASURED)
     names = (*TIMES, "flash_bytes")
     found: list[tuple[object, ...]] = []
@@ -582,7 +582,7 @@ def recommendations(measurements: Measurements) -> pl.DataFrame:
     needs.append((f"the shortest delay at {snr}", enough, "delay_ms"))
     needs.append((f"the smallest decoder and model, of those counted, at {snr}", enough, "flash_bytes"))
     for scale in (SPQI, ST_SIM_2800):
-        means = _means_at(measurements, scale, RATES[0])
+        means = means_at(measurements, scale, RATES[0])
         at_rate = costs(dict.fromkeys(means, RATES[0]))
         loss = pl.col("codec").replace_strict(means, default=None, return_dtype=pl.Float64)
         needs.append((f"the best {scale.label} at {RATES[0]:g} bit/sample", at_rate.with_columns(loss=-loss), "loss"))

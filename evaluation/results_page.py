@@ -23,6 +23,8 @@ NOTE = "note.md"
 """In OUT/results: a text of your own in Markdown, which the page shows among its evidence."""
 HELD_OUT = "held_out.csv"
 """In OUT/results: rows of HeldOut, if codecs were measured on recordings kept apart."""
+EMBEDDED = "embedded_load.svg"
+"""In OUT/results: the chart of studies.embedded_load, if it was drawn."""
 ALL_PEERS = "all peers"
 TEMPLATE = Path(__file__).with_name("results.md.jinja")
 RATE_SCALES = (SNR, ST_SIM_2800, SPQI)
@@ -74,11 +76,13 @@ def write_results(
     description: Description,
     held_out: Sequence[HeldOut] = (),
     progress: Callable[[float], object] = lambda part: None,
+    redrawn: bool = False,
 ) -> None:
     """Write OUT/results.md and, in OUT/results, its charts and tables, each with its data as CSV, and the description.
 
     Imported points count where no codec of that name was measured, on the recordings that were. `progress` is called
-    with the part done, from 0 to 1. Raises OSError where a file cannot be written.
+    with the part done, from 0 to 1. `redrawn`: the page there is of these figures. Raises OSError where a file cannot
+    be written.
     """
     folder = out / "results"
     folder.mkdir(parents=True, exist_ok=True)
@@ -107,7 +111,7 @@ def write_results(
         measurements=measurements,
         name=charts.name,
     )
-    (out / "results.md").write_text(page, encoding="utf-8")
+    pages.write_figures(out / "results.md", page, redrawn)
 
 
 def read_held_out(folder: Path) -> list[HeldOut]:
@@ -139,6 +143,7 @@ def _head(folder: Path, measurements: Measurements) -> dict[str, Any]:
         "imported": imported,
         "note": note.read_text(encoding="utf-8").strip() if (note := folder / NOTE).exists() else "",
         "failures": [(*kind, some) for kind, some in failures.items()],
+        "embedded": EMBEDDED if (folder / EMBEDDED).exists() else "",
         "max_listed_failures": MAX_LISTED_FAILURES,
         "scales": SHOWN_SCALES,
         "all_scales": SCALES,
@@ -321,7 +326,7 @@ def main(out: Path) -> None:
                 f"{folder / 'description.csv'}: {len(described)} rows in place of one; run the benchmark again"
             )
         tables: dict[str, Any] = {name: read_rows(folder / f"{name}.csv", kind) for name, kind in TABLES.items()}
-        write_results(out, Measurements(**tables), described[0], read_held_out(folder))
+        write_results(out, Measurements(**tables), described[0], read_held_out(folder), redrawn=True)
     except OSError as error:
         raise click.ClickException(f"{error.filename}: {error.strerror}; give the --out of a benchmark") from error
     except PointsError as error:

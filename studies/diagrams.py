@@ -15,11 +15,12 @@ from schemdraw.segments import SegmentText
 from schemdraw.types import Halign
 
 import vibrocast
-from studies.page import errors_in_one_line, write
+from studies.page import errors_in_one_line
 from tests.test_architecture import ALLOWED, PRODUCTS
 from vibrocast.device_protocol import frames, messages
 from vibrocast.device_protocol.layout import wire_fields
 from vibrocast.device_protocol.messages import SlotState, State
+from vibrocast.files import atomic_write
 from vibrocast.output.actuator import PIEZO_STACK
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -477,7 +478,8 @@ def main(out: Path) -> None:
     with errors_in_one_line():
         out.mkdir(parents=True, exist_ok=True)
         for name, draw in PICTURES.items():
-            write(out / f"{name}.svg", draw().save())
+            with atomic_write(out / f"{name}.svg") as partial:
+                partial.write_text(draw().save(), encoding="utf-8")
             click.echo(out / f"{name}.svg")
 
 

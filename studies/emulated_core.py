@@ -15,7 +15,7 @@ from unicorn import riscv_const
 
 from vibrocast import codec, extras
 from vibrocast.codec import CodedSignal, Decoded
-from vibrocast.firmware.build import FLAGS, M4F, M7, M33, ROOT, BuildError, cortex_m_flags
+from vibrocast.firmware.build import FLAGS, M0_PLUS, M4F, M7, M33, ROOT, BuildError, cortex_m_flags
 from vibrocast.firmware.elf import Elf
 from vibrocast.simulated_device.cycles import CycleCounter
 
@@ -49,8 +49,9 @@ CORES = {
     "M4F": Core("Cortex-M4F", 168e6, cortex_m_flags(M4F), emulated.UC_CPU_ARM_CORTEX_M4),
     "M7": Core("Cortex-M7", 480e6, cortex_m_flags(M7), emulated.UC_CPU_ARM_CORTEX_M7),
     "M33": Core("Cortex-M33", 150e6, cortex_m_flags(M33), emulated.UC_CPU_ARM_CORTEX_M33),
+    "M0+": Core("Cortex-M0+", 133e6, cortex_m_flags(M0_PLUS), emulated.UC_CPU_ARM_CORTEX_M0),
 }
-"""With the clocks of an STM32F405, an STM32H743 and an RP2350."""
+"""With the clocks of an STM32F405, an STM32H743, an RP2350 and an RP2040."""
 
 
 def compile_core(

@@ -57,8 +57,6 @@ DECODERS = (
 )
 """Codecs, and families of models that ship."""
 QUALITIES_DB = (5.0, 10.0, 20.0)
-LIMITS_PERCENT = {"mdct": 3.0, "eva-16": 3.0, "eva-32": 8.0, "eva-64": 25.0, "eva-128": 75.0}
-"""Wanted: less than this load of a Cortex-M4F."""
 CHANNELS = (1, 2, 4)
 """For how many a decoder is compiled."""
 TABLES = Path(costs.__file__).parent / "data"
@@ -434,8 +432,7 @@ def _load(loads: Sequence[Load], decoder: str, core: str, kernels: str) -> dict[
 
 def _on_m4(loads: Sequence[Load], decoder: str) -> dict[str, Any]:
     portable, dsp = (_load(loads, decoder, "M4F", kernels) for kernels in _KERNELS)
-    limit_percent = LIMITS_PERCENT.get(decoder)
-    return {"decoder": decoder, "portable": portable, "dsp": dsp, "limit_percent": limit_percent}
+    return {"decoder": decoder, "portable": portable, "dsp": dsp}
 
 
 def _memory(loads: Sequence[Load], sizes: Sequence[Size], decoder: str) -> list[float]:
@@ -465,7 +462,7 @@ def main(out: Path, from_tables: bool) -> None:
     with page.errors_in_one_line():
         if from_tables:
             out.mkdir(parents=True, exist_ok=True)
-            page.write(out / "firmware.md", rendered())
+            page.write(out / "firmware.md", rendered(), redrawn=True)
             return
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary)

@@ -1,6 +1,5 @@
 """Shared by the scripts: options, errors in one line, and pages and tables that are written whole."""
 
-import subprocess
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -27,6 +26,9 @@ OUT = click.option(
 )
 
 
+write = pages.write_figures
+
+
 @contextmanager
 def errors_in_one_line() -> Iterator[None]:
     """Turn errors that a person can act on into those of a command."""
@@ -49,21 +51,6 @@ def write_rows(path: Path, rows: Iterable[Row], kind: type[Row]) -> None:
     """Write rows of a dataclass as CSV, whole or not at all. Raises OSError."""
     with atomic_write(path) as partial:
         points.write_rows(partial, rows, kind)
-
-
-def write(path: Path, page: str) -> None:
-    """Write a page, whole or not at all. Raises OSError."""
-    with atomic_write(path) as partial:
-        partial.write_text(page, encoding="utf-8")
-
-
-def commit() -> str:
-    """Return the commit of this source, short; "unknown" outside a repository."""
-    asked = ["git", "-C", str(Path(__file__).parent), "rev-parse", "--short", "HEAD"]
-    try:
-        return subprocess.run(asked, capture_output=True, check=True, text=True).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
 
 
 def render(name: str, **values: object) -> str:

@@ -275,7 +275,7 @@ def main(
         with errors_in_one_line():
             rows = stored(results_folder(out) / ROWS)
             groups = [Path(name) for name in dict.fromkeys(row.group for row in rows)]
-            write(out / PAGE, page(rows, left_out, command(groups, unit), measured_at))
+            write(out / PAGE, page(rows, left_out, command(groups, unit), measured_at), redrawn=True)
     else:
         _measure(folders, out, unit)
     click.echo(str(out / PAGE))

@@ -13,10 +13,10 @@ from vibrocast import codec, extras
 from vibrocast.device_protocol.coded_stream import StreamHeader, pack_file
 from vibrocast.device_protocol.model_image import ModelImage, sha256
 from vibrocast.evaluation import points
-from vibrocast.firmware.build import M0_PLUS, ROOT, BuildError, cortex_m_flags, only, size
+from vibrocast.firmware.build import ROOT, BuildError, only, size
 
 try:
-    from unicorn import arm_const, riscv_const
+    from unicorn import riscv_const
 
     from studies import worst_case
     from studies.emulated_core import CORES, Core, EmulatedCore, compile_core
@@ -36,7 +36,7 @@ _FUNCTIONS = ("vc_stream_open", "vc_stream_next", "vc_stream_poll", "vc_array_re
 
 
 PROCESSORS = (
-    Core("Cortex-M0+", 133e6, cortex_m_flags(M0_PLUS), arm_const.UC_CPU_ARM_CORTEX_M0),
+    CORES["M0+"],
     CORES["M4F"],
     CORES["M33"],
     Core(

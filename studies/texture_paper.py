@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.fft import dct as fast_dct
 
-from studies.page import OUT, commit, errors_in_one_line, render, results_folder, write_rows
+from studies.page import OUT, errors_in_one_line, render, results_folder, write_rows
 from studies.page import write as write_page
 from vibrocast import codec, textures
 from vibrocast.codec import dct
@@ -285,7 +285,6 @@ def markdown(results: Sequence[Result], recordings: Sequence[Median]) -> str:
         uncut=uncut,
         cut=cut,
         cuts_db=B0_DB,
-        commit=commit(),
         gains_db=[uncut[name, "log-nearest", 6].snr_db - uncut[name, "log", 6].snr_db for name in materials],
         at_levels={(row.quantiser, row.levels): row for row in recordings if row.block == DEFAULT_BLOCK},
         recording_levels=RECORDING_LEVELS if recordings else (),

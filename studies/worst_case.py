@@ -362,12 +362,12 @@ def of_longest_block(costs: Sequence[Cost], decoder: str, channels: int) -> Cost
     return max(of_decoder, key=lambda cost: cost.block_cycles)
 
 
-def write_page(out: Path, costs: Sequence[Cost], turns: Sequence[Turn]) -> None:
-    """Write OUT/worst_case.md, and its tables into OUT/results. Raises OSError."""
+def write_page(out: Path, costs: Sequence[Cost], turns: Sequence[Turn], redrawn: bool = False) -> None:
+    """Write OUT/worst_case.md, and its tables into OUT/results; `redrawn` as write_figures. Raises OSError."""
     results = page.results_folder(out)
     page.write_rows(results / COSTS, costs, Cost)
     page.write_rows(results / TURNS, turns, Turn)
-    page.write(out / "worst_case.md", rendered(costs, turns))
+    page.write(out / "worst_case.md", rendered(costs, turns), redrawn)
 
 
 def rendered(costs: Sequence[Cost], turns: Sequence[Turn]) -> str:
@@ -412,7 +412,7 @@ def main(out: Path, from_tables: bool) -> None:
                     turns.append(turn)
                     update(None, f"{turn.decoder} on a board")
             costs = [cost for cost, _ in found]
-        write_page(out, costs, turns)
+        write_page(out, costs, turns, from_tables)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,15 @@
 """Pages filled from templates: what is escaped, what is missing, and how values are written."""
 
+import re
+import subprocess
 from pathlib import Path
 
 import pytest
 from jinja2 import UndefinedError
 
 from vibrocast import pages
+
+ROOT = Path(__file__).parents[1]
 
 
 def render(folder: Path, name: str, template: str, **values: object) -> str:
@@ -21,6 +25,53 @@ def test_html_escapes_every_value_and_markdown_what_a_table_would_take_for_its_o
 def test_blank_lines_of_markdown_are_one(tmp_path: Path) -> None:
     template = "# Page\n\n{% if false %}\nno\n{% endif %}\n\n{% for each in some %}\n- {{ each }}\n{% endfor %}\n\n\n"
     assert render(tmp_path, "a.md.jinja", template, some="ab") == "# Page\n\n- a\n- b\n"
+
+
+def test_a_page_of_figures_ends_with_their_commit_and_keeps_it_when_it_is_drawn_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pages, "program", lambda: "commit 12ab34c (2026-01-02)")
+    path = tmp_path / "page.md"
+    pages.write_figures(path, "# New\n", redrawn=True)
+    assert path.read_text() == "# New\n"
+    pages.write_figures(path, "# Measured\n")
+    assert path.read_text() == "# Measured\n\nFigures: commit 12ab34c (2026-01-02).\n"
+    monkeypatch.setattr(pages, "program", lambda: "commit 0000000 (2026-01-03)")
+    pages.write_figures(path, "# Drawn again\n", redrawn=True)
+    assert path.read_text() == "# Drawn again\n\nFigures: commit 12ab34c (2026-01-02).\n"
+
+
+def test_the_program_is_its_commit_in_a_checkout_and_its_version_elsewhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Elsewhere: also below the checkout of another project, which ignores the folder."""
+    pages.program.cache_clear()
+    monkeypatch.setattr(pages, "_CHECKOUT", tmp_path / "other" / ".venv")
+    pages._CHECKOUT.mkdir(parents=True)
+    assert pages.program().startswith("vibrocast 0.")
+
+    def git(*arguments: str) -> None:
+        identity = ("-c", "user.name=a", "-c", "user.email=a@b")
+        subprocess.run(["git", "-C", tmp_path / "other", *identity, *arguments], check=True, capture_output=True)
+
+    (tmp_path / "other" / ".gitignore").write_text(".venv\n")
+    for arguments in (("init",), ("add", "."), ("commit", "-m", "one")):
+        git(*arguments)
+    pages.program.cache_clear()
+    assert pages.program().startswith("vibrocast 0.")
+    monkeypatch.setattr(pages, "_CHECKOUT", tmp_path / "other")
+    pages.program.cache_clear()
+    assert re.fullmatch(r"commit [0-9a-f]{7,} \(\d{4}-\d\d-\d\d\)", pages.program())
+    (tmp_path / "other" / ".gitignore").write_text("")
+    pages.program.cache_clear()
+    assert pages.program().endswith("), changed since")
+    pages.program.cache_clear()
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "docs" / "benchmarks").glob("*.md")), ids=lambda path: path.stem)
+def test_every_page_of_figures_states_their_commit(path: Path) -> None:
+    last = path.read_text().splitlines()[-1]
+    assert re.fullmatch(rf"{pages.FIGURES}commit [0-9a-f]{{7,}} \(\d{{4}}-\d\d-\d\d\)(, changed since)?\.", last)
 
 
 def test_a_value_that_is_not_given_is_an_error(tmp_path: Path) -> None:

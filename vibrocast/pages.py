@@ -1,11 +1,20 @@
 """Renders pages from the templates next to their modules: text, Markdown, C, and HTML with every value escaped."""
 
 import re
+import subprocess
 from collections.abc import Iterable
+from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from vibrocast.files import atomic_write
+
+FIGURES = "Figures: "
+"""Begins the last line of a page of figures."""
+_CHECKOUT = Path(__file__).resolve().parents[1]
 
 
 def render(template: Path, **values: object) -> str:
@@ -24,6 +33,38 @@ def render(template: Path, **values: object) -> str:
     environment.filters.update(FILTERS)
     text = environment.get_template(template.name).render(values)
     return (text if is_html else re.sub(r"\n{3,}", "\n\n", text)).strip("\n") + "\n"
+
+
+def write_figures(path: Path, page: str, redrawn: bool = False) -> None:
+    """Write a page of figures, whole or not at all; its last line states from which program they are. Raises OSError.
+
+    `redrawn`: the figures are those of the page that is there, and keep its last line.
+    """
+    if redrawn:
+        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+        last = next((line for line in reversed(lines) if line.startswith(FIGURES)), "")
+    else:
+        last = f"{FIGURES}{program()}."
+    with atomic_write(path) as partial:
+        partial.write_text(f"{page}\n{last}\n" if last else page, encoding="utf-8")
+
+
+@cache
+def program() -> str:
+    """Return the commit of this program with its date, and whether files differ; its version outside of a checkout."""
+    # Of the folder alone: a checkout of something else may lie around an installed program.
+    commit = _git("log", "-1", "--format=commit %h (%cs)", "--", ".")
+    changed = commit and _git("status", "--porcelain", "--untracked-files=no", "--", ".", ":!docs")
+    return (commit or f"vibrocast {version('vibrocast')}") + (", changed since" if changed else "")
+
+
+def _git(*arguments: str) -> str:
+    """Return the output of git in the folder of this program; "" without git or a checkout."""
+    command = ["git", "-C", str(_CHECKOUT), *arguments]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return ""
 
 
 def cell(value: object) -> str:

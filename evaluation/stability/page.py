@@ -13,7 +13,6 @@ from vibrocast.evaluation.stability.cell_files import read_cells, write_cells
 from vibrocast.evaluation.stability.known_causes import CRASH, explanation, known_causes
 from vibrocast.evaluation.stability.maps import Group, Map, ranges
 from vibrocast.evaluation.stability.trials import Outcome, Verdict
-from vibrocast.files import atomic_write
 
 PAGE, FOLDER = "stability.md", "stability"
 TITLE = "# Where codecs hold and where they fail"
@@ -78,10 +77,12 @@ def folder_in(out: Path) -> Path:
     return folder
 
 
-def write(out: Path, maps: Sequence[Map], cells: Sequence[Verdict], command: str) -> list[Failure]:
+def write(
+    out: Path, maps: Sequence[Map], cells: Sequence[Verdict], command: str, redrawn: bool = False
+) -> list[Failure]:
     """Write stability.md into `out` and, into a folder there, each map's CSV file and picture; return the failures.
 
-    `command`: what was run. Raises OSError, and as folder_in.
+    `command`: what was run. `redrawn`: the page there is of these cells. Raises OSError, and as folder_in.
     """
     folder = folder_in(out)
     drawn = [(each, own) for each in maps if (own := [cell for cell in cells if cell.map == each.name])]
@@ -90,8 +91,7 @@ def write(out: Path, maps: Sequence[Map], cells: Sequence[Verdict], command: str
     names = {each.name: pictures.write(folder, each, own) for each, own in drawn}
     write_rows(folder / "description.csv", [Description(command)], Description)
     write_rows(folder / "boundaries.csv", [row for each, own in drawn for row in boundaries(each, own)], Boundary)
-    with atomic_write(out / PAGE) as partial:
-        partial.write_text(markdown(drawn, names, command), "utf-8")
+    pages.write_figures(out / PAGE, markdown(drawn, names, command), redrawn)
     return failures(drawn)
 
 
@@ -109,7 +109,7 @@ def redraw(out: Path, maps: Sequence[Map]) -> list[Failure]:
         )
     found = [(each, path) for each in maps if (path := folder / f"{each.name}.csv").exists()]
     cells = [cell for each, path in found for cell in read_cells(path, each)]
-    return write(out, maps, cells, described[0].command)
+    return write(out, maps, cells, described[0].command, redrawn=True)
 
 
 def markdown(maps: Sequence[tuple[Map, Sequence[Verdict]]], names: dict[str, str], command: str) -> str:

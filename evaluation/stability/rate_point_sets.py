@@ -108,9 +108,11 @@ def _trials(scope: Scope) -> list[Trial]:
     for method in scope.methods:
         rate_point_sets = {method.name: rate_points(method)}
         if not method.models:
-            every = codec.CODECS[method.name].rate_point_sets
+            known = codec.CODECS[method.name]
             rate_point_sets = {
-                name: [RatePoint(method.name, setting) for setting in own] for name, own in every.items()
+                name: [RatePoint(method.name, setting) for setting in own]
+                for name, own in known.rate_point_sets.items()
+                if name not in known.named_rate_point_sets
             }
         for name, rate_point_set in rate_point_sets.items():
             if len(rate_point_set) > 1:

@@ -37,8 +37,8 @@ def log16(x: int) -> int:
     return 16 * exponent + ((x << 4 >> exponent) & 15)
 
 
-def adapted(probability: int, bit: int) -> int:
-    return probability + ((65535 - probability) >> 5) if bit else probability - (probability >> 5)
+def adapted(probability: int, bit: int, shift: int = 5) -> int:
+    return probability + ((65535 - probability) >> shift) if bit else probability - (probability >> shift)
 
 
 def bounded(probability: int) -> int:

@@ -133,7 +133,7 @@ static int run_slp(void)
         return 2;
     channels = (unsigned)kind;
     if (vc_slp_decoder_init(decoder, bytes, length, channels) != VC_OK ||
-        vc_slp_encoder_init(encoder, bytes, length, channels, 3) != VC_OK)
+        vc_slp_encoder_init(encoder, bytes, length, channels, 3, 98) != VC_OK)
         return 0;
     free(bytes);
     count = (size_t)vc_slp_decoder_packet_samples(decoder) * channels;

@@ -52,10 +52,14 @@ class Channel:
 class Model:
     """Section "`slp`: probabilities"."""
 
-    def __init__(self) -> None:
+    def __init__(self, bins: int) -> None:
+        """`bins`: of a context each; 0 = contexts by neighbours."""
         starts = [x for x in range(20_000) if x == 0 or fine_class(x) != fine_class(x - 1)]
         expected = [starts[i] + starts[i + 1] for i in range(48)]
         self.level = [[65535 * e // (e + 128)] * 6 for e in expected]
+        if bins:
+            self.level = [[8192] * (288 // bins) for _ in range(bins)]
+        self.frames = 0
         self.silent = [4096, 4096, 4096, 32768]
         self.changed = [8192, 8192]
         self.differs, self.sign, self.above = [32768] * 16, [32768] * 16, [32768] * 15
@@ -65,20 +69,21 @@ class SlpReferenceDecoder:
     """Section "`slp`"."""
 
     def __init__(self, configuration: bytes, channels: int) -> None:
-        self.frame, self.order = 32 << (configuration[0] >> 5), configuration[0] & 31
+        self.frame, self.order = 32 << (configuration[0] >> 5 & 3), configuration[0] & 31
+        self.bins = self.frame if configuration[0] >> 7 else 0
         self.packet_frames = configuration[1] | configuration[2] << 8
         self.shaping, self.rate_code = configuration[3], configuration[4]
         self.step_codes = list(configuration[5 : 5 + channels])
         self.rate_controlled = configuration[5 + channels :] == b"\x01"
         self.quantiser_offset = QuantiserOffset()
-        self.model = Model()
+        self.model = Model(self.bins)
         self.channels: list[Channel] = []
 
     def samples(self, packet: bytes) -> Signal:
         """Samples of one packet, in least significant bits, not rounded."""
         head = next(i for i, byte in enumerate(packet) if byte < 128) + 1
         if packet[0] & 1:
-            self.model = Model()
+            self.model = Model(self.bins)
             self.quantiser_offset = QuantiserOffset()
             self.channels = [Channel(self.frame, self.order) for _ in self.step_codes]
         coder = RangeDecoder(packet[head:])
@@ -90,9 +95,9 @@ class SlpReferenceDecoder:
         ]
         return np.array(frames).swapaxes(1, 2).reshape(-1, len(self.channels)) / 256
 
-    def _decide(self, coder: RangeDecoder, probabilities: list[int], index: int) -> int:
+    def _decide(self, coder: RangeDecoder, probabilities: list[int], index: int, shift: int = 5) -> int:
         bit = coder.decode(bounded(probabilities[index]))
-        probabilities[index] = adapted(probabilities[index], bit)
+        probabilities[index] = adapted(probabilities[index], bit, shift)
         return bit
 
     def _frame(self, coder: RangeDecoder, channel: Channel, step_code: int) -> list[float]:
@@ -105,8 +110,9 @@ class SlpReferenceDecoder:
         now = [0] * (self.frame + 4)
         levels = [0] * self.frame
         for k in range(self.frame if not silent else 0):
-            levels[k] = self._level(coder, self._context(channel, now, k + 2))
+            levels[k] = self._level(coder, k if self.bins else self._context(channel, now, k + 2))
             now[k + 2] = min(abs(levels[k]), 126)
+        self.model.frames += 1
         channel.last = now
         channel.average = [a - (a >> 3) + 32 * m for a, m in zip(channel.average, now, strict=True)]
         steps = self._steps(channel.reflections, step_code)
@@ -131,8 +137,9 @@ class SlpReferenceDecoder:
         return fine_class(expected >> 1)
 
     def _level(self, coder: RangeDecoder, context: int) -> int:
-        magnitude = 0
-        while magnitude < 15 and self._decide(coder, self.model.level[context], min(magnitude, 5)):
+        magnitude, probabilities = 0, self.model.level[context]
+        shift = 3 + (self.model.frames >= 8) + (self.model.frames >= 24) if self.bins else 5
+        while magnitude < 15 and self._decide(coder, probabilities, min(magnitude, len(probabilities) - 1), shift):
             magnitude += 1
         if magnitude == 15:
             bits = 0

@@ -64,15 +64,16 @@ def test_core_agrees_with_the_documented_decoder_on_hard_signals(name: str, qual
 @given(
     quantiser_offsets=st.lists(st.integers(-40, 40) | st.integers(-336, 336), min_size=1, max_size=8),
     frame=st.sampled_from(slp.FRAMES),
+    contexts=st.sampled_from([slp.NEIGHBOURS, slp.BIN]),
     channels=st.integers(1, 2),
     refresh_packets=st.integers(0, 3),
 )
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_core_agrees_with_the_documented_decoder_on_any_quantiser_offsets(
-    quantiser_offsets: list[int], frame: int, channels: int, refresh_packets: int
+    quantiser_offsets: list[int], frame: int, contexts: str, channels: int, refresh_packets: int
 ) -> None:
-    signal, framing = texture(500, channels), Framing(2 * frame, refresh_packets)
-    configuration, packets = coded(signal, framing, in_turn(quantiser_offsets), frame=str(frame))
+    signal, framing = texture(1500, channels), Framing(2 * frame, refresh_packets)
+    configuration, packets = coded(signal, framing, in_turn(quantiser_offsets), frame=str(frame), contexts=contexts)
     assert difference_to_the_documented_decoder(configuration, packets, channels) < 1.5
 
 
@@ -111,6 +112,16 @@ def test_prediction_pays_for_a_resonant_texture() -> None:
         snrs_db.append(codec.snr_db(signal, codec.decode(stream)) or 0.0)
     assert snrs_db[1] > snrs_db[0] - 0.2
     assert sizes[1] < 0.95 * sizes[0]
+
+
+def test_plain_rounding_takes_more_bits_for_less_error() -> None:
+    signal = texture(5600)
+    sizes, snrs_db = [], []
+    for rounding in (slp.ROUNDING, slp.PLAIN_ROUNDING):
+        stream = codec.encode(signal, RATE_HZ, {"quality": 10, "rounding": rounding}, codec="slp")
+        sizes.append(sum(map(len, stream.packets)))
+        snrs_db.append(codec.snr_db(signal, codec.decode(stream)) or 0.0)
+    assert sizes[1] > 1.05 * sizes[0] and snrs_db[1] > snrs_db[0]
 
 
 def test_shaping_moves_noise_to_where_less_is_felt() -> None:
@@ -286,13 +297,20 @@ def test_a_stream_joined_in_the_middle_rises() -> None:
     np.testing.assert_array_equal(joined[64:], clean[64:])
 
 
-@given(st.sampled_from([1, 2, 16]), st.sampled_from([0, 5, 16]), st.lists(st.binary(max_size=300), max_size=6))
-@settings(max_examples=60)
-def test_any_bytes_decode_safely(channels: int, order: int, payloads: list[bytes]) -> None:
+@given(
+    st.sampled_from([1, 2, 16]),
+    st.sampled_from([0, 5, 16]),
+    st.integers(0, 1),
+    st.integers(0, 2),
+    st.lists(st.binary(max_size=300), max_size=6),
+)
+@settings(max_examples=100)
+def test_any_bytes_decode_safely(channels: int, order: int, by_bin: int, size: int, payloads: list[bytes]) -> None:
     for step_code in (0, slp.STEP_CODES - 1):
-        decoder = slp.make_decoder(bytes((1 << 5 | order, 3, 0, 255, 141, *[step_code] * channels)), channels)
+        frame = by_bin << 7 | size << 5 | order
+        decoder = slp.make_decoder(bytes((frame, 3, 0, 255, 141, *[step_code] * channels)), channels)
         for payload in payloads:
-            assert decoder.decode(b"\x01" + payload).shape == (3 * 64, channels)
+            assert decoder.decode(b"\x01" + payload).shape == (3 * (32 << size), channels)
 
 
 @pytest.mark.parametrize(
@@ -301,6 +319,8 @@ def test_any_bytes_decode_safely(channels: int, order: int, payloads: list[bytes
         b"",
         bytes(5),
         bytes((3 << 5, 1, 0, 0, 0, 0)),
+        bytes((7 << 5, 1, 0, 0, 0, 0)),
+        bytes((4 << 5 | 17, 1, 0, 0, 0, 0)),
         bytes((17, 1, 0, 0, 0, 0)),
         bytes((8, 0, 0, 0, 0, 0)),
         bytes((8, 0, 16, 0, 0, 0)),

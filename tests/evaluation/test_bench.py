@@ -308,8 +308,9 @@ def test_methods_by_codec_and_by_rate_point_set() -> None:
     without_models = [known for known in codec.CODECS.values() if not known.needs_model]
     assert {method.coder for method in everything} == {known.name for known in without_models}
     assert [method.name for method in everything] == [
-        name for known in without_models for name in known.rate_point_sets
+        name for known in without_models for name in known.rate_point_sets if name not in known.named_rate_point_sets
     ]
+    assert [method.name for method in cells.methods(["slp", "slp-shaping-1"])] == ["slp", "slp-shaping-1"]
     chosen = cells.methods(["g726", "mdct"])
     assert [method.name for method in chosen] == ["mdct", "mdct-live", "g726"]
     assert chosen == cells.methods(["mdct", "g726"])

@@ -10,6 +10,7 @@ from vibrocast import pictures
 from vibrocast.evaluation import charts
 from vibrocast.evaluation.bd_rate import SNR
 from vibrocast.evaluation.peers import named, peers
+from vibrocast.evaluation.tables import as_rows
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -62,8 +63,20 @@ def test_a_chart_is_the_same_each_time_and_its_text_stays_text(tmp_path: Path) -
 def test_the_first_look_has_few_lines(tmp_path: Path) -> None:
     table = curves("mdct", "vcpwq", "vcpwq_bl128", "slp", "eva-16", "opus", "opus_celt@relabel")
     charts.plot_comparison(tmp_path / "look.svg", table, "At equal SNR", None)
-    assert {"mdct", "VC-PWQ", "Opus"} <= set(texts(tmp_path / "look.svg"))
-    assert not {"slp", "eva-16"} & set(texts(tmp_path / "look.svg"))
+    drawn = set(texts(tmp_path / "look.svg"))
+    assert {"mdct", "VC-PWQ", "Opus", "slp", "eva-16"} <= drawn
+    assert not {"VC-PWQ, block 128", "Opus, CELT mode"} & drawn
+
+
+def test_no_decoder_lies_above_the_line_of_loads(tmp_path: Path) -> None:
+    """Of three, one takes more and gives less than another."""
+    rows = [("mdct", 10.0, 1.0, 50_000), ("slp", 9.0, 2.0, 20_000), ("eva-16", 11.0, 4.0, 200_000)]
+    table = pl.DataFrame(rows, ["codec", "value", "load_percent", "memory_bytes"], orient="row").with_columns(
+        quality=pl.lit("snr_db"), cost=pl.lit("load of a processor, %")
+    )
+    assert [charts._beaten(row, as_rows(table)) for row in as_rows(table)] == [False, True, False]
+    charts.plot_loads(tmp_path / "load.svg", table, "Loads", [SNR])
+    assert {"mdct", "slp", "eva-16", "load of a processor, %", "20 kB"} <= set(texts(tmp_path / "load.svg"))
 
 
 def test_the_best_of_those_drawn_are_joined(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from studies import emulated_core, firmware
 from studies.emulated_core import CORES, EmulatedCore, compile_core
 from tests.codec.eva_models import random_image, with_extreme_weights
-from vibrocast import codec, models
+from vibrocast import codec, models, pages
 from vibrocast.codec import CodedSignal, eva
 from vibrocast.device_protocol.coded_stream import unpack_file
 from vibrocast.device_protocol.model_image import ModelImage
@@ -29,9 +29,11 @@ STREAMS = Path(__file__).parents[1] / "codec"
 SHIPPED = firmware.TABLES / "firmware_loads.csv"
 PAGE = Path(__file__).parents[2] / "docs" / "benchmarks" / "firmware.md"
 M4F = CORES["M4F"]
+LIMITS_PERCENT = {"mdct": 3.0, "eva-16": 3.0, "eva-32": 8.0, "eva-64": 25.0, "eva-128": 75.0}
+"""Wanted: less than this load of a Cortex-M4F."""
 BUILDS = [
     ("M4F", 0),
-    *(pytest.param(build, marks=pytest.mark.slow) for build in (("M4F", 1), ("M7", 0), ("M33", 0))),
+    *(pytest.param(build, marks=pytest.mark.slow) for build in (("M4F", 1), ("M7", 0), ("M33", 0), ("M0+", 0))),
 ]
 FUNCTIONS = [
     f"vc_{name}_{function}"
@@ -226,7 +228,7 @@ def test_the_shipped_figures_are_what_is_counted(programs: Programs) -> None:
     run = emulated_core.decode(programs["M4F", 0], M4F, stream)
     shipped = next(row for row in rows if (row["decoder"], row["texture"]) == ("mdct", "rough"))
     assert float(shipped["instructions"]) == pytest.approx(run.instructions, rel=0.05), "run studies.firmware"
-    for decoder, percent in firmware.LIMITS_PERCENT.items():
+    for decoder, percent in LIMITS_PERCENT.items():
         counts = [float(row["instructions"]) for row in rows if row["decoder"] == decoder]
         assert 100 * max(counts) * firmware.RATE_HZ / M4F.clock_hz < percent
 
@@ -250,7 +252,8 @@ def test_the_page_says_what_was_measured(tmp_path: Path) -> None:
 def test_the_shipped_page_is_rendered_from_the_shipped_tables(tmp_path: Path) -> None:
     done = CliRunner().invoke(firmware.main, ["--out", str(tmp_path), "--from-tables"])
     assert done.exit_code == 0, done.output
-    assert PAGE.read_text() == (tmp_path / "firmware.md").read_text(), "run `python -m studies.firmware --from-tables`"
+    shipped, _, _ = PAGE.read_text().partition(f"\n{pages.FIGURES}")
+    assert shipped == (tmp_path / "firmware.md").read_text(), "run `python -m studies.firmware --from-tables`"
 
 
 def test_the_command_says_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

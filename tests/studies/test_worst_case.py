@@ -8,6 +8,7 @@ import pytest
 from studies import worst_case
 from studies.emulated_core import EmulatedCore
 from studies.worst_case import Cost, Turn
+from vibrocast import pages
 from vibrocast.evaluation import points
 
 pytestmark = pytest.mark.skipif(find_spec("ziglang") is None, reason="no compiler for microcontrollers")
@@ -49,4 +50,5 @@ def test_a_board_rejects_a_stream_that_it_cannot_decode_in_time(processor: Emula
 def test_the_tables_hold_what_the_page_says() -> None:
     assert all(cost.noise_cycles <= cost.stated_cycles for cost in COSTS)
     assert all((turn.stop_ms or 0.0) < PROMPT_MS and (turn.turn_ms or 0.0) < PROMPT_MS for turn in TURNS)
-    assert (BENCHMARKS / "worst_case.md").read_text() == worst_case.rendered(COSTS, TURNS)
+    shipped, _, _ = (BENCHMARKS / "worst_case.md").read_text().partition(f"\n{pages.FIGURES}")
+    assert shipped == worst_case.rendered(COSTS, TURNS)

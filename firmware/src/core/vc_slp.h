@@ -31,9 +31,10 @@ int vc_slp_feed(vc_slp_decoder *decoder, const uint8_t *packet, size_t length);
 uint32_t vc_slp_poll(vc_slp_decoder *decoder, int16_t *samples);
 int vc_slp_decode(vc_slp_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples);
 
-/* Prepares an encoder. `refresh_packets`: packets from one refresh to the next, 0 = only the first packet is one. */
+/* Prepares an encoder. `refresh_packets`: packets from one refresh to the next, 0 = only the first packet is one.
+ * `rounding`: what is added to a magnitude in steps before its fraction is dropped, in 1/256; 128 = plain rounding. */
 int vc_slp_encoder_init(vc_slp_encoder *encoder, const uint8_t *configuration, size_t configuration_length,
-                        unsigned channels, uint32_t refresh_packets);
+                        unsigned channels, uint32_t refresh_packets, uint32_t rounding);
 
 /* Codes one packet. `samples`: frames x channels x frame length, in 1/256 of a 16-bit sample's least significant bit,
  * within full scale. `reflections`: frames x channels x order, codes, -15 to 15, of the predictor that suits each

@@ -56,7 +56,7 @@ int vc_slp_feed(vc_slp_decoder *decoder, const uint8_t *packet, size_t length)
         return VC_CONCEALED;
     decoder->rising = decoder->concealed > 0 || sequence != decoder->next_sequence;
     if (refresh) {
-        vc_slp_model_reset(&decoder->model);
+        vc_slp_model_reset(&decoder->model, configuration);
         vc_quantiser_offset_reset(&decoder->quantiser_offset);
     }
     for (channel = 0; channel < configuration->channels && refresh; channel++)

@@ -1,16 +1,13 @@
 /* Encoder of `slp`, its integer half: chooses predictors, quantises the residual in a closed loop, codes the frames. */
 #include "vc_slp_frame.h"
 
-/* Part of a step from which a magnitude is rounded up, in 1/256. A value nearly between two levels takes the lower,
- * which saves more than it spoils. */
-#define ROUNDING 98
 /* Frames that a new predictor is expected to serve: its bits are divided by this before they are compared with the
  * savings in one frame. */
 #define PREDICTOR_LIFE 6
 
 struct vc_slp_encoder {
     vc_slp_configuration configuration;
-    uint32_t refresh_packets, sequence;
+    uint32_t refresh_packets, rounding, sequence;
     vc_slp_model model;
     vc_quantiser_offset quantiser_offset;
     vc_slp_channel channels[VC_MAX_CHANNELS];
@@ -30,10 +27,11 @@ size_t vc_slp_encoder_size(void)
 }
 
 int vc_slp_encoder_init(vc_slp_encoder *encoder, const uint8_t *configuration, size_t configuration_length,
-                        unsigned channels, uint32_t refresh_packets)
+                        unsigned channels, uint32_t refresh_packets, uint32_t rounding)
 {
     memset(encoder, 0, sizeof *encoder);
     encoder->refresh_packets = refresh_packets;
+    encoder->rounding = rounding;
     return vc_slp_configuration_read(&encoder->configuration, configuration, configuration_length, channels);
 }
 
@@ -71,9 +69,9 @@ static int32_t predictor_cost(const int8_t *reflections, const int8_t *last, uns
     return cost;
 }
 
-static int32_t quantised(int32_t value, int32_t step)
+static int32_t quantised(int32_t value, int32_t step, uint32_t rounding)
 {
-    uint64_t level = (((uint64_t)magnitude_of(value) << 8) / (uint32_t)step + ROUNDING) >> 8;
+    uint64_t level = (((uint64_t)magnitude_of(value) << 8) / (uint32_t)step + rounding) >> 8;
     if (level > VC_SLP_MAX_LEVEL)
         level = VC_SLP_MAX_LEVEL;
     return value < 0 ? -(int32_t)level : (int32_t)level;
@@ -106,7 +104,7 @@ static void encode_frame(vc_slp_encoder *encoder, vc_range_coder *coder, unsigne
     memcpy(frame.reflections, chosen->reflections, sizeof frame.reflections);
     frame.silent = 1;
     for (k = 0; k < configuration->frame; k++) {
-        frame.levels[k] = silent ? 0 : quantised(chosen->spectrum[k], chosen->steps[k]);
+        frame.levels[k] = silent ? 0 : quantised(chosen->spectrum[k], chosen->steps[k], encoder->rounding);
         frame.silent &= frame.levels[k] == 0;
     }
     vc_slp_code_frame(coder, 1, &encoder->model, channel, configuration, number, &frame);
@@ -132,7 +130,7 @@ int32_t vc_slp_encode(vc_slp_encoder *encoder, const int32_t *samples, const int
         return VC_PACKET_TOO_LARGE;
     payload = packet + vc_packet_head_write(packet, encoder->sequence, refresh);
     if (refresh) {
-        vc_slp_model_reset(&encoder->model);
+        vc_slp_model_reset(&encoder->model, configuration);
         vc_quantiser_offset_reset(&encoder->quantiser_offset);
     }
     for (channel = 0; channel < configuration->channels && refresh; channel++)

@@ -3,6 +3,9 @@
 
 #define ADAPTATION 5u
 #define LOWEST_OCTAVE 4 /* of the threshold table: 16 Hz */
+/* Contexts of single bins adapt as those of single latents do; see vc_eva_latents.c. */
+#define FAST_FRAMES 8u
+#define MEDIUM_FRAMES 24u
 
 int vc_slp_configuration_read(vc_slp_configuration *configuration, const uint8_t *bytes, size_t length,
                               unsigned channels)
@@ -13,7 +16,8 @@ int vc_slp_configuration_read(vc_slp_configuration *configuration, const uint8_t
     if (channels < 1 || channels > VC_MAX_CHANNELS ||
         !vc_rate_control_read(bytes, length, 5 + (size_t)channels, &read.rate_controlled))
         return VC_BAD_CONFIGURATION;
-    read.frame = 32u << (bytes[0] >> 5);
+    read.frame = 32u << (bytes[0] >> 5 & 3u);
+    read.contexts = (uint16_t)(bytes[0] & 128u ? read.frame : VC_SLP_NEIGHBOUR_CONTEXTS);
     read.order = bytes[0] & 31u;
     read.packet_frames = bytes[1] | (uint32_t)bytes[2] << 8;
     read.shaping = bytes[3];
@@ -47,15 +51,23 @@ static uint32_t class_start(uint32_t number)
     return number < 4 ? number : (4 + (number & 3u)) << (number / 4 - 1);
 }
 
-void vc_slp_model_reset(vc_slp_model *model)
+/* Whether magnitudes have a context a bin, in place of those by neighbours. */
+static int by_bin(const vc_slp_configuration *configuration)
 {
-    unsigned context, decision, i;
+    return configuration->contexts == configuration->frame;
+}
+
+void vc_slp_model_reset(vc_slp_model *model, const vc_slp_configuration *configuration)
+{
+    unsigned context, i;
     /* Assumes that magnitudes have a geometric distribution with the mean that the context expects (in 1/64). */
-    for (context = 0; context < VC_SLP_CONTEXTS; context++)
-        for (decision = 0; decision < VC_SLP_DECISIONS; decision++) {
-            uint32_t expected = class_start(context) + class_start(context + 1);
-            model->level[decision][context] = (uint16_t)(65535u * (uint64_t)expected / (expected + 128));
-        }
+    for (context = 0; context < VC_SLP_NEIGHBOUR_CONTEXTS; context++) {
+        const uint32_t expected = class_start(context) + class_start(context + 1);
+        const uint32_t odds = by_bin(configuration) ? VC_UNTRAINED / 4 : 65535u * expected / (expected + 128);
+        for (i = context; i < VC_SLP_LEVEL_PROBABILITIES; i += VC_SLP_NEIGHBOUR_CONTEXTS)
+            model->level[i] = (uint16_t)odds;
+    }
+    model->frames = 0;
     model->silent[0] = model->silent[1] = model->silent[2] = VC_UNTRAINED / 8;
     model->silent[3] = VC_UNTRAINED;
     model->changed[0] = model->changed[1] = VC_UNTRAINED / 4;
@@ -116,16 +128,19 @@ static unsigned level_context(const vc_slp_channel *channel, uint32_t k)
     return scale_class(expected >> 1);
 }
 
-static int32_t code_level(vc_range_coder *coder, int encoding, vc_slp_model *model, unsigned context, int32_t level)
+/* `probability`: of the first decision in this context. Those of the next ones lie `contexts` further on each, and
+ * end before `end`. */
+static int32_t code_level(vc_range_coder *coder, int encoding, uint16_t *probability, const uint16_t *end,
+                          uint32_t contexts, unsigned shift, int32_t level)
 {
     const uint32_t wanted = (uint32_t)(level < 0 ? -level : level);
     uint32_t magnitude = 0;
     int negative;
-    while (magnitude < VC_SLP_UNARY_LIMIT) {
-        unsigned decision = magnitude < VC_SLP_DECISIONS ? magnitude : VC_SLP_DECISIONS - 1;
-        if (!coded(coder, encoding, wanted > magnitude, &model->level[decision][context]))
-            break;
+    while (magnitude < VC_SLP_UNARY_LIMIT &&
+           vc_adaptive_code(coder, encoding, wanted > magnitude, probability, shift)) {
         magnitude++;
+        if (end - probability > (ptrdiff_t)contexts)
+            probability += contexts;
     }
     if (magnitude == VC_SLP_UNARY_LIMIT) {
         if (encoding) {
@@ -148,6 +163,11 @@ static int32_t code_level(vc_range_coder *coder, int encoding, vc_slp_model *mod
 void vc_slp_code_frame(vc_range_coder *coder, int encoding, vc_slp_model *model, vc_slp_channel *channel,
                        const vc_slp_configuration *configuration, unsigned number, vc_slp_frame *frame)
 {
+    const unsigned shift = !by_bin(configuration)
+                               ? ADAPTATION
+                               : ADAPTATION - (model->frames < FAST_FRAMES) - (model->frames < MEDIUM_FRAMES);
+    const uint32_t contexts = configuration->contexts;
+    const uint16_t *const end = &model->level[VC_SLP_LEVEL_PROBABILITIES / contexts * contexts];
     uint32_t k;
     frame->silent = coded(coder, encoding, frame->silent, &model->silent[channel->silent_history]);
     channel->silent_history = (uint8_t)((channel->silent_history << 1 | frame->silent) & 3);
@@ -167,8 +187,11 @@ void vc_slp_code_frame(vc_range_coder *coder, int encoding, vc_slp_model *model,
     }
     for (k = 0; k < configuration->frame; k++) {
         uint32_t magnitude;
-        if (!frame->silent)
-            frame->levels[k] = code_level(coder, encoding, model, level_context(channel, k), frame->levels[k]);
+        if (!frame->silent) {
+            const uint32_t context = by_bin(configuration) ? k : level_context(channel, k);
+            frame->levels[k] =
+                code_level(coder, encoding, &model->level[context], end, contexts, shift, frame->levels[k]);
+        }
         magnitude = (uint32_t)(frame->levels[k] < 0 ? -frame->levels[k] : frame->levels[k]);
         channel->now[k + 2] = (uint8_t)(magnitude < 126 ? magnitude : 126);
     }
@@ -176,6 +199,7 @@ void vc_slp_code_frame(vc_range_coder *coder, int encoding, vc_slp_model *model,
         channel->average[k] = (uint16_t)(channel->average[k] - (channel->average[k] >> 3) + 32u * channel->now[k]);
     memcpy(channel->last, channel->now, sizeof channel->last);
     memset(channel->now, 0, sizeof channel->now);
+    model->frames = (uint8_t)(model->frames + (model->frames < MEDIUM_FRAMES));
 }
 
 int32_t vc_slp_log2(uint64_t value)

@@ -17,8 +17,8 @@
 #define VC_SLP_MAX_STATE (1 << 26)
 #define VC_SLP_MAX_RESIDUAL (1 << 29)
 
-#define VC_SLP_CONTEXTS 48
-#define VC_SLP_DECISIONS 6
+#define VC_SLP_NEIGHBOUR_CONTEXTS 48
+#define VC_SLP_LEVEL_PROBABILITIES 288 /* of all contexts: six decisions of each by neighbours */
 #define VC_SLP_UNARY_LIMIT 15
 
 typedef struct {
@@ -26,17 +26,19 @@ typedef struct {
     unsigned order, channels;
     int rate_controlled;               /* packets carry their quantiser offset */
     uint32_t shaping;                  /* weight of the detection threshold in the steps, in 1/256 */
-    uint32_t rate_code;                /* 8 log2 of the sampling rate in Hz */
+    uint16_t rate_code;                /* 8 log2 of the sampling rate in Hz */
+    uint16_t contexts;                 /* of magnitudes: VC_SLP_NEIGHBOUR_CONTEXTS, or `frame`: one a bin */
     int32_t log_step[VC_MAX_CHANNELS]; /* log2, in 1/256, of the signal's step in 1/256 of a least significant bit */
 } vc_slp_configuration;
 
 /* Adaptive probabilities, shared by all channels of a stream, restarted at a refresh. */
 typedef struct {
-    uint16_t level[VC_SLP_DECISIONS][VC_SLP_CONTEXTS];
-    uint16_t silent[4];  /* by the two frames before */
-    uint16_t changed[2]; /* by the frame before */
+    uint16_t level[VC_SLP_LEVEL_PROBABILITIES]; /* of the first decision in all contexts, then of the next one */
+    uint16_t silent[4];                         /* by the two frames before */
+    uint16_t changed[2];                        /* by the frame before */
     uint16_t reflection_differs[VC_SLP_MAX_ORDER], reflection_sign[VC_SLP_MAX_ORDER];
     uint16_t reflection_above[VC_SLP_MAX_REFLECTION];
+    uint8_t frames; /* of all channels since the refresh, as far as they decide on the adaptation */
 } vc_slp_model;
 
 /* The state of a channel from frame to frame, which restarts at a refresh. Rows of magnitudes have two bins of padding
@@ -60,7 +62,7 @@ typedef struct {
 
 int vc_slp_configuration_read(vc_slp_configuration *configuration, const uint8_t *bytes, size_t length,
                               unsigned channels);
-void vc_slp_model_reset(vc_slp_model *model);
+void vc_slp_model_reset(vc_slp_model *model, const vc_slp_configuration *configuration);
 void vc_slp_channel_reset(vc_slp_channel *channel, const vc_slp_configuration *configuration, unsigned number);
 
 /* Codes one frame with the range coder: into it from `frame` if `encoding`, else from it into `frame`. */

@@ -1,0 +1,95 @@
+"""Sets quality at an equal rate against the load of two processors: `python -m studies.embedded_load --out OUT`."""
+
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from statistics import fmean
+from typing import Any
+
+import click
+import polars as pl
+
+from studies import page
+from studies.emulated_core import CORES
+from studies.firmware import RATE_HZ, TABLES, Load, Size
+from vibrocast.evaluation import charts, comparison
+from vibrocast.evaluation.bd_rate import SNR, SPQI
+from vibrocast.evaluation.comparison import Measurements
+from vibrocast.evaluation.points import PointsError, read_rows
+from vibrocast.evaluation.results_page import EMBEDDED
+
+BITS_PER_SAMPLE = 0.8
+"""Near the rates of 10 dB SNR, at which the loads are counted."""
+SCALES = (SNR, SPQI)
+PROCESSORS = {
+    ("M4F", "DSP instructions"): "load of a Cortex-M4F at 168 MHz, % of its cycles",
+    ("M0+", "portable C"): "load of a Cortex-M0+ at 133 MHz, % by instructions",
+}
+"""Core and kernels of the loads, and the axis of each."""
+
+
+def rows(measurements: Measurements, loads: Sequence[Load], sizes: Sequence[Size]) -> pl.DataFrame:
+    """Return a row for each decoder, quality and processor, of those that have a quality at BITS_PER_SAMPLE.
+
+    Columns: `quality`, `codec`, `curve` (the points that the quality is of), `source`, `bits_per_sample`, `value`,
+    `cost` (the axis), `per_sample` (cycles or instructions), `load_percent` of one channel at RATE_HZ, and
+    `memory_bytes` (code, image and state).
+    """
+    found = [
+        (*where, cost, *of_decoder(loads, sizes, str(where[1]), core, kernels))
+        for where in qualities(measurements, [size.decoder for size in sizes])
+        for (core, kernels), cost in PROCESSORS.items()
+    ]
+    text = dict.fromkeys(("quality", "codec", "curve", "source"), pl.String)
+    numbers = {"per_sample": pl.Float64, "load_percent": pl.Float64, "memory_bytes": pl.Int64}
+    columns: dict[str, Any] = {**text, "bits_per_sample": pl.Float64, "value": pl.Float64, "cost": pl.String, **numbers}
+    return pl.DataFrame(found, columns, orient="row")
+
+
+def qualities(measurements: Measurements, decoders: Sequence[str]) -> Iterator[tuple[str, str, str, str, float, float]]:
+    """Yield the quality, decoder, curve, source, rate and mean quality of decoders that have a curve at this rate.
+
+    The curve is the best of the decoder's.
+    """
+    for scale in SCALES:
+        means = comparison.means_at(measurements, scale, BITS_PER_SAMPLE)
+        for decoder in dict.fromkeys(decoders):
+            curves = [name for name in means if decoder in (name, measurements.owner(name))]
+            if best := max(curves, key=lambda name: means[name], default=None):
+                yield scale.field, decoder, best, measurements.source(best), BITS_PER_SAMPLE, means[best]
+
+
+def of_decoder(
+    loads: Sequence[Load], sizes: Sequence[Size], decoder: str, core: str, kernels: str
+) -> tuple[float, float, int]:
+    """Return cycles, or else instructions, a sample; the load in percent; and the bytes: means over the textures."""
+    of = [load for load in loads if (load.decoder, load.core, load.kernels) == (decoder, core, kernels)]
+    per_sample = fmean(load.instructions if load.cycles is None else load.cycles for load in of)
+    size = next(size for size in sizes if (size.decoder, size.kernels) == (decoder, kernels))
+    memory_bytes = size.code_bytes + size.image_bytes + size.state_1_bytes
+    return per_sample, 100 * per_sample * RATE_HZ / CORES[core].clock_hz, memory_bytes
+
+
+@click.command()
+@page.OUT
+def main(out: Path) -> None:
+    """Draw OUT/results/embedded_load.svg from the tables of a benchmark in OUT/results and of studies.firmware."""
+    results = page.results_folder(out)
+    try:
+        with page.errors_in_one_line():
+            tables: dict[str, Any] = {
+                name: read_rows(results / f"{name}.csv", kind) for name, kind in comparison.TABLES.items()
+            }
+            loads = read_rows(TABLES / "firmware_loads.csv", Load)
+            sizes = read_rows(TABLES / "firmware_sizes.csv", Size)
+            table = rows(Measurements(**tables), loads, sizes)
+            title = f"Quality at {BITS_PER_SAMPLE:g} bit/sample against the load of one channel at {RATE_HZ} Hz"
+            drawn = charts.Chart(Path(EMBEDDED).stem, title, table)
+            drawn.write(results, partial(charts.plot_loads, scales=SCALES))
+    except PointsError as error:
+        raise click.ClickException(str(error)) from error
+    click.echo(f"{results / EMBEDDED}: {drawn.rows} rows")
+
+
+if __name__ == "__main__":
+    main()
