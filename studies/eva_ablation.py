@@ -15,18 +15,19 @@ from msgspec.structs import replace
 from torch import Tensor
 
 from studies.page import FOLDER, OUT, errors_in_one_line, results_folder, write_rows
+from studies.papers import ABLATION, Ablation
 from vibrocast import progress
 from vibrocast.codec.eva import LatentEncoder, configuration
 from vibrocast.evaluation import model_card, workers
 from vibrocast.export import training_data
-from vibrocast.export.configuration import Configuration, ModelChoice, Schedule, read
+from vibrocast.export.configuration import Configuration, ModelChoice, Schedule, Sweep, read
 from vibrocast.export.eva import HOP_SAMPLES, DeadZone, Eva
 from vibrocast.export.priors import ContextPrior, FactorisedPrior
 from vibrocast.export.quantise import quantise
 from vibrocast.export.training import Training
 
 CONFIGURATION = Path(__file__).parents[1] / "examples/eva.toml"
-LAMBDA, WIDTH = 6.0, 16
+LAMBDA, WIDTH, STEPS = 6.0, 16, 4000
 PACKET_COLUMNS = 64
 PAPER: dict[str, Any] = {
     "start": "random",
@@ -50,41 +51,23 @@ class Variant:
 
 
 VARIANTS = (
-    Variant("the paper's training", False),
-    Variant("four times the steps", False, {"steps": 16_000}),
+    Variant("", False),
+    Variant("twice the steps", False, {"steps": 8000}),
     Variant("learning rate 2e-3", False, {"learning_rate": 2e-3}),
     Variant("lapped start", False, {"start": "lapped"}),
     Variant("straight-through rounding", False, {"rounding": "straight-through"}),
     Variant("straight-through rounding, dead zone", False, {"rounding": "straight-through", "dead_zone": 0.12}),
     Variant("adaptive cost", False, {"cost": "adaptive"}),
     Variant("contexts of neighbouring latents", False, {"cost": CONTEXTS}),
-    Variant("128 filters", False, {"width": 128}),
-    Variant("examples/eva.toml", True),
-    Variant("four times the steps", True, {"steps": 16_000}),
+    Variant("", True),
+    Variant("twice the steps", True, {"steps": 8000}),
     Variant("learning rate 8e-3", True, {"learning_rate": 8e-3}),
     Variant("random start", True, {"start": "random"}),
     Variant("noise, no dead zone", True, {"rounding": "noise", "dead_zone": 0.0}),
     Variant("no dead zone", True, {"dead_zone": 0.0}),
     Variant("static cost", True, {"cost": "static"}),
     Variant("contexts of neighbouring latents", True, {"cost": CONTEXTS}),
-    Variant("128 filters", True, {"width": 128}),
 )
-
-
-@dataclass(frozen=True)
-class Row:
-    """A variant on the held-back recordings: bits per sample, mean SNR, living latents.
-
-    `more_bits_percent`: the difference of bits + lambda * squared error from the reference's, in percent of its bits.
-    The reference is the first row of the paper's variants, or of ours.
-    """
-
-    recipe: str
-    change: str
-    bits_per_sample: float
-    snr_db: float
-    living_latents: int
-    more_bits_percent: float
 
 
 class _ContextTraining(Training):
@@ -128,24 +111,24 @@ def main(folder: Path, out: Path) -> None:
             measured[number] = outcome
             update(len(measured) / len(VARIANTS), VARIANTS[number].name)
     rows = rows_of([measured[number] for number in range(len(VARIANTS))])
-    write_rows(results_folder(out) / "eva_ablation.csv", rows, Row)
+    write_rows(results_folder(out) / ABLATION, rows, Ablation)
 
 
-def rows_of(measured: Sequence[_Measured]) -> list[Row]:
+def rows_of(measured: Sequence[_Measured]) -> list[Ablation]:
     """Return the rows of the variants' measurements, in the order of VARIANTS."""
     rows = []
     for variant, own in zip(VARIANTS, measured, strict=True):
         reference = measured[[each.ours for each in VARIANTS].index(variant.ours)]
         more = own.bits - reference.bits + LAMBDA * (own.squared_error - reference.squared_error)
-        recipe = "ours" if variant.ours else "paper"
-        rows.append(Row(recipe, variant.name, own.bits, own.snr_db, own.living, 100 * more / reference.bits))
+        recipe = "examples/eva.toml" if variant.ours else "the paper"
+        rows.append(Ablation(recipe, variant.name, own.bits, own.snr_db, own.living, 100 * more / reference.bits))
     return rows
 
 
 def configured(variant: Variant) -> Configuration:
     """Return the training of a variant; CONTEXTS changes no configuration. Raises ConfigurationError, OSError."""
     whole = read(CONFIGURATION)
-    changes = {"width": WIDTH, "lambda_": LAMBDA, **({} if variant.ours else PAPER), **variant.changes}
+    changes = {"width": WIDTH, "lambda_": LAMBDA, "steps": STEPS, **({} if variant.ours else PAPER), **variant.changes}
     if changes.get("cost") == CONTEXTS:
         changes["cost"] = "adaptive"
 
@@ -153,7 +136,10 @@ def configured(variant: Variant) -> Configuration:
         return {name: value for name, value in changes.items() if name in table.__struct_fields__}
 
     return replace(
-        whole, model=replace(whole.model, **of(ModelChoice)), training=replace(whole.training, **of(Schedule))
+        whole,
+        model=replace(whole.model, **of(ModelChoice)),
+        training=replace(whole.training, **of(Schedule)),
+        sweep=Sweep(),
     )
 
 

@@ -49,8 +49,6 @@ DECODERS = (
     "dct",
     "slp",
     "eva-16",
-    "eva-32",
-    "eva-64",
     "eva-128",
     "lapped-textures",
     "parametric",

@@ -41,6 +41,7 @@ EVA, DCT = "EVA", "DCT"
 YES, NO, NOT_YET, MODEL, NOT_COMPARABLE = "yes", "no", "not yet", "in a model", "not comparable"
 UNDECIDABLE = "not decidable"
 ANCHORS = (REFERENCE, "mdct")
+ABLATION = "eva_ablation.csv"
 TOLERANCE = 1.0
 """Percentage points within which a figure counts as reproduced."""
 ALMOST_ALL = 0.9
@@ -95,6 +96,22 @@ class WaveformSample:
     time_ms: float
     original: float
     decoded: float
+
+
+@dataclass(frozen=True)
+class Ablation:
+    """A training of EVA on the held-back recordings: bits per sample, mean SNR, latents that are ever non-zero.
+
+    It differs in `change` from `recipe`, whose first row has no change. `more_bits_percent`: the difference of bits +
+    lambda * squared error from that row's, in percent of its bits.
+    """
+
+    recipe: str
+    change: str
+    bits_per_sample: float
+    snr_db: float
+    living_latents: int
+    more_bits_percent: float
 
 
 @dataclass(frozen=True)
@@ -396,7 +413,13 @@ def waveforms(folder: Path, measurements: Measurements) -> Iterator[WaveformSamp
                 )
 
 
-def page(measurements: Measurements, claims: Sequence[Claim], rows: Sequence[Sensitivity], figure: charts.Chart) -> str:
+def page(
+    measurements: Measurements,
+    claims: Sequence[Claim],
+    rows: Sequence[Sensitivity],
+    ablation: Sequence[Ablation],
+    figure: charts.Chart,
+) -> str:
     """Return the page; `rows`: of the families against each reading of PVC-SLP."""
     names = families(measurements)
     others = [name for name in ("mdct", *measurements.learned) if name in measurements.curves and name not in names]
@@ -419,6 +442,7 @@ def page(measurements: Measurements, claims: Sequence[Claim], rows: Sequence[Sen
         rates=rates,
         costs={name: measurements.cost(name) for name in (*names, *others)},
         speeds={name: _speeds(measurements, name) for name in (*names, *others)},
+        ablation=ablation,
         pair=measurements.paper_pair,
         figure=figure,
         ratios=WAVEFORM_RATIOS,
@@ -510,6 +534,7 @@ def main(folder: Path, out: Path) -> None:
             points = list(pvc_slp.points(folder, measurements))
             measurements = pvc_slp.with_points(measurements, points)
             sensitivity = list(pvc_slp.sensitivity(measurements, families(measurements)))
+            ablation = read_rows(results / ABLATION, Ablation) if (results / ABLATION).exists() else []
             write_rows(results / pvc_slp.POINTS, points, Point)
             write_rows(results / pvc_slp.TABLE, sensitivity, Sensitivity)
             claims = [*eva_claims(measurements), *dct_claims(read_rows(results / "texture_paper.csv", Result))]
@@ -519,7 +544,7 @@ def main(folder: Path, out: Path) -> None:
                 f"Decoded over original, at compression ratios near {', '.join(map('{:g}'.format, WAVEFORM_RATIOS))}"
             )
             figure = charts.Chart("waveforms", title, samples).write(results, charts.plot_waveforms)
-            write(out / "papers.md", page(measurements, claims, sensitivity, figure))
+            write(out / "papers.md", page(measurements, claims, sensitivity, ablation, figure))
             with atomic_write(results / "note.md") as partial:  # a part of another page
                 partial.write_text(note(read_rows(results / "held_out.csv", HeldOut)), encoding="utf-8")
     except (PointsError, cells.BenchError) as error:

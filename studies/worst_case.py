@@ -47,8 +47,6 @@ DECODERS = (
     "slp",
     "parametric",
     "eva-16",
-    "eva-32",
-    "eva-64",
     "eva-128",
 )
 """Codecs, and families of models that ship."""

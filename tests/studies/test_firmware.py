@@ -29,7 +29,7 @@ STREAMS = Path(__file__).parents[1] / "codec"
 SHIPPED = firmware.TABLES / "firmware_loads.csv"
 PAGE = Path(__file__).parents[2] / "docs" / "benchmarks" / "firmware.md"
 M4F = CORES["M4F"]
-LIMITS_PERCENT = {"mdct": 3.0, "eva-16": 3.0, "eva-32": 8.0, "eva-64": 25.0, "eva-128": 75.0}
+LIMITS_PERCENT = {"mdct": 3.0, "eva-16": 3.0, "eva-128": 75.0}
 """Wanted: less than this load of a Cortex-M4F."""
 BUILDS = [
     ("M4F", 0),
