@@ -45,7 +45,7 @@ class ModelChoice(Table, frozen=True):
         if self.kind == "eva" and self.lambda_ is None:
             raise ValueError("a model of kind eva needs lambda, the weight of squared error against bits; state it")
         if self.kind == "lapped" and (self.lambda_, self.width, self.start) != (None, 128, "random"):
-            raise ValueError("a model of kind lapped has no lambda, width or start; leave them out")
+            raise ValueError("a model of kind lapped has neither lambda nor width nor start; leave them out")
 
 
 class ArchiveSource(Table, frozen=True):

@@ -246,13 +246,17 @@ class Training:
         Without a generator they are the same. With one, as in training, the first and perhaps the second hold noise in
         place of rounding.
         """
-        latents = DeadZone(latents.shape[1], self._schedule.dead_zone)(latents)
+        latents = self._narrowed(latents)
         rounded = torch.round(latents).detach()
         if generator is None:
             return rounded, rounded, rounded
         noisy = latents + torch.rand(latents.shape, generator=generator).to(self._device) - 0.5
         straight_through = self._schedule.rounding == "straight-through"
         return noisy, latents + (rounded - latents).detach() if straight_through else noisy, rounded
+
+    def _narrowed(self, latents: Tensor) -> Tensor:
+        """Return latents with a wider bin of zero."""
+        return DeadZone(latents.shape[1], self._schedule.dead_zone)(latents)
 
     def _validate(self, training_loss: float) -> None:
         """Code the held-back materials, and add the result to the curves."""
@@ -312,6 +316,9 @@ class LappedTraining(Training):
         if generator is not None:
             loss = (torch.softmax(-losses.detach() / _INDIFFERENCE, 0) * losses).sum(0)
         return Measured(loss, bits.gather(0, best)[0], squared_errors.gather(0, best)[0])
+
+    def _narrowed(self, latents: Tensor) -> Tensor:
+        return torch.sign(latents) * nn.functional.relu(torch.abs(latents) - self._schedule.dead_zone)
 
     def _by_hop(
         self, signals: Tensor, steps: Tensor, generator: torch.Generator | None

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy import stats
 
-from studies.page import OUT, commit, errors_in_one_line, render, results_folder, write_rows
+from studies.page import OUT, errors_in_one_line, render, results_folder, write_rows
 from studies.page import write as write_page
 from studies.texture_paper import HAND_SPEED_MM_S, STRETCH_MM, generated_profiles
 from vibrocast import pictures, textures
@@ -507,7 +507,6 @@ def markdown(
         values={family: sorted({row.parameter for row in table if row.family == family}) for family in FAMILIES},
         setting=_setting,
         alpha=ALPHA,
-        commit=commit(),
         hidden=[float(np.mean(simulated.grades[name, AGAIN])) for name in TEXTURES],
     )
 

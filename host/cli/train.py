@@ -28,8 +28,8 @@ from vibrocast.host.cli.options import BadInput
     type=click.Choice(("material", "trace")),
     default="material",
     show_default=True,
-    help="Hold back whole materials of CONFIG's data; or train on all recordings under --data, and hold back a fifth "
-    "of them, as the EVA paper does.",
+    help="Hold back whole materials, or traces of --data itself. By trace, a fifth of the recordings under --data is held "
+    "back, as in the EVA paper, and the sources of CONFIG do not count.",
 )
 @click.option(
     "--out",

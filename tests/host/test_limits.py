@@ -160,8 +160,8 @@ def rejecting(limit_kilocycles_per_s: int) -> Controller:
 @pytest.mark.parametrize(
     ("codec_name", "limit_kilocycles_per_s", "advice"),
     [
-        ("eva-128-4", 1500, "with --model eva-16-5 or --codec mdct or --stream-rate-hz 337"),
-        ("eva-128-4", 800, "with --codec slp or --stream-rate-hz"),
+        ("eva-128-4", 1500, "with --model eva-16-5 or --codec mdct or --stream-rate-hz 117"),
+        ("eva-128-4", 800, "with --codec slp"),
         ("mdct", 800, "with --codec slp or --stream-rate-hz 2666"),
         ("mdct", 10, "use fewer channels"),
     ],
