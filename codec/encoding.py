@@ -222,13 +222,19 @@ def encoder_model(model: models.Model | None) -> codec.Model | None:
 
 
 def families(chosen: codec.Codec) -> list[list[models.Model]]:
-    """Return the families of models that ship for a codec, the smallest images first. Raises as `models.shipped`."""
+    """Return the families of models that ship for a codec: those trained for SNR first, then by size.
+
+    A family is as large as its largest image. Raises as `models.shipped`.
+    """
     names = dict.fromkeys(
         model.family
         for model in models.shipped()
         if model.codec_identifier == chosen.identifier and not brings_built_in_tables(model)
     )
-    return list(map(models.members, names))
+    return sorted(
+        map(models.members, names),
+        key=lambda members: (members[0].is_perceptual, max(len(model.image) for model in members)),
+    )
 
 
 def middle(members: Sequence[models.Model]) -> models.Model:

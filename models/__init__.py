@@ -41,6 +41,12 @@ class Model:
         return str(self.card.get("family", self.name))
 
     @property
+    def is_perceptual(self) -> bool:
+        """Whether the training weighed errors by the threshold of touch, so that equal SNR takes more bits."""
+        configuration = self.card.get("training", {}).get("configuration", {})
+        return bool(configuration.get("training", {}).get("distortion", "plain") != "plain")
+
+    @property
     def tables(self) -> bytes:
         """The payload of the image; a decoder needs nothing else."""
         return ModelImage.unpack(self.image).payload

@@ -28,8 +28,7 @@ from vibrocast.host.cli.options import BadInput
     type=click.Choice(("material", "trace")),
     default="material",
     show_default=True,
-    help="Hold back whole materials, or traces of --data itself. By trace, a fifth of the recordings under --data is held "
-    "back, as in the EVA paper, and the sources of CONFIG do not count.",
+    help="Hold back materials of CONFIG, or traces of all recordings in --data.",
 )
 @click.option(
     "--out",
@@ -57,6 +56,9 @@ def train(
     """Train a model from a TOML configuration.
 
     examples/eva.toml is such a CONFIG. Export the checkpoint, OUT/NAME/checkpoint.pt, with `vibrocast export`.
+
+    --split trace ignores the sources of CONFIG. It trains on the recordings under --data and holds back a fifth of
+    them, as the EVA paper does.
 
     A sweep runs its trainings in parallel, each on one core. A scheduler's ADDRESS is one such as tcp://host:8786.
     Trust it: whoever runs it, or its workers, can run any program as you on this machine.
