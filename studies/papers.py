@@ -29,7 +29,7 @@ from vibrocast.evaluation.comparison import (
     mean_bd_rates,
     pair_bd_rates,
 )
-from vibrocast.evaluation.points import MEASURED, Point, PointsError, read_rows
+from vibrocast.evaluation.points import MEASURED, Point, PointsError, Row, read_rows
 from vibrocast.evaluation.speed import RATES, RATIO, Speed
 from vibrocast.evaluation.tables import as_rows, frame
 from vibrocast.files import atomic_write
@@ -524,9 +524,13 @@ def _the_row(rows: Sequence[Result], surface: str, levels: int, b0_db: float | N
 def main(folder: Path, out: Path) -> None:
     """Write papers.md and results/note.md from the tables of a benchmark.
 
-    The benchmark of FOLDER has written its tables into OUT/results.
+    The benchmark of FOLDER has written its tables into OUT/results. Tables of other scripts may be missing there.
     """
     results = out / "results"
+
+    def of_others(name: str, kind: type[Row]) -> list[Row]:
+        return read_rows(results / name, kind) if (results / name).exists() else []
+
     try:
         with errors_in_one_line():
             tables: dict[str, Any] = {name: read_rows(results / f"{name}.csv", kind) for name, kind in TABLES.items()}
@@ -534,10 +538,10 @@ def main(folder: Path, out: Path) -> None:
             points = list(pvc_slp.points(folder, measurements))
             measurements = pvc_slp.with_points(measurements, points)
             sensitivity = list(pvc_slp.sensitivity(measurements, families(measurements)))
-            ablation = read_rows(results / ABLATION, Ablation) if (results / ABLATION).exists() else []
+            ablation = of_others(ABLATION, Ablation)
             write_rows(results / pvc_slp.POINTS, points, Point)
             write_rows(results / pvc_slp.TABLE, sensitivity, Sensitivity)
-            claims = [*eva_claims(measurements), *dct_claims(read_rows(results / "texture_paper.csv", Result))]
+            claims = [*eva_claims(measurements), *dct_claims(of_others("texture_paper.csv", Result))]
             write_rows(results / "claims.csv", claims, Claim)
             samples = frame(waveforms(folder, measurements), WaveformSample)
             title = (
@@ -545,8 +549,9 @@ def main(folder: Path, out: Path) -> None:
             )
             figure = charts.Chart("waveforms", title, samples).write(results, charts.plot_waveforms)
             write(out / "papers.md", page(measurements, claims, sensitivity, ablation, figure))
-            with atomic_write(results / "note.md") as partial:  # a part of another page
-                partial.write_text(note(read_rows(results / "held_out.csv", HeldOut)), encoding="utf-8")
+            if held_out := of_others("held_out.csv", HeldOut):
+                with atomic_write(results / "note.md") as partial:  # a part of another page
+                    partial.write_text(note(held_out), encoding="utf-8")
     except (PointsError, cells.BenchError) as error:
         raise click.ClickException(str(error)) from error
     click.echo(f"{out / 'papers.md'}: {len(claims)} claims")
