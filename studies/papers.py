@@ -34,6 +34,7 @@ from vibrocast.evaluation.speed import RATES, RATIO, Speed
 from vibrocast.evaluation.tables import as_rows, frame
 from vibrocast.files import atomic_write
 from vibrocast.host import profiles
+from vibrocast.host.cli.options import own_models_option
 from vibrocast.output import profile as rendering
 from vibrocast.output.actuator import PIEZO_STACK, followed_gain
 
@@ -375,18 +376,19 @@ def display() -> tuple[float, bool, float]:
     return float(alone[-1]), bool(np.all(np.diff(alone[:-1]) < 0)), float(np.max(np.abs(driven)))
 
 
-def waveforms(folder: Path, measurements: Measurements) -> Iterator[WaveformSample]:
+def waveforms(folder: Path, measurements: Measurements, model_folders: Sequence[Path] = ()) -> Iterator[WaveformSample]:
     """Yield WAVEFORM_SAMPLES from the middle of a recording in a folder, coded by the codecs of `paper_pair`.
 
     The recording is the one whose BD-rate is the median, coded at the settings nearest to WAVEFORM_RATIOS. Raises
-    BenchError for a model that does not ship, DatasetError, TextureError or OSError for the folder, CodecError.
+    BenchError for a model that neither ships nor lies in a model folder, DatasetError, TextureError or OSError for the
+    folder, CodecError.
     """
     regions = bd_regions(measurements, PAPER_SCALES)
     trace = regions["trace"][0] if len(regions) else measurements.traces[0]
     recording = pvc_slp.load(folder, trace)
     samples, rate_hz = recording.samples, recording.rate_hz
     pair = measurements.paper_pair
-    methods = {method.name: method for method in cells.methods(pair, models=trained.known_models(()))}
+    methods = {method.name: method for method in cells.methods(pair, models=trained.known_models(model_folders))}
     for method in (methods[name] for name in pair):
         ratios = {point.setting: point.compression_ratio for point in measurements.curves[method.name][trace]}
         rate_points = {cells.rate_point_text(method, *rate_point): rate_point for rate_point in method.rate_points}
@@ -521,7 +523,8 @@ def _the_row(rows: Sequence[Result], surface: str, levels: int, b0_db: float | N
 @click.command()
 @FOLDER
 @OUT
-def main(folder: Path, out: Path) -> None:
+@own_models_option
+def main(folder: Path, out: Path, model_folders: tuple[Path, ...]) -> None:
     """Write papers.md and results/note.md from the tables of a benchmark.
 
     The benchmark of FOLDER has written its tables into OUT/results. Tables of other scripts may be missing there.
@@ -543,7 +546,7 @@ def main(folder: Path, out: Path) -> None:
             write_rows(results / pvc_slp.TABLE, sensitivity, Sensitivity)
             claims = [*eva_claims(measurements), *dct_claims(of_others("texture_paper.csv", Result))]
             write_rows(results / "claims.csv", claims, Claim)
-            samples = frame(waveforms(folder, measurements), WaveformSample)
+            samples = frame(waveforms(folder, measurements, model_folders), WaveformSample)
             title = (
                 f"Decoded over original, at compression ratios near {', '.join(map('{:g}'.format, WAVEFORM_RATIOS))}"
             )
