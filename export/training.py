@@ -256,7 +256,8 @@ class Training:
 
     def _narrowed(self, latents: Tensor) -> Tensor:
         """Return latents with a wider bin of zero."""
-        return DeadZone(latents.shape[1], self._schedule.dead_zone)(latents)
+        narrowed: Tensor = DeadZone(latents.shape[1], self._schedule.dead_zone)(latents)
+        return narrowed
 
     def _validate(self, training_loss: float) -> None:
         """Code the held-back materials, and add the result to the curves."""
