@@ -175,7 +175,7 @@ def first_reachable(
 ) -> Made:
     """Return the result of `code` with the model or, if the codec needs one, with a model that ships.
 
-    Without a model, this takes the smallest family that reaches the target. In it, it codes with the two members
+    Without a model, this takes the first of `families` that reaches the target. In it, it codes with the two members
     nearest to the target, one on each side, and returns the result of the lower cost. Without a target (`choice` is
     None), it takes the middle member. `code` is called with a model and a function that reports its progress. Raises
     the errors of `code` and of `models.shipped`.
@@ -243,7 +243,7 @@ def middle(members: Sequence[models.Model]) -> models.Model:
 
 
 def default_model(chosen: codec.Codec) -> models.Model:
-    """Return the model of a codec for a signal that is not known yet: the middle member of the smallest family.
+    """Return the model of a codec for a signal that is not known yet: the middle member of the first of `families`.
 
     Raises ModelError if none ships, and as `models.shipped`.
     """

@@ -319,6 +319,7 @@ class LappedTraining(Training):
         return Measured(loss, bits.gather(0, best)[0], squared_errors.gather(0, best)[0])
 
     def _narrowed(self, latents: Tensor) -> Tensor:
+        """Shrink all magnitudes alike, as in the training of the windows that ship."""
         return torch.sign(latents) * nn.functional.relu(torch.abs(latents) - self._schedule.dead_zone)
 
     def _by_hop(

@@ -79,23 +79,20 @@ def split(traces: Sequence[Trace], held_back: HeldBack, seed: int) -> tuple[list
 
     Raises TextureError for an unknown material, and if nothing would be left on one side.
     """
-    if held_back.by == "trace":
-        return [trace for trace in traces if not trace.test], [trace for trace in traces if trace.test]
     materials = sorted({trace.material for trace in traces})
     chosen = set(held_back.materials)
     if unknown := sorted(chosen - set(materials)):
         raise TextureError(f"no material {unknown[0]!r} to hold back; there are {', '.join(materials)}")
-    if not chosen:
+    if held_back.by == "material" and not chosen:
         lots = np.random.default_rng(seed).permutation(len(materials))
         shuffled = [materials[lot] for lot in lots]
         for source in sorted({trace.source for trace in traces}):
             own = [material for material in shuffled if material.startswith(f"{source}/")]
             if len(own) > 1:
                 chosen |= set(own[: max(1, round(held_back.share * len(own)))])
-    parts = (
-        [trace for trace in traces if trace.material not in chosen],
-        [trace for trace in traces if trace.material in chosen],
-    )
+    parts: tuple[list[Trace], list[Trace]] = [], []
+    for trace in traces:
+        parts[trace.test if held_back.by == "trace" else trace.material in chosen].append(trace)
     if not all(parts):
         raise TextureError(
             f"{len(materials)} materials leave none to {'train on' if parts[1] else 'hold back'}; "

@@ -237,6 +237,8 @@ def test_a_split_by_trace_holds_back_what_a_benchmark_tests(tmp_path: Path) -> N
     tested = dataset.split(dataset.entries(tmp_path), "test", by="recording")
     assert (len(train), len(held_back), len(tested)) == (8, 2, 2)
     assert {trace.material for trace in held_back} == {f"./{entry.material}" for entry in tested}
+    with pytest.raises(TextureError, match="leave none to hold back"):
+        training_data.split(train, chosen.held_back, chosen.seed)
 
 
 def test_a_manifest_is_a_source_of_its_materials(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Which model is used where none is named: of the smallest family that can do what is asked of this signal."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -52,6 +53,17 @@ def test_of_the_members_around_the_snr_the_one_of_the_fewest_bits(shipped: tuple
 @pytest.mark.parametrize(("rate_bps", "names"), [(1500, {"low-1"}), (3300, {"low-2", "low-3"}), (30_000, {"low-3"})])
 def test_the_smallest_family_that_meets_the_rate_and_a_member_near_it(rate_bps: float, names: set[str]) -> None:
     assert chosen(rate_bps=rate_bps) in names
+
+
+def test_a_family_that_was_trained_for_touch_comes_last(
+    shipped: tuple[models.Model, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It needs more bits at equal SNR, even if its images are the smallest."""
+    trained = {"training": {"configuration": {"training": {"distortion": "acceleration"}}}}
+    for_touch = [replace(model, card={**model.card, **trained}) for model in shipped[:3]]
+    monkeypatch.setattr(models, "shipped", lambda: (*for_touch, shipped[3]))
+    assert default_model(CODECS["eva"]).name == "fine-1"
+    assert chosen(snr_db=12) == "fine-1"
 
 
 def test_without_a_target_the_middle_of_the_smallest_family() -> None:
