@@ -84,7 +84,7 @@ class _ContextTraining(Training):
 
 
 @dataclass(frozen=True)
-class _Measured:
+class Measured:
     """Of all held-back recordings: mean bits per sample, squared error and SNR, and the latents that were not zero."""
 
     bits: float
@@ -99,7 +99,7 @@ class _Measured:
 def main(folder: Path, out: Path) -> None:
     """Train every variant on FOLDER, which holds the archives of examples/eva.toml, and write a table."""
     tasks = iter([(number, partial(_measured, variant, folder)) for number, variant in enumerate(VARIANTS)])
-    measured: dict[int, _Measured] = {}
+    measured: dict[int, Measured] = {}
     with (
         errors_in_one_line(),
         progress.bar("training") as update,
@@ -114,7 +114,7 @@ def main(folder: Path, out: Path) -> None:
     write_rows(results_folder(out) / ABLATION, rows, Ablation)
 
 
-def rows_of(measured: Sequence[_Measured]) -> list[Ablation]:
+def rows_of(measured: Sequence[Measured]) -> list[Ablation]:
     """Return the rows of the variants' measurements, in the order of VARIANTS."""
     rows = []
     for variant, own in zip(VARIANTS, measured, strict=True):
@@ -143,7 +143,7 @@ def configured(variant: Variant) -> Configuration:
     )
 
 
-def _measured(variant: Variant, folder: Path) -> _Measured:
+def _measured(variant: Variant, folder: Path) -> Measured:
     """Train a variant, and code the held-back recordings."""
     torch.set_num_threads(1)
     with_contexts = variant.changes.get("cost") == CONTEXTS
@@ -173,7 +173,7 @@ def _measured(variant: Variant, folder: Path) -> _Measured:
         coded.append(bits / signal.shape[-1])
         living |= np.any(levels[0].numpy() != 0, axis=1)
     snr_db = float(np.mean(-10 * np.log10(errors)))
-    return _Measured(float(np.mean(coded)), float(np.mean(errors)), snr_db, int(living.sum()))
+    return Measured(float(np.mean(coded)), float(np.mean(errors)), snr_db, int(living.sum()))
 
 
 def _coded_bits(image: bytes, levels: np.ndarray[Any, np.dtype[np.int32]]) -> int:
