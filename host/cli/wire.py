@@ -151,8 +151,8 @@ def serve(address: str, link: Path | None, faults: "Sequence[Fault]", seed: int,
         port = serial_port(FaultyWire(remote, faults, seed, pull), link)
         try:
             with port:
-                tell_address(port.name, err=see is not None)
                 tracer.take()
+                tell_address(port.name, err=see is not None)
                 while remote.failure is None:
                     time.sleep(_POLL_S)
                     if see is not None:
