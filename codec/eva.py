@@ -6,7 +6,6 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast import extras
 from vibrocast.codec.core import UNIT, CoreDecoder, CoreEncoder
 from vibrocast.codec.eva_image import EvaImage, learned_transform, with_runtime
 from vibrocast.codec.graphs import (
@@ -250,8 +249,7 @@ def check_tables(tables: bytes) -> None:
     """Raise CodecError for a payload that decoders reject, or whose graph cannot synthesise its latents."""
     image, one_column = EvaImage.unpack(tables), configuration(1, [0])
     EvaDecoder(one_column, 1, tables)
-    # Without ONNX Runtime only the integer core decodes, and no graph runs.
-    if image.graph and (image.runtime == "onnx" or not extras.advice("learned")):
+    if image.graph:
         OnnxDecoder(one_column, 1, tables).conceal()
 
 

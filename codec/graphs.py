@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast import extras
 from vibrocast.codec.interface import CodecError
 from vibrocast.codec.onnx_check import ADVICE, End, check_graph
 
@@ -63,12 +62,7 @@ class Transform:
 
 @cache
 def _runtime() -> Any:
-    """Load ONNX Runtime and limit its memory: on first use, because it is slow and few streams need it.
-
-    Raises CodecError if it is not installed.
-    """
-    if advice := extras.advice("learned"):
-        raise CodecError(advice)
+    """Load ONNX Runtime and limit its memory: on first use, because it is slow and few streams need it."""
     import onnxruntime
 
     memory = onnxruntime.OrtMemoryInfo(

@@ -505,6 +505,20 @@ class Status(Message):
     coding: Annotated[CodingDescription | None, Tag(0x01, "coding, in the answer to Configure alone")] = None
 
 
+COUNTERS = (
+    "bad_frames",
+    "underruns",
+    "lost_packets",
+    "compensation_clipped",
+    "voltage_limited",
+    "slew_limited",
+    "power_limited",
+    "output_gaps",
+    "late_samples",
+)
+"""Fields of Status that count what went wrong."""
+
+
 @dataclass
 class CaptureData(Message):
     """Captured samples, int16 little-endian, channels interleaved.

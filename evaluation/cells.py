@@ -1,12 +1,9 @@
 """The cells of a benchmark, one recording at one setting of one codec, and how each is measured."""
 
-import ast
 import hashlib
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache, partial
-from importlib.metadata import PackageNotFoundError, version
-from importlib.util import find_spec, resolve_name
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -14,18 +11,18 @@ from typing import Any
 import numpy as np
 
 from vibrocast import codec, textures
-from vibrocast.codec import Setting, Signal, plugins
+from vibrocast.codec import Setting, Signal, metrics, plugins
 from vibrocast.codec.stream import Stream, as_stream
+from vibrocast.codec.timing import time_coding
 from vibrocast.device_protocol import coded_stream
-from vibrocast.evaluation import cost, external, metrics, trained
+from vibrocast.evaluation import cost, external, trained
 from vibrocast.evaluation.points import MEASURED, PROGRAM, Point, Timing
 from vibrocast.firmware import native_core
 from vibrocast.models import Model
+from vibrocast.workers import digest_of, program_version
 
 DECIMALS = 6
 """Of a quality, so that the arithmetic of another machine gives the same file."""
-
-_LIBRARIES = ("vibrocast", "av", "numpy", "onnxruntime", "scipy", "vibromaf")
 
 
 class BenchError(ValueError):
@@ -114,7 +111,7 @@ class Cell:
             settled = codec.Source(samples, rate_hz, coder, recording.unit, model=tables).resolved(self.setting)
             delay_ms = cost.delay_ms(coder, settled, rate_hz, recording.channels, recording.unit, self.model)
             if self.repeats:
-                times = cost.time_coding(encode, decode, samples.size, self.repeats)
+                times = time_coding(encode, decode, samples.size, self.repeats)
         figures = {**asdict(metrics.measure(samples, decoded, rate_hz, recording.unit)), "delay_ms": delay_ms}
         rounded: dict[str, Any] = {
             name: None if value is None else round(value, DECIMALS) for name, value in figures.items()
@@ -233,62 +230,10 @@ def coders(chosen: Sequence[Method]) -> dict[str, tuple[str, list[Model]]]:
 
 
 @cache
-def program_version() -> str:
-    """Return the versions of program and libraries and a hash of the sources: equal ones give equal figures."""
-    versions = [f"{name} {_version(name)}" for name in _LIBRARIES]
-    return ", ".join([*versions, f"sources {digest_of(sources(__name__))[:12]}"])
-
-
-def sources(module: str) -> dict[str, Path]:
-    """Return the source files of a module, and of all modules of its package that it imports, also in functions.
-
-    By name; the package itself is left out, unless it is `module`. Files in folders `data` next to them are included.
-    """
-    package = module.partition(".")[0]
-    found: dict[str, Path] = {}
-    pending = {module}
-    while pending:
-        name = pending.pop()
-        try:
-            spec = find_spec(name)
-        except (ImportError, ValueError):  # a name in a module, or a module that cannot be imported
-            continue
-        if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
-            continue
-        found[name] = path = Path(spec.origin)
-        found.update({f"{path.parent.name}/data/{file.name}": file for file in (path.parent / "data").glob("*")})
-        for node in ast.walk(ast.parse(path.read_bytes())):
-            imported: list[str] = []
-            if isinstance(node, ast.Import):
-                imported = [alias.name for alias in node.names]
-            elif isinstance(node, ast.ImportFrom):
-                parent = resolve_name("." * node.level + (node.module or ""), spec.parent)
-                imported = [f"{parent}.{alias.name}" for alias in node.names]
-            parts = [each.split(".") for each in imported if each.startswith(f"{package}.")]
-            pending |= {".".join(each[:length]) for each in parts for length in range(2, len(each) + 1)} - set(found)
-    return found
-
-
-def digest_of(files: Mapping[str, Path]) -> str:
-    """Return a hash of files and of their names."""
-    digest = hashlib.sha256()
-    for name, path in sorted(files.items()):
-        digest.update(repr((name, path.read_bytes())).encode())
-    return digest.hexdigest()
-
-
-def _version(library: str) -> str:
-    try:
-        return version(library)
-    except PackageNotFoundError:  # a computer that only trains may lack the measuring libraries
-        return "none"
-
-
-@cache
 def _other_packages() -> str:
-    """Return names and hashes of the modules that other packages register as codecs, and these packages' versions."""
+    """Return the names that other packages register as codecs, and the versions of these packages."""
     points = sorted(plugins.registered(), key=lambda each: each.name)
-    return repr([(each.name, each.dist and each.dist.version, digest_of(sources(each.module))) for each in points])
+    return repr([(each.name, each.dist and each.dist.version) for each in points])
 
 
 @cache

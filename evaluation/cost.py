@@ -1,17 +1,13 @@
 """The costs of a codec: processor time, delay, memory and decoder size."""
 
 import json
-import math
 import multiprocessing
 import sys
-import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from statistics import median
-from timeit import Timer
 from typing import TypeVar
 
 import numpy as np
@@ -23,8 +19,6 @@ from vibrocast.models import Model
 
 T = TypeVar("T")
 
-MIN_S = 0.01
-"""Shorter work is timed in several runs at a time that together take about as long, far above a clock's step."""
 MEMORY_SECONDS, MEMORY_RATE_HZ = 100, 2800
 DECODER_SIZES = Path(__file__).parent / "data" / "decoder_sizes.json"
 """Counted by `python -m studies.decoder_sizes`."""
@@ -59,32 +53,6 @@ class CodecCost:
     def flash_bytes(self) -> int | None:
         """The bytes that a controller holds to decode: code and models."""
         return None if self.decoder_bytes is None else self.decoder_bytes + (self.model_bytes or 0)
-
-
-def time_coding(
-    encode: Callable[[], T], decode: Callable[[T], object], samples: int, repeats: int
-) -> tuple[float, float]:
-    """Return the seconds that encoding and decoding take for each million samples, all channels together.
-
-    Processor seconds of this process, all its threads together, as one core would need; the median of `repeats` after
-    a first run, which is not counted. `samples`: how many one run codes, all channels together.
-    """
-    coded = encode()
-    decode(coded)
-    megasamples = samples / 1e6
-    return (
-        _processor_seconds(encode, repeats) / megasamples,
-        _processor_seconds(lambda: decode(coded), repeats) / megasamples,
-    )
-
-
-def _processor_seconds(work: Callable[[], object], repeats: int) -> float:
-    timer = Timer(work, timer=time.process_time)
-    once = timer.timeit(1)
-    if once >= MIN_S:
-        return median([once, *timer.repeat(repeats - 1, 1)])
-    runs = math.ceil(MIN_S / max(once, 1e-6))
-    return median(timer.repeat(repeats, runs)) / runs
 
 
 def delay_ms(

@@ -1,20 +1,18 @@
 """The speed table: the time of each method for a million samples, all coded as one signal near a fixed ratio."""
 
 import math
-import platform
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from statistics import fmean
 
 import numpy as np
 
 from vibrocast import codec, textures
 from vibrocast.codec import Setting
+from vibrocast.codec.timing import time_coding
 from vibrocast.evaluation import trained
 from vibrocast.evaluation.cells import Method, decode_file, encode_file, rate_point_text
-from vibrocast.evaluation.cost import time_coding
 from vibrocast.evaluation.points import Failure, Point
 from vibrocast.models import Model
 
@@ -43,14 +41,6 @@ class Speed:
     snr_db: float | None
     encode_s_per_megasample: float
     decode_s_per_megasample: float
-
-
-def cpu_name() -> str:
-    """Return the system's name of its processor."""
-    described = Path("/proc/cpuinfo")
-    lines = described.read_text(encoding="utf-8").splitlines() if described.exists() else []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return (names or [platform.processor() or platform.machine()])[0]
 
 
 def measure(

@@ -3,9 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from elftools.common.exceptions import ELFError
-from elftools.elf.elffile import ELFFile
-from elftools.elf.sections import SymbolTableSection
+from vibrocast import extras
 
 
 @dataclass(frozen=True)
@@ -29,10 +27,15 @@ class Section:
 class Elf:
     """A linked 32-bit program: `segments` in memory, `sections` and `symbols` by name, names of `functions` by address.
 
-    Raises ValueError for any other file.
+    Raises ValueError for any other file, and MissingExtraError.
     """
 
     def __init__(self, path: Path) -> None:
+        extras.require("firmware", "elftools")
+        from elftools.common.exceptions import ELFError
+        from elftools.elf.elffile import ELFFile
+        from elftools.elf.sections import SymbolTableSection
+
         with path.open("rb") as file:
             try:
                 program = ELFFile(file)

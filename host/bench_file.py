@@ -16,13 +16,13 @@ from vibrocast import textures
 from vibrocast.device_protocol.messages import ActuatorDescription
 from vibrocast.device_protocol.transports import SERIAL_FORM, TransportError, serial_port
 from vibrocast.files import InputFileError
-from vibrocast.host import devices, sensitivity
+from vibrocast.host import devices
 from vibrocast.host.bench_limits import BenchLimits
 from vibrocast.host.controller import Controller
 from vibrocast.host.end_to_end import actuator_model
 from vibrocast.output.actuator import Actuator
 from vibrocast.output.actuator_files import ActuatorTable
-from vibrocast.textures import Recording
+from vibrocast.textures import Recording, sensitivity
 from vibrocast.toml_tables import (
     Table,
     Text,

@@ -6,8 +6,9 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import asdict, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import asdict, dataclass, replace
+from importlib.metadata import entry_points
+from typing import TYPE_CHECKING, Any, Protocol, Self
 
 import usb.core
 import usb.util
@@ -28,33 +29,24 @@ from vibrocast.device_protocol.transports import (
 )
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.tracing import TappedTransport
+from vibrocast.simulated_device.device import Device
 
 if TYPE_CHECKING:
     from vibrocast.output.actuator import Actuator
     from vibrocast.output.sound_card import Card
-    from vibrocast.simulated_device.board import Board
     from vibrocast.simulated_device.controller import Controller as SimulatedController
-    from vibrocast.simulated_device.cortex_m import CortexM
 
-FIRMWARE = {
-    "host": "the firmware as a process of this machine",
-    "cortex-m4": "the firmware on an emulated Cortex-M4",
-    "cortex-m7": "the firmware on an emulated Cortex-M7",
-    "cortex-m33": "the firmware on an emulated Cortex-M33",
-    "stm32f405": "the firmware of the Feather STM32F405 board, emulated",
-    "rp2040": "the firmware of a board with an RP2040, emulated",
-}
-"""Controllers made of the C firmware; they last as long as a session, and have their actuator compiled in."""
-EMULATED = tuple(name for name in FIRMWARE if name != "host")
-"""Those whose processor is emulated."""
-SIMULATED = {
+GROUP = "vibrocast.devices"
+_ENTRIES = {entry.name: entry for entry in sorted(entry_points(group=GROUP))}
+FIRMWARE = tuple(_ENTRIES)
+"""Addresses of controllers made of the C firmware; they last as long as a session, and have their actuator compiled in.
+Each is an entry point of GROUP, which names a FirmwareDevice."""
+_IN_THIS_PROCESS = {
     "sim": "simulated controller behind a serial port",
     "sim-usb": "simulated controller behind a simulated USB device",
-    **FIRMWARE,
 }
-"""All that need no hardware."""
-IN_PROCESS = ("sim", "sim-usb", *EMULATED)
-"""Those that this program itself simulates, and so could in simulated time."""
+SIMULATED = (*_IN_THIS_PROCESS, *FIRMWARE)
+"""Addresses of all that need no hardware."""
 ADDRESS = re.compile("serial:.+|usb:[0-9a-fA-F]{1,4}:[0-9a-fA-F]{1,4}(:.+)?|audio:.+")
 """Those of hardware."""
 FORMS = f"{SERIAL_FORM}, {USB_FORM} or audio:CARD[:CHANNELS][@VOLTS]"
@@ -63,6 +55,51 @@ FORMS = f"{SERIAL_FORM}, {USB_FORM} or audio:CARD[:CHANNELS][@VOLTS]"
 _AUDIO = re.compile(r"audio:(?P<card>.+?)(:(?P<channels>\d+(,\d+)*))?(@(?P<volts>[^@]+))?")
 # As many channels as the controller in this process has.
 _CARD_CHANNELS = 8
+
+
+class EmulatedBoard(Device, Protocol):
+    """A controller on an emulated processor, whose `counter` counts instructions and cycles."""
+
+    @property
+    def processor(self) -> Any:
+        """A `vibrocast.harness.boards.emulator.Processor`."""
+
+
+class Process(Protocol):
+    """A controller in a process of its own, which ends with the context. `name`: of its serial port."""
+
+    name: str
+
+    def __enter__(self) -> Self:
+        """Return the process."""
+
+    def __exit__(self, *error: object) -> None:
+        """End the process."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FirmwareDevice:
+    """A controller made of the C firmware: `board` starts it on an emulated processor, or `process` in one of its own.
+
+    Either raises BuildError. `channels`: of its actuator. The planner needs `core`, such as M4F,
+    its clock in Hz, and bytes of flash and RAM; None = a scene states them.
+    """
+
+    summary: str
+    board: Callable[[], EmulatedBoard] | None = None
+    process: Callable[[], Process] | None = None
+    channels: int
+    core: str | None = None
+    clock_hz: float | None = None
+    flash_bytes: int | None = None
+    ram_bytes: int | None = None
+
+
+def firmware_device(address: str) -> FirmwareDevice:
+    """Return one of FIRMWARE."""
+    found = _ENTRIES[address].load()
+    assert isinstance(found, FirmwareDevice), f"the entry point {address} of {GROUP} names no FirmwareDevice"
+    return found
 
 
 @contextlib.contextmanager
@@ -245,36 +282,37 @@ def decoding_runtime(address: str, runtime: str | None) -> str | None:
 
 @contextlib.contextmanager
 def _firmware(address: str) -> Iterator[str]:
-    """Run one of FIRMWARE and tell its serial port. Raises TransportError."""
+    """Run one of FIRMWARE and yield its serial port. Raises TransportError and MissingExtraError."""
     from vibrocast.firmware.build import BuildError
-    from vibrocast.simulated_device.host_process import HostProcess
     from vibrocast.simulated_device.serial_port import has_pseudo_terminals, serial_port
 
-    if address == "host" and not has_pseudo_terminals():
+    device = firmware_device(address)
+    if device.process is not None and not has_pseudo_terminals():
         raise TransportError(
-            "host cannot run: its serial port is a pseudo-terminal, which this system lacks; use sim or an emulated "
-            "board"
+            f"{address} cannot run: its serial port is a pseudo-terminal, which this system lacks; use sim or an "
+            "emulated board"
         )
     try:
-        port = HostProcess() if address == "host" else serial_port(emulated(address))
+        port = serial_port(emulated(address)) if device.process is None else device.process()
     except BuildError as error:
         raise TransportError(str(error)) from error
     with port:
         yield port.name
 
 
-def emulated(address: str) -> "CortexM | Board":
-    """Return one of EMULATED. Raises TransportError."""
+def is_emulated(address: str) -> bool:
+    """Return whether an address is that of an emulated processor."""
+    return address in FIRMWARE and firmware_device(address).board is not None
+
+
+def emulated(address: str) -> EmulatedBoard:
+    """Return the board at an address that `is_emulated`. Raises TransportError and MissingExtraError."""
     from vibrocast.firmware.build import BuildError
 
-    extras.require("firmware", "unicorn", "ziglang")
-    from vibrocast.simulated_device.cortex_m import CortexM
-    from vibrocast.simulated_device.rp2040 import Rp2040
-    from vibrocast.simulated_device.stm32f405 import Stm32F405
-
-    boards: dict[str, Callable[[], Board]] = {"stm32f405": Stm32F405, "rp2040": Rp2040}
+    start = firmware_device(address).board
+    assert start is not None
     try:
-        return boards[address]() if address in boards else CortexM(address)
+        return start()
     except BuildError as error:
         raise TransportError(str(error)) from error
 
@@ -283,7 +321,7 @@ def available() -> dict[str, str]:
     """Return the addresses that may be controllers, each with a description."""
     from serial.tools import list_ports
 
-    found = dict(SIMULATED)
+    found = _IN_THIS_PROCESS | {address: firmware_device(address).summary for address in FIRMWARE}
     for port in list_ports.comports():
         found[f"serial:{port.device}"] = "serial port" if port.description == "n/a" else port.description
     # Without libusb there are no USB devices to list; `connect` says what to do then.

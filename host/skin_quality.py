@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast import textures
+from vibrocast.codec import metrics
 from vibrocast.codec.threshold import filtered, read_threshold, skin_filter, skin_snr_db
-from vibrocast.evaluation import metrics
 from vibrocast.host.alignment import Alignment, AlignmentError, align
 from vibrocast.host.bench_limits import Judged
 from vibrocast.output.actuator import FOLLOWED_DB

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from vibrocast.device_protocol.coded_stream import StreamHeader
 from vibrocast.device_protocol.layout import MAX_VARINT_BYTES
 from vibrocast.device_protocol.messages import (
+    COUNTERS,
     STREAM_DATA_HEAD_BYTES,
     CaptureData,
     CaptureRead,
@@ -27,7 +28,6 @@ from vibrocast.device_protocol.messages import (
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.event_loop import Steps
-from vibrocast.host.frame_lines import COUNTERS
 from vibrocast.host.limits import explained
 
 _log = logging.getLogger(__name__)

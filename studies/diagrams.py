@@ -16,7 +16,7 @@ from schemdraw.types import Halign
 
 import vibrocast
 from studies.page import errors_in_one_line
-from tests.test_architecture import ALLOWED, PRODUCTS
+from tests.test_architecture import CORE, PRODUCTS
 from vibrocast.device_protocol import frames, messages
 from vibrocast.device_protocol.layout import wire_fields
 from vibrocast.device_protocol.messages import SlotState, State
@@ -126,9 +126,12 @@ ROLES = {
     "models": "trained models",
     "output": "actuators and limits",
     "codec": "signal to bytes and back",
-    "export": "training, packing of model images",
     "simulated_device": "controllers without hardware",
     "evaluation": "metrics and benchmark",
+    "export": "training, model images",
+    "harness": "measures a bench",
+    "planner": "cheapest setting",
+    "study": "listening studies",
 }
 """What each package is for."""
 
@@ -136,17 +139,21 @@ ROLES = {
 def levels() -> list[list[str]]:
     """Return the packages from the lowest layer up; each imports only from layers below."""
     found: list[list[str]] = []
-    while len(below := {package for layer in found for package in layer}) < len(ALLOWED):
-        found.append([each for each, allowed in ALLOWED.items() if each not in below and allowed <= below])
+    while len(below := {package for layer in found for package in layer}) < len(CORE):
+        found.append([each for each, allowed in CORE.items() if each not in below and allowed <= below])
     return found
 
 
 def architecture() -> Picture:
     """The packages in layers, and what each may import."""
     rows = [[_packaged(package) for package in layer] for layer in levels()]
-    rows.append(["host: players, live streams, uploads\nimports all below"])
-    rows.append([f"host.{name}" for name in PRODUCTS])
-    rows.append(["host.cli: the command\nimports all below", "vibrocast: the Python API\nimports host and below"])
+    rows.append(
+        [
+            "host: players, live streams, uploads, the command\nimports all below",
+            "vibrocast: the Python API\nimports host and below",
+        ]
+    )
+    rows.append([_product(name) for name in sorted(PRODUCTS, key=lambda name: len(PRODUCTS[name]))])
     picture = Picture(1.4 * len(rows) + 0.2)
     for number, row in enumerate(rows):
         width = (WIDTH - 0.2) / len(row)
@@ -158,10 +165,16 @@ def architecture() -> Picture:
 
 def _packaged(package: str) -> str:
     """Return what the box of a package says."""
-    if not ALLOWED[package]:
+    if not CORE[package]:
         return f"{package}\n{ROLES[package]}"
-    everything = len(ALLOWED[package]) == len(ALLOWED) - 1
-    return f"{package}: {ROLES[package]}\nimports {'all below' if everything else ', '.join(sorted(ALLOWED[package]))}"
+    everything = len(CORE[package]) == len(CORE) - 1
+    return f"{package}: {ROLES[package]}\nimports {'all below' if everything else ', '.join(sorted(CORE[package]))}"
+
+
+def _product(name: str) -> str:
+    """Return what the box of a product says; all of them import the core."""
+    beside = f"core, {', '.join(sorted(PRODUCTS[name]))}" if PRODUCTS[name] else "core"
+    return f"{name}\n{ROLES[name]}\nimports {beside}"
 
 
 Cell = tuple[str, str, float]

@@ -16,10 +16,9 @@ from torch import Tensor
 
 from studies.page import FOLDER, OUT, errors_in_one_line, results_folder, write_rows
 from studies.papers import ABLATION, Ablation
-from vibrocast import progress
+from vibrocast import progress, workers
 from vibrocast.codec.eva import LatentEncoder, configuration
-from vibrocast.evaluation import model_card, workers
-from vibrocast.export import training_data
+from vibrocast.export import model_card, training_data
 from vibrocast.export.configuration import Configuration, ModelChoice, Schedule, Sweep, read
 from vibrocast.export.eva import HOP_SAMPLES, DeadZone, Eva
 from vibrocast.export.priors import ContextPrior, FactorisedPrior

@@ -24,9 +24,9 @@ from vibrocast.evaluation import points, trained
 from vibrocast.firmware.build import size as firmware_size
 from vibrocast.host import live
 from vibrocast.host.device_clock import DeviceClock
-from vibrocast.host.planner import costs, playing
-from vibrocast.host.planner.costs import BOARD_CORES, quiet_part
 from vibrocast.models import Model
+from vibrocast.planner import costs, playing
+from vibrocast.planner.costs import board_cores, quiet_part
 from vibrocast.textures.generate import GENERATORS
 
 try:
@@ -132,7 +132,7 @@ class Playing:
 class ControllerLoad(Playing):
     """The cost of a whole controller.
 
-    `board`: one of BOARD_CORES. `instructions`, `decoding`: in a second, all, and decoding alone.
+    `board`: of board_cores. `instructions`, `decoding`: in a second, all, and decoding alone.
     `flash_bytes`, `ram_bytes`: of BOARD's firmware with the buffers of SMALL, but for the code and the state of its
     decoders.
     """
@@ -268,7 +268,7 @@ def measure_sizes(folder: Path, decoders: Iterable[str]) -> Iterator[Size]:
 def measure_controllers(folder: Path, seconds: float) -> Iterator[ControllerLoad]:
     """Yield what each emulated controller takes to play PLAYED, as far as it has the channels. Raises BuildError."""
     sizes = {channels: _rest_bytes(folder, CORES["M4F"], channels) for channels in CHANNELS}
-    for board, core_name in BOARD_CORES.items():
+    for board, core_name in board_cores().items():
         core = CORES[core_name]
         program = _program(folder, core, "DSP instructions", {"mdct"}, max(CHANNELS))
         for played in PLAYED:
@@ -386,7 +386,7 @@ def _page(loads: Sequence[Load], sizes: Sequence[Size], controller: Sequence[Con
         profile_speed_mm_s=PROFILE_SPEED_MM_S,
         board=BOARD,
         profile_unit=PROFILE_UNIT,
-        controllers=[(load, CORES[BOARD_CORES[load.board]].clock_hz) for load in controller],
+        controllers=[(load, CORES[board_cores()[load.board]].clock_hz) for load in controller],
         channel_counts=CHANNELS,
         summary_unit=PLAYED[0].unit,
         summary_packet_samples=PLAYED[0].packet_samples,
@@ -406,7 +406,7 @@ def _summary(controller: Sequence[ControllerLoad], board: str) -> list[float | N
     percent = {
         (load.unit, load.rate_hz, load.channels, load.packet_samples): 100
         * load.instructions
-        / CORES[BOARD_CORES[board]].clock_hz
+        / CORES[board_cores()[board]].clock_hz
         for load in controller
         if load.board == board
     }

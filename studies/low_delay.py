@@ -11,9 +11,9 @@ from vibrocast import codec, textures
 from vibrocast.codec import CodedSignal, Framing, Source
 from vibrocast.codec.core import decoding_cycles
 from vibrocast.codec.rate_controlled import added_bytes
+from vibrocast.harness import Latency, machine, measure_latency, subject
 from vibrocast.host import bench_file, live
 from vibrocast.host.bench_file import Bench, BenchController
-from vibrocast.host.harness import Latency, machine, measure_latency, subject
 from vibrocast.textures import Recording
 
 RECORDING = Path("examples/oak.wav")

@@ -23,14 +23,14 @@ from studies.page import write as write_page
 from studies.texture_paper import HAND_SPEED_MM_S, STRETCH_MM, generated_profiles
 from vibrocast import pictures, textures
 from vibrocast.files import atomic_write
-from vibrocast.host.study import statistics, stimuli
-from vibrocast.host.study.analysis import ALPHA
-from vibrocast.host.study.methods import MAIN, Answered, design
-from vibrocast.host.study.observer import INTEGRATION_S, Observer, Skin
-from vibrocast.host.study.simulation import SkinOf
-from vibrocast.host.study.study_file import Study, StudyTexture, read_study
-from vibrocast.host.study.trials import Answer
 from vibrocast.output.actuator import ACTUATORS
+from vibrocast.study import statistics, stimuli
+from vibrocast.study.analysis import ALPHA
+from vibrocast.study.methods import MAIN, Answered, design
+from vibrocast.study.observer import INTEGRATION_S, Observer, Skin
+from vibrocast.study.simulation import SkinOf
+from vibrocast.study.study_file import Study, StudyTexture, read_study
+from vibrocast.study.trials import Answer
 
 TABLES = Path(__file__).parent / "data" / "okamoto_tables.csv"
 """Tables 2 to 4 of S. Okamoto and Y. Yamada, IEEE Transactions on Haptics 6(1), 2013: t with DEGREES, and p."""

@@ -16,7 +16,7 @@ from studies.page import FOLDER, OUT, errors_in_one_line, results_folder, write_
 from vibrocast import codec
 from vibrocast.codec import CodedSignal, Setting
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ
-from vibrocast.evaluation.metrics import Quality, measure
+from vibrocast.codec.metrics import Quality, measure
 from vibrocast.files import atomic_write
 from vibrocast.textures import Recording
 from vibrocast.textures.dataset import entries, load, printable

@@ -19,15 +19,16 @@ from scipy import signal
 
 from studies.page import FOLDER, OUT, errors_in_one_line, render, results_folder, write
 from vibrocast import codec, textures
+from vibrocast.codec import metrics
 from vibrocast.codec.encoding import DEFAULT_SNR_DB, encode_recording
 from vibrocast.codec.stream import as_stream
 from vibrocast.codec.threshold import MAX_HZ, SKIN_MIN_HZ, band_parts, read_threshold, threshold_amplitude
-from vibrocast.evaluation import bd_rate, metrics
+from vibrocast.evaluation import bd_rate
 from vibrocast.evaluation.bd_rate import SNR, SPQI, ST_SIM_2800
 from vibrocast.evaluation.curves import Curve, Panel, curves
 from vibrocast.evaluation.tables import write_table
-from vibrocast.host.planner.band import MARGIN_DB, error_over_threshold_db
 from vibrocast.output.actuator import PIEZO_STACK
+from vibrocast.planner.band import MARGIN_DB, error_over_threshold_db
 from vibrocast.textures import Recording
 
 UNIT = "m/s^2"

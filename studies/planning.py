@@ -20,13 +20,13 @@ from vibrocast.codec.encoding import DEFAULT_SNR_DB, DEFAULT_STREAM_RATE_HZ, Enc
 from vibrocast.codec.rate_controlled import added_bytes
 from vibrocast.codec.threshold import DETECTION_THRESHOLD, read_threshold
 from vibrocast.host.bench_file import BenchActuator
-from vibrocast.host.planner import costs
-from vibrocast.host.planner.band import BandError, band_of, rendering_s
-from vibrocast.host.planner.candidates import BUFFERS_MS, Evaluator
-from vibrocast.host.planner.choose import PlanningError, choose
-from vibrocast.host.planner.plan_file import prepared
-from vibrocast.host.planner.scene import Asked, Link, Scene, SceneController, SceneTexture, Source, Weights
 from vibrocast.output.actuator import PIEZO_STACK
+from vibrocast.planner import costs
+from vibrocast.planner.band import BandError, band_of, rendering_s
+from vibrocast.planner.candidates import BUFFERS_MS, Evaluator
+from vibrocast.planner.choose import PlanningError, choose
+from vibrocast.planner.plan_file import prepared
+from vibrocast.planner.scene import Asked, Link, Scene, SceneController, SceneTexture, Source, Weights
 from vibrocast.textures import Profile, Recording, TextureError
 from vibrocast.textures.dataset import DatasetEntry, entries
 

@@ -12,8 +12,8 @@ from studies.page import OUT, errors_in_one_line, render, results_folder, write,
 from vibrocast import codec
 from vibrocast.codec import CodedSignal, Signal, Source
 from vibrocast.codec.interface import Value
-from vibrocast.evaluation.cost import time_coding
-from vibrocast.host.harness import machine
+from vibrocast.codec.timing import time_coding
+from vibrocast.harness import machine
 from vibrocast.textures.generate import wood
 
 RATE_HZ = 2800

@@ -7,10 +7,10 @@ import click
 from playwright.sync_api import Browser, Error, Page, ViewportSize, sync_playwright
 
 from studies.page import errors_in_one_line
-from tests.host.study.stub_run import StubRun, chromium, mushra, served, trial
+from tests.study.stub_run import StubRun, chromium, mushra, served, trial
 from vibrocast.files import atomic_write
-from vibrocast.host.study.server import Aids
-from vibrocast.host.study.trials import Screen
+from vibrocast.study.server import Aids
+from vibrocast.study.trials import Screen
 
 FIGURES = Path(__file__).resolve().parents[1] / "docs" / "figures"
 SIZE = ViewportSize(width=1024, height=640)

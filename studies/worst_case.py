@@ -29,11 +29,11 @@ from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.evaluation import points, trained
 from vibrocast.firmware.build import build
 from vibrocast.firmware.elf import Elf
+from vibrocast.harness.boards.stm32f405 import Stm32F405
 from vibrocast.host import uploader
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.models import Model
 from vibrocast.simulated_device.faulty_link import MemoryLink
-from vibrocast.simulated_device.stm32f405 import Stm32F405
 
 try:
     from studies.emulated_core import CORES, Costs, EmulatedCore, compile_core, decode_in_blocks

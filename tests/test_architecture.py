@@ -13,28 +13,32 @@ from vibrocast.device_protocol import coded_stream
 from vibrocast.textures import recording
 
 ROOT = Path(__file__).parents[1]
-ALLOWED = {
+CORE = {
     "textures": set[str](),
     "device_protocol": set[str](),
     "firmware": set[str](),
     "models": {"device_protocol"},
     "output": {"device_protocol", "firmware"},
     "codec": {"device_protocol", "firmware", "models", "textures"},
-    "export": {"codec", "device_protocol", "textures"},
     "simulated_device": {"codec", "device_protocol", "firmware", "output"},
-    "evaluation": {
-        *("codec", "device_protocol", "export", "firmware"),
-        *("models", "output", "simulated_device", "textures"),
-    },
 }
-"""What each package may import; host may import them all."""
-PRODUCTS = ("conformance", "harness", "planner", "stability", "study")
-"""The packages of host that stand on the others; the command, in cli, stands on them."""
+"""What each package of the core may import of it; host, and the modules in vibrocast/, may import them all."""
+PRODUCTS = {
+    "evaluation": set[str](),
+    "export": set[str](),
+    "harness": {"evaluation"},
+    "planner": {"evaluation"},
+    "study": {"evaluation", "harness"},
+}
+"""The products, which may import the core, and of each other these."""
+PACKAGES = (*CORE, "host", *PRODUCTS)
+SMALL = ("extras", "files", "pages", "pictures", "progress", "toml_tables", "workers")
+"""Modules in vibrocast/ for every package; they import none."""
 
 
 def sources() -> dict[str, Path]:
     """Return every source that is installed by its module: "codec.mdct" of codec/mdct.py."""
-    paths = [path for package in (*ALLOWED, "host") for path in sorted((ROOT / package).rglob("*.py"))]
+    paths = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
     paths += sorted((ROOT / "vibrocast").glob("*.py"))
     modules = {}
     for path in paths:
@@ -58,7 +62,7 @@ def imports(module: str) -> set[str]:
         elif isinstance(node, ast.ImportFrom) and node.module:
             whole = {f"{node.module}.{alias.name}" for alias in node.names}
             names |= {name if name.removeprefix("vibrocast.") in SOURCES else node.module for name in whole}
-    assert not {name.split(".")[0] for name in names} & {*ALLOWED, "host"}, "packages are imported as vibrocast.PACKAGE"
+    assert not {name.split(".")[0] for name in names} & set(PACKAGES), "packages are imported as vibrocast.PACKAGE"
     own = {name.removeprefix("vibrocast.").removeprefix("vibrocast") for name in names if name.startswith("vibrocast")}
     return own & set(SOURCES) - {module}
 
@@ -67,24 +71,25 @@ def imports(module: str) -> set[str]:
 def test_arrows_point_one_way(module: str) -> None:
     package, *inner = module.split(".")
     imported = imports(module)
-    packages = {name.split(".")[0] for name in imported if "." in name or name in (*ALLOWED, "host")}
-    if package in ALLOWED:
-        assert packages <= ALLOWED[package] | {package}
-    if package in ("extras", "files", "pages", "progress", "toml_tables"):
+    packages = {name.split(".")[0] for name in imported} & set(PACKAGES)
+    if package in CORE:
+        assert packages <= CORE[package] | {package}
+    elif package in PRODUCTS:
+        assert packages & set(PRODUCTS) <= PRODUCTS[package] | {package}
+    else:
+        assert packages & set(PRODUCTS) == set(), "products join the core through entry points"
+    if package in SMALL:
         assert packages == set()
-    if package == "host" and inner[:1] != ["cli"]:
-        inner_packages = {name.split(".")[1] for name in imported if name.startswith("host.")}
-        assert "cli" not in inner_packages
-        assert inner[:1] in [[product] for product in PRODUCTS] or not inner_packages & set(PRODUCTS)
-        assert "import click" not in SOURCES[module].read_text()
+    if inner[:1] != ["cli"]:
+        assert not any(name.startswith("host.cli") for name in imported)
+        assert package not in ("codec", "host") or "import click" not in SOURCES[module].read_text()
 
 
 @pytest.mark.parametrize("module", [*SOURCES, *STUDIES])
 def test_products_are_used_by_their_public_names(module: str) -> None:
-    for product in ("conformance", "harness", "stability"):
-        if not module.startswith(f"host.{product}"):
-            inside = {name for name in imports(module) if name.startswith(f"host.{product}.")}
-            assert not inside, f"import the names that host.{product} itself exports"
+    if not module.startswith("harness"):
+        inside = {name for name in imports(module) if name.startswith("harness.conformance.")}
+        assert not inside, "import the names that harness.conformance itself exports"
 
 
 def test_no_module_imports_itself_through_others() -> None:

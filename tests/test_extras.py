@@ -10,10 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner
 
 from vibrocast import extras
-from vibrocast.host.cli.command_line import main
 
 ROOT = Path(__file__).parents[1]
 # Hides the packages of all extras.
@@ -46,13 +44,8 @@ def run_without_extras(*commands: list[str]) -> list[tuple[int, str]]:
 def test_the_base_encodes_decodes_plays_and_uploads(tmp_path: Path) -> None:
     wav, stream, out = (str(tmp_path / name) for name in ("taps.wav", "taps.vct", "decoded.wav"))
     learned = str(tmp_path / "learned.vct")
-    assert (
-        CliRunner()
-        .invoke(main, ["encode", str(ROOT / "examples" / "taps.wav"), learned, "--model", "eva-16-4"])
-        .exit_code
-        == 0
-    )
     commands = [
+        ["encode", str(ROOT / "examples" / "taps.wav"), learned, "--model", "eva-16-4"],
         ["generate", "taps", wav, "--seconds", "0.5"],
         ["decode", learned, out],
         ["encode", wav, stream],
@@ -89,7 +82,7 @@ def test_a_command_names_the_extra_that_it_needs(tmp_path: Path) -> None:
         ("bench", ["stability", "--out", out]),
         ("bench", ["measure", "--bench", "examples/bench.toml", "--out", out]),
         ("bench", ["conformance"]),
-        ("bench", ["plan", "examples/scenes/glove.toml", "--out", out]),
+        ("plan", ["plan", "examples/scenes/glove.toml", "--out", out]),
         ("train", ["train", "examples/eva.toml", "--out", out]),
         ("train", ["export", "best.pt", "--out", out]),
         ("firmware", ["play", oak, "--device", "cortex-m4"]),
@@ -97,8 +90,6 @@ def test_a_command_names_the_extra_that_it_needs(tmp_path: Path) -> None:
         ("firmware", ["status", "--device", "host"]),
         ("peers", ["play", oak, "--codec", "opus"]),
         ("peers", ["encode", oak, f"{out}.vct", "--codec", "flac"]),
-        ("learned", ["encode", oak, f"{out}.vct", "--codec", "eva"]),
-        ("learned", ["live", "taps", "--model", "eva-16-4"]),
         ("plot", ["play", oak, "--plot", f"{out}.png"]),
     ]
     for (extra, command), (code, errors) in zip(cases, run_without_extras(*(case[1] for case in cases)), strict=True):

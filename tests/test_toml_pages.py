@@ -10,9 +10,9 @@ from msgspec import inspect
 from vibrocast.evaluation import external
 from vibrocast.export import configuration
 from vibrocast.host import bench_file
-from vibrocast.host.planner import plan_file, scene
-from vibrocast.host.study import study_file
 from vibrocast.output import actuator_files
+from vibrocast.planner import plan_file, scene
+from vibrocast.study import study_file
 
 PAGE = Path(__file__).parents[1] / "docs/reference/toml_files.md"
 SECTIONS: dict[str, tuple[type, ...]] = {

@@ -33,7 +33,7 @@ from vibrocast.textures import load as load
 from vibrocast.textures import load_profile as load_profile
 
 if TYPE_CHECKING:
-    from vibrocast.evaluation.metrics import Quality
+    from vibrocast.codec.metrics import Quality
 
 _MAX_STREAM_RATE_HZ = 200_000
 _MAX_LOOPS = 1_000_000
@@ -161,7 +161,7 @@ def measure(
     Raises:
         ValueError: The shapes differ, or a value is NaN or infinite.
     """
-    from vibrocast.evaluation import metrics
+    from vibrocast.codec import metrics
 
     perceptual = True
     try:

@@ -12,11 +12,10 @@ EXTRAS = {
     "capstone": ("firmware",),
     "distributed": ("bench",),
     "elftools": ("firmware",),
-    "jinja2": ("bench", "study"),
-    "matplotlib": ("plot", "bench", "study", "train"),
+    "jinja2": ("plan", "bench", "study"),
+    "matplotlib": ("plot", "plan", "bench", "study", "train"),
     "miniaudio": ("audio",),
     "onnx": ("train",),
-    "onnxruntime": ("learned", "bench", "train"),
     "pebble": ("bench", "train"),
     "polars": ("bench",),
     "pytest": ("bench",),
@@ -25,7 +24,7 @@ EXTRAS = {
     "torch": ("train",),
     "unicorn": ("firmware",),
     "uvicorn": ("study",),
-    "vibromaf": ("bench",),
+    "vibromaf": ("plan", "bench"),
     "ziglang": ("firmware",),
 }
 

@@ -47,7 +47,7 @@ def texture_of(name: str) -> tuple[Signal, str]:
 
 def measure(rate_point: RatePoint, name: str) -> Measured:
     """Code a texture at a setting: SNR, ST-SIM, bits per sample of the whole stream. Raises CodecError."""
-    from vibrocast.evaluation import metrics
+    from vibrocast.codec import metrics
 
     samples, unit = texture_of(name)
     heard, stream = decoded(samples, RATE_HZ, rate_point, unit)

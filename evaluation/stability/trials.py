@@ -12,8 +12,8 @@ from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.device_protocol.messages import MessageError
 from vibrocast.device_protocol.model_image import ModelImageError
 from vibrocast.device_protocol.transports import TransportError
-from vibrocast.evaluation.workers import cores, on_cores
 from vibrocast.textures import TextureError
+from vibrocast.workers import cores, on_cores
 
 LIMIT_S = 240.0
 """A trial that takes more processor time hangs. Most take a second, coding of an hour up to 20."""

@@ -1,5 +1,5 @@
 /* Counts the instructions and cycles of an emulated processor: a hook on basic blocks for Unicorn, which calls it a
- * million times a second and more, so that it cannot be in Python. simulated_device/cycles.py knows the costs. */
+ * million times a second and more, so that it cannot be in Python. harness/boards/cycles.py knows the costs. */
 #include <stddef.h>
 #include <stdint.h>
 

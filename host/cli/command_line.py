@@ -1,85 +1,29 @@
 """The `vibrocast` command: finds the subcommand, loads it, and turns each error into one line and an exit code."""
 
 import contextlib
-import importlib
 import logging
 import shlex
 import sys
 import time
-from collections.abc import Mapping
 from contextlib import AbstractContextManager
+from functools import wraps
 from importlib.metadata import version
+from itertools import groupby
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NoReturn
 
 import click
 
 from vibrocast import extras
 from vibrocast.host.cli import exit_codes
 from vibrocast.host.cli.answers import begin, print_answer, with_json
+from vibrocast.host.cli.commands import subcommands
 from vibrocast.host.cli.errors import explained, option_names
 from vibrocast.host.cli.failure_trace import keep_trace
 from vibrocast.host.cli.option_types import OutputFile, reject_overwriting
 from vibrocast.host.printable import plain
 
 LOG_LEVELS = ("debug", "info", "warning", "error")
-
-
-class Subcommand(NamedTuple):
-    """Where a subcommand is, and its summary in `vibrocast --help`: the first paragraph of its docstring."""
-
-    module: str
-    attribute: str
-    summary: str
-
-
-# Help and version load none of these modules; a subcommand loads its own.
-SECTIONS: Mapping[str, Mapping[str, Subcommand]] = {
-    "Compress": {
-        "record": Subcommand("record", "record", "Record an accelerometer or a displacement sensor into a WAV file."),
-        "generate": Subcommand("generate", "generate", "Generate a texture (.wav) or its height profile (.csv)."),
-        "encode": Subcommand("encode", "encode", "Code a recording into a .vct file."),
-        "decode": Subcommand("decode", "decode", "Decode a .vct file into a WAV, CSV, NPY or MAT file."),
-        "info": Subcommand("decode", "info", "Show the codec, rate and content of a .vct file."),
-        "codecs": Subcommand("codecs", "codecs", "List the codecs and their parameters."),
-    },
-    "Play": {
-        "play": Subcommand("play", "play", "Play a recording or a .vct file on one or several controllers."),
-        "live": Subcommand("live", "live", "Stream a generated texture or standard input to a controller."),
-        "render": Subcommand("render", "render", "Write the drive signal of a recording as a WAV file."),
-        "plan": Subcommand("plan", "plan", "Choose the cheapest codec settings that meet your requirements."),
-    },
-    "Controllers": {
-        "devices": Subcommand("devices", "list_devices", "List addresses: simulated, serial, USB and sound cards."),
-        "status": Subcommand("devices", "status", "Show the properties and state of a controller."),
-        "flash": Subcommand("devices", "flash", "Upload a trained model to a controller."),
-        "keys": Subcommand("keys", "keys", "Make keys, sign model images and check signatures."),
-        "simulate": Subcommand("devices", "simulate", "Run a simulated controller until Ctrl-C."),
-    },
-    "See and break the wire": {
-        "monitor": Subcommand("wire", "monitor", "Show the frames between a host and a controller as they pass."),
-        "replay": Subcommand("wire", "replay", "Show the frames of a trace, decode them, or send them again."),
-        "proxy": Subcommand("wire", "proxy", "Put a wire with faults between a host and a controller."),
-    },
-    "Measure and compare": {
-        "bench": Subcommand("bench", "bench", "Measure codecs and trained models on a folder of recordings."),
-        "stability": Subcommand("stability", "stability", "Map where each codec holds and where it fails."),
-        "measure": Subcommand(
-            "measure", "measure", "Measure the latency, load, fidelity and response of a controller."
-        ),
-        "conformance": Subcommand("conformance", "conformance", "Test a controller against the protocol."),
-    },
-    "Studies": {
-        "study": Subcommand("study", "study", "Check, run, simulate and report listening studies."),
-    },
-    "Learned codecs": {
-        "models": Subcommand("codecs", "list_models", "List the shipped models, with rate and quality."),
-        "train": Subcommand("train", "train", "Train a model from a TOML configuration."),
-        "export": Subcommand("export", "export", "Export a checkpoint: ONNX graphs, model image and card."),
-    },
-}
-SUBCOMMANDS = {name: each for section in SECTIONS.values() for name, each in section.items()}
-_LONGEST = max(map(len, SUBCOMMANDS))
 
 
 class VibrocastCommand(click.Group):
@@ -113,22 +57,20 @@ class VibrocastCommand(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of the subcommands."""
-        return list(SUBCOMMANDS)
+        return list(subcommands())
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Load a subcommand; None where there is none of that name."""
-        if cmd_name not in SUBCOMMANDS:
-            return None
-        module, attribute, _ = SUBCOMMANDS[cmd_name]
-        command = getattr(importlib.import_module(f"vibrocast.host.cli.{module}"), attribute)
-        assert isinstance(command, click.Command)
-        return with_json(command)
+        row = subcommands().get(cmd_name)
+        return None if row is None else with_json(with_extra(row.load(), row.extra))
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the names and summaries of the subcommands by section, without loading them."""
-        for title, subcommands in SECTIONS.items():
+        rows = subcommands().values()
+        longest = max(len(row.name) for row in rows)
+        for title, section in groupby(rows, lambda row: row.section):
             with formatter.section(title):
-                formatter.write_dl([(f"{name:{_LONGEST}}", each.summary) for name, each in subcommands.items()])
+                formatter.write_dl([(f"{row.name:{longest}}", row.summary) for row in section])
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run a subcommand, its errors turned into click's own; with --debug they pass with their traceback."""
@@ -159,6 +101,21 @@ class VibrocastCommand(click.Group):
             raise told from error
         print_answer(ctx)
         return result
+
+
+def with_extra(command: click.Command, extra: str | None) -> click.Command:
+    """Return a command that names the extra that it lacks before it does anything; its help needs none."""
+    run = command.callback
+    if extra is None or run is None:
+        return command
+
+    @wraps(run)
+    def checked(*arguments: Any, **options: Any) -> Any:
+        extras.require(extra)
+        return run(*arguments, **options)
+
+    command.callback = checked
+    return command
 
 
 def writing_trace(path: Path | None) -> AbstractContextManager[None]:

@@ -7,7 +7,6 @@ import click
 
 from vibrocast import models, progress
 from vibrocast.host import devices, uploader
-from vibrocast.host.cli import planned
 from vibrocast.host.cli.answers import add, tell, wants_json
 from vibrocast.host.cli.option_types import INPUT, OutputFile, Whole
 from vibrocast.host.cli.options import (
@@ -17,11 +16,10 @@ from vibrocast.host.cli.options import (
     device_option,
     link_option,
     own_actuator,
-    plan_option,
     runtime_option,
     tell_address,
 )
-from vibrocast.host.cli.steps import needed, show
+from vibrocast.host.cli.steps import show
 from vibrocast.host.printable import plain
 from vibrocast.output.actuator import ACTUATORS, PIEZO_STACK
 
@@ -39,27 +37,17 @@ def list_devices() -> None:
 
 
 @click.command()
-@click.argument("model", callback=chosen_model, required=False)
-@plan_option
+@click.argument("model", callback=chosen_model)
 @device_option
-def flash(model: models.Model | None, plan_path: Path | None, address: str) -> None:
+def flash(model: models.Model, address: str) -> None:
     """Upload a trained model to a controller.
 
     MODEL is a name that `vibrocast models` lists, a folder of `vibrocast export`, or a model image. The command
     transfers the model, reads it back, tests it on the controller and confirms it.
 
     After an interruption, run the same command again: it continues. Until then the controller runs the previous image.
-
-    With --plan, the command uploads the models that the plan needs.
     """
-    if plan_path is None:
-        upload(needed(model, "MODEL"), address)
-        return
-    needs = list(planned.needed_models(plan_path))
-    for name, planned_address, needed_model in needs:
-        upload(needed_model, planned_address, name)
-    if not needs:
-        tell(f"{plan_path}: no texture needs a model; nothing to upload")
+    upload(model, address)
 
 
 def upload(model: models.Model, address: str, name: str = "") -> None:

@@ -1,4 +1,4 @@
-"""The subcommand `encode`: codes a recording, a height profile or a texture of a plan into a .vct file."""
+"""The subcommand `encode`: codes a recording or a height profile into a .vct file."""
 
 import math
 from dataclasses import asdict
@@ -11,13 +11,11 @@ from vibrocast import progress, textures
 from vibrocast.codec import rate_controlled
 from vibrocast.codec.encoding import Encoding
 from vibrocast.host import profiles
-from vibrocast.host.cli import planned
 from vibrocast.host.cli.answers import add, tell, wants_json
 from vibrocast.host.cli.option_types import INPUT, OutputFile, positive, reject_overwriting
 from vibrocast.host.cli.options import (
     QualityOptions,
     RecordingOptions,
-    plan_option,
     quality_options,
     recording_options,
 )
@@ -55,14 +53,12 @@ from vibrocast.host.cli.steps import (
         help="Fade the end of the profile into its beginning, with --spatial. Default: it repeats as it is.",
     ),
 )
-@plan_option
 def encode(
     file: Path,
     out: Path,
     spatial: bool,
     slowest_hand_speed_mm_s: float,
     crossfade: bool,
-    plan_path: Path | None,
     quality: QualityOptions,
     rate: RateOptions,
     recording: RecordingOptions,
@@ -71,12 +67,7 @@ def encode(
 
     --rate-bps and --snr-db apply to the file as a whole. The options of rate control code it as a live stream, and
     hold a target over time.
-
-    With --plan, FILE is the name of a texture in the plan.
     """
-    if plan_path is not None:
-        write_encoding(out, planned.read(plan_path, ("file", "out")).texture(str(file)).encode())
-        return
     reject_overwriting([out], [file, *files_of(quality.model)])
     target = rate.target(quality.snr_db, quality.rate_bps)
     if spatial:

@@ -259,9 +259,6 @@ def check_bench_actuator(bench: "Bench | None", chosen: Chosen, description: Act
             check_actuator(bench, each, description)
 
 
-plan_option = click.option(
-    "--plan", "plan_path", type=INPUT, metavar="FILE", help="Take codecs and controllers from a plan file."
-)
 link_option = click.option(
     "--link", type=OutputFile(), metavar="NAME", help="Name the port. Default: another one at each start."
 )

@@ -1,4 +1,4 @@
-"""The subcommand `play`: plays a recording, a .vct file or a plan on a controller, and reports how it went."""
+"""The subcommand `play`: plays a recording or a .vct file on a controller, and reports how it went."""
 
 import contextlib
 import math
@@ -19,7 +19,6 @@ from vibrocast.device_protocol.messages import MessageError
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import devices, player, profiles
 from vibrocast.host.bench_limits import missed
-from vibrocast.host.cli import planned
 from vibrocast.host.cli.answers import add, answer, wants_json
 from vibrocast.host.cli.errors import DeviceFailure, explained
 from vibrocast.host.cli.failure_trace import trace_failure
@@ -36,7 +35,6 @@ from vibrocast.host.cli.options import (
     fail_where_missed,
     grouped,
     own_actuator,
-    plan_option,
     quality_options,
     recording_options,
     runtime_option,
@@ -52,7 +50,6 @@ from vibrocast.host.cli.steps import (
     encoded,
     encoded_profile,
     files_of,
-    needed,
     show,
     warn_of_underruns,
 )
@@ -99,7 +96,7 @@ class HandOptions:
 
 
 @click.command(cls=SectionedCommand)
-@click.argument("file", type=INPUT, required=False)
+@click.argument("file", type=INPUT)
 @recording_options
 @quality_options
 @section(CONTROLLER, bench_option, devices_option)
@@ -164,10 +161,8 @@ class HandOptions:
         ),
     ),
 )
-@plan_option
 def play(
-    file: Path | None,
-    plan_path: Path | None,
+    file: Path,
     bench: "Bench | None",
     chosen: tuple[Chosen, ...],
     playback: PlaybackOptions,
@@ -187,21 +182,11 @@ def play(
     you give --positions, or --stroke-mm. Then --hand-speed-mm-s is the highest speed of the stroke.
 
     With --bench, --device may be a name in the file, and the exit code is 4 if a limit is missed.
-
-    With --plan, FILE is the name of a texture; without FILE, all textures play. They play live, on the plan's
-    controllers or on one --device for each. The command compares measurement and forecast, and fails if they differ by
-    more than 10 %.
     """
     from vibrocast.host import end_to_end
 
     if outputs.plot_path is not None:
         extras.require("plot")
-    if plan_path is not None:
-        plan = planned.read(plan_path, ("file", "chosen", "report_path"))
-        keep_frames(outputs.report_path)
-        planned.play(plan, [str(file)] if file else [], outputs.report_path)
-        return
-    file = needed(file, "FILE")
     reject_overwriting([outputs.report_path, outputs.plot_path], [file, *files_of(quality.model)])
     # The firmware decodes by one of the runtimes alone: so do the others, to be compared with the same.
     runtime = next(

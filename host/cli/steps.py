@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TypeVar
 
 import click
 
@@ -18,15 +17,6 @@ from vibrocast.host.report import ActuatorUse, Report, StrokeReport
 from vibrocast.host.skin_quality import SkinQuality
 from vibrocast.output.actuator import FOLLOWED_DB
 from vibrocast.output.sound_card import CardUse
-
-_Argument = TypeVar("_Argument")
-
-
-def needed(argument: _Argument | None, name: str) -> _Argument:
-    """Return an argument that only --plan makes up for. Raises click.UsageError."""
-    if argument is None:
-        raise click.UsageError(f"missing {name}; pass it, or --plan")
-    return argument
 
 
 def files_of(model: models.Model | None) -> list[Path]:

@@ -13,8 +13,9 @@ import click
 import pytest
 from click.testing import CliRunner, Result
 
-from vibrocast.host.cli.command_line import SUBCOMMANDS, main
-from vibrocast.host.harness.measurements import MEASUREMENTS
+from vibrocast.harness.measurements import MEASUREMENTS
+from vibrocast.host.cli.command_line import main
+from vibrocast.host.cli.commands import subcommands
 
 ROOT = Path(__file__).parents[2]
 OAK = str(ROOT / "examples" / "oak.wav")
@@ -33,7 +34,7 @@ def answer(*arguments: object) -> Any:
 def test_every_subcommand_has_the_option() -> None:
     ctx = click.Context(main)
     commands: list[tuple[str, click.Command]] = []
-    for name in SUBCOMMANDS:
+    for name in subcommands():
         command = main.get_command(ctx, name)
         assert command is not None
         commands += [*command.commands.items()] if isinstance(command, click.Group) else [(name, command)]

@@ -9,7 +9,8 @@ from pathlib import Path
 import click
 import pytest
 
-from vibrocast.host.cli.command_line import SUBCOMMANDS, main
+from vibrocast.host.cli.command_line import main
+from vibrocast.host.cli.commands import subcommands
 
 ROOT = Path(__file__).parents[2]
 
@@ -187,22 +188,23 @@ def test_the_help_of_subcommands_and_lists_load_no_slow_library() -> None:
     code = """
 import sys
 from click.testing import CliRunner
-from vibrocast.host.cli.command_line import SUBCOMMANDS, main
-for arguments in [*([name, "--help"] for name in SUBCOMMANDS), ["codecs"], ["devices"], ["models"]]:
+from vibrocast.host.cli.command_line import main
+from vibrocast.host.cli.commands import subcommands
+for arguments in [*([name, "--help"] for name in subcommands()), ["codecs"], ["devices"], ["models"]]:
     result = CliRunner().invoke(main, arguments)
     assert result.exit_code == 0, result.output
 print(*sys.modules, file=sys.stderr)
 """
     modules = loaded(code)
-    assert "vibrocast.host.cli.train" in modules
+    assert "vibrocast.export.cli.train" in modules
     assert modules.isdisjoint(SLOW)
 
 
-@pytest.mark.parametrize("name", SUBCOMMANDS)
+@pytest.mark.parametrize("name", subcommands())
 def test_the_list_of_subcommands_shows_the_first_paragraph_of_each_help(name: str) -> None:
     command = main.get_command(click.Context(main), name)
     assert command is not None and command.name == name
-    assert " ".join((command.help or "").split("\n\n")[0].split()) == SUBCOMMANDS[name].summary
+    assert " ".join((command.help or "").split("\n\n")[0].split()) == subcommands()[name].summary
 
 
 def test_prints_names_that_are_no_text(tmp_path: Path) -> None:

@@ -16,14 +16,14 @@ MODULES = MODULES - {"registry"} | {"eva_image", "libav"}
 ABOUT_ONE_CODEC = {
     "evaluation/charts.py": "the curves that charts emphasise",
     "evaluation/comparison.py": "the curves that others are compared with",
-    "evaluation/model_card.py": "the card of a model that export/ has trained",
+    "export/model_card.py": "the card of a model that export/ has trained",
     "evaluation/results_page.py": "the curves of the first table",
     "evaluation/stability/entropy.py": "a map of the entropy coders of one codec",
     "evaluation/stability/filters.py": "a map of the filters of one codec",
     "evaluation/stability/float_parity.py": "a map of one network in floating point",
     "evaluation/stability/rate_point_sets.py": "a map of the levels of one codec",
     "evaluation/stability/learned_signals.py": "a map of the learned codec beside one without a network",
-    "host/conformance/test_playing.py": "a packet that one codec is sure to find damaged",
+    "harness/conformance/test_playing.py": "a packet that one codec is sure to find damaged",
     "vibrocast/pictures.py": "the colours of the curves that charts emphasise",
 }
 

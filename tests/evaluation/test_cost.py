@@ -7,7 +7,7 @@ import pytest
 
 from tests.codec.eva_models import tiny_model
 from vibrocast import codec, models
-from vibrocast.codec import Framing, SignalFormat
+from vibrocast.codec import Framing, SignalFormat, timing
 from vibrocast.evaluation import cost, trained
 from vibrocast.models import Model
 
@@ -42,18 +42,18 @@ def test_times_are_of_a_million_samples(clock: Clock) -> None:
         clock.work(3.0)
         return 0.5
 
-    assert cost.time_coding(encode, decode, samples=2_000_000, repeats=3) == (1.5, 0.25)
+    assert timing.time_coding(encode, decode, samples=2_000_000, repeats=3) == (1.5, 0.25)
 
 
 def test_work_shorter_than_the_clock_can_tell(clock: Clock) -> None:
-    encode_s, decode_s = cost.time_coding(lambda: clock.work(2e-5), lambda _: clock.work(4e-4), 1_000_000, 3)
+    encode_s, decode_s = timing.time_coding(lambda: clock.work(2e-5), lambda _: clock.work(4e-4), 1_000_000, 3)
     assert encode_s == pytest.approx(2e-5, rel=0.1)
     assert decode_s == pytest.approx(4e-4, rel=0.1)
 
 
 def test_the_first_run_is_not_counted_and_the_median_is_taken(clock: Clock) -> None:
     seconds = iter([9.0, 1.0, 7.0, 2.0])
-    encode_s, _ = cost.time_coding(lambda: clock.work(next(seconds)), lambda _: clock.work(1.0), 1_000_000, 3)
+    encode_s, _ = timing.time_coding(lambda: clock.work(next(seconds)), lambda _: clock.work(1.0), 1_000_000, 3)
     assert (encode_s, list(seconds)) == (2.0, [])
 
 

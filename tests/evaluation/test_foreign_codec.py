@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from vibrocast import codec, textures
+from vibrocast import codec, textures, workers
 from vibrocast.codec import plugins, registry
-from vibrocast.evaluation import cells, cost, workers
+from vibrocast.evaluation import cells, cost
 from vibrocast.evaluation.points import Point, read_rows
 from vibrocast.evaluation.stability import maps, signals
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, attempt

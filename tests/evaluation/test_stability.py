@@ -17,6 +17,8 @@ from tests.codec.eva_models import tiny_model
 from vibrocast import codec
 from vibrocast.codec.interface import Codec, Decoded
 from vibrocast.device_protocol.model_image import ModelImage
+from vibrocast.evaluation.cli import stability_page
+from vibrocast.evaluation.cli.stability import stability
 from vibrocast.evaluation.curves import Curve, Panel, curves
 from vibrocast.evaluation.stability import (
     actuators,
@@ -26,21 +28,22 @@ from vibrocast.evaluation.stability import (
     hand_speed,
     learned_signals,
     maps,
+    model_images,
     page,
     peers,
     pictures,
     rate_point_sets,
     recordings,
     signals,
+    transport,
 )
+from vibrocast.evaluation.stability import all_maps as report
+from vibrocast.evaluation.stability.all_maps import MAPS
 from vibrocast.evaluation.stability.cell_files import CellsError, read_cells, write_cells
 from vibrocast.evaluation.stability.known_causes import explanation, known_causes
 from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, methods
+from vibrocast.evaluation.stability.transport import CLEAR_ERRORS
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict, attempt, run
-from vibrocast.host.cli import stability_page
-from vibrocast.host.cli.stability import stability
-from vibrocast.host.stability import MAPS, model_images, report, transport
-from vibrocast.host.stability.transport import CLEAR_ERRORS
 from vibrocast.output.actuator import LRA, PIEZO_STACK
 from vibrocast.textures import Recording, save
 from vibrocast.textures.generate import wood

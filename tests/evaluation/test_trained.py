@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from tests.codec.eva_models import tiny_model
-from vibrocast import codec
+from vibrocast import codec, workers
 from vibrocast.codec.eva_image import EvaImage
 from vibrocast.device_protocol.model_image import ModelImage
-from vibrocast.evaluation import bench, cells, cost, speed, trained, workers
+from vibrocast.evaluation import bench, cells, cost, speed, trained
 from vibrocast.evaluation.cells import BenchError, Cell, Measured, Method
 from vibrocast.evaluation.points import Failure, Point
 from vibrocast.evaluation.speed import Speed

@@ -15,7 +15,7 @@ from elftools.elf.sections import SymbolTableSection
 from numpy.typing import NDArray
 
 from tests.firmware.native import ffi, native
-from tests.firmware.test_emulated import MODELS, coded
+from tests.harness.boards.test_emulated import MODELS, coded
 from vibrocast import codec, models
 from vibrocast.codec.stream import Stream, read_stream
 from vibrocast.firmware.build import FLAGS, ROOT, SHARED

@@ -3,18 +3,18 @@
 import numpy as np
 import pytest
 
-from tests.firmware.test_emulated import between_rests, session
+from tests.harness.boards.test_emulated import between_rests, session
 from vibrocast import textures
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import State
 from vibrocast.firmware.build import build, size
+from vibrocast.harness.boards import cortex_m
+from vibrocast.harness.boards.cortex_m import CortexM
 from vibrocast.host.controller import ControllerError
 from vibrocast.host.player import play
 from vibrocast.output.actuator import PIEZO_STACK, Codes
 from vibrocast.output.rendering import render
-from vibrocast.simulated_device import cortex_m
-from vibrocast.simulated_device.cortex_m import CortexM
 
 
 def coded(codec_name: str) -> Stream:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.harness.test_response import bench
-from vibrocast.host.harness import fidelity
+from vibrocast.harness import fidelity
 from vibrocast.host.skin_quality import displacement_above_20_hz
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.textures import GENERATORS, Recording

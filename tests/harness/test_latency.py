@@ -7,11 +7,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
+from vibrocast.harness import Latency, latency, warnings
+from vibrocast.harness.sensors import TimedRecording
 from vibrocast.host import live
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.device_clock import ClockFit, DeviceClock
-from vibrocast.host.harness import Latency, latency, warnings
-from vibrocast.host.harness.sensors import TimedRecording
 from vibrocast.output.actuator import PIEZO_STACK, Codes
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings

@@ -9,10 +9,10 @@ from studies.faulty_bench import Misreading, at_half_gain
 from vibrocast import textures
 from vibrocast.codec import SignalFormat
 from vibrocast.device_protocol.messages import Message, SinglePacket
+from vibrocast.harness import LiveRun, measure_latency, run_live
 from vibrocast.host.bench_limits import BenchLimits, missed
 from vibrocast.host.controller import Controller
 from vibrocast.host.end_to_end import Member, actuator_model, member
-from vibrocast.host.harness import LiveRun, measure_latency, run_live
 from vibrocast.host.live import LiveStream
 from vibrocast.host.live_quality import CodedSignal, LiveQuality
 from vibrocast.host.live_watch import judged

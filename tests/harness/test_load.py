@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from vibrocast.harness import load
 from vibrocast.host.controller import Controller
-from vibrocast.host.harness import load
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
 from vibrocast.simulated_device.faulty_link import MemoryLink

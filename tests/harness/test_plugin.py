@@ -47,7 +47,7 @@ generate = "rough"
 seconds = 0.5
 """
 # The plugin is loaded by its module's name, whether or not what is installed has its entry point.
-LOADED = ("-p", "no:vibrocast", "-p", "vibrocast.host.harness.plugin", "-p", "no:cacheprovider")
+LOADED = ("-p", "no:vibrocast", "-p", "vibrocast.harness.plugin", "-p", "no:cacheprovider")
 
 
 @pytest.mark.parametrize(
@@ -121,9 +121,9 @@ def test_all_is_mine(controller):
     assert all(module.MINE for module in (evaluation, host, models, textures))
 
 def test_the_plugin_loads_no_library():
-    plugin = sys.modules["vibrocast.host.harness.plugin"]
+    plugin = sys.modules["vibrocast.harness.plugin"]
     assert {name for name in sys.modules if name.startswith("vibrocast")} == {
-        "vibrocast", "vibrocast.host", "vibrocast.host.harness", plugin.__name__
+        "vibrocast", "vibrocast.host", "vibrocast.harness", plugin.__name__
     }
     assert not {"click", "numpy", "scipy", "serial"} & set(sys.modules)
 """,
@@ -146,7 +146,7 @@ def test_a_project_that_does_not_use_the_plugin_is_left_alone(
 
 def test_installing_vibrocast_installs_the_plugin() -> None:
     project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
-    assert project["entry-points"]["pytest11"] == {"vibrocast": "vibrocast.host.harness.plugin"}
+    assert project["entry-points"]["pytest11"] == {"vibrocast": "vibrocast.harness.plugin"}
 
 
 def users_run(pytester: pytest.Pytester, test: str, bench: str, *arguments: str) -> pytest.RunResult:

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from vibrocast.harness import response
+from vibrocast.harness.sensors import Recorder
 from vibrocast.host.alignment import AlignmentError
 from vibrocast.host.controller import Controller
-from vibrocast.host.harness import response
-from vibrocast.host.harness.sensors import Recorder
 from vibrocast.output.actuator import (
     LRA,
     PIEZO_STACK,

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from vibrocast.files import InputFileError
+from vibrocast.harness import page, results
 from vibrocast.host.bench_limits import BenchLimits, missed
-from vibrocast.host.harness import page, results
 
 RUN = results.Results(
     {

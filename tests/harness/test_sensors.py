@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from vibrocast.harness import response, sensors
+from vibrocast.harness.sensors import SensorError, recorder
 from vibrocast.host.bench_file import Sensor
 from vibrocast.host.controller import Controller
-from vibrocast.host.harness import response, sensors
-from vibrocast.host.harness.sensors import SensorError, recorder
 from vibrocast.output import sound_card
 from vibrocast.output.actuator import VOICE_COIL, Actuator, Codes
 from vibrocast.simulated_device.controller import Controller as SimulatedController

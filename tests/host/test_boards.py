@@ -26,11 +26,12 @@ every_controller = pytest.mark.parametrize("address", CONTROLLERS)
 @contextlib.contextmanager
 def session(address: str) -> Iterator[Controller]:
     """Open a session, in simulated time where the controller allows it: then no busy computer makes a packet late."""
-    if address not in devices.IN_PROCESS:
+    emulated = devices.is_emulated(address)
+    if not emulated and address not in ("sim", "sim-usb"):
         with devices.connect(address) as controller:
             yield controller
         return
-    device = devices.emulated(address) if address in devices.EMULATED else devices.simulated("core")
+    device = devices.emulated(address) if emulated else devices.simulated("core")
     link = MemoryLink(device)
     yield Controller(link, link.clock, link.sleep)
 

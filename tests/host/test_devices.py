@@ -6,8 +6,8 @@ import pytest
 
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.extras import MissingExtraError
+from vibrocast.harness.boards.stm32f405 import UNIQUE_NUMBER
 from vibrocast.host import devices
-from vibrocast.simulated_device.stm32f405 import UNIQUE_NUMBER
 
 
 @pytest.mark.parametrize("address", ["host", "cortex-m4", "cortex-m7", "cortex-m33", "stm32f405", "rp2040"])

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from vibrocast.host.planner.scene import Scene, read_scene
+from vibrocast.planner.scene import Scene, read_scene
 
 TEXTURE = '[[textures]]\ngenerate = "wood"\nseconds = 0.6\nrate_hz = 2800\n'
 HAND = "[hand]\nspeed_mm_s = 60\n"

@@ -6,14 +6,8 @@ import numpy as np
 import pytest
 
 from vibrocast.codec.threshold import over_threshold_db, read_threshold, sites, threshold_amplitude
-from vibrocast.host.planner.band import (
-    MARGIN_DB,
-    BandError,
-    band_of,
-    error_over_threshold_db,
-    max_um,
-)
 from vibrocast.output.actuator import LRA, PIEZO_STACK
+from vibrocast.planner.band import MARGIN_DB, BandError, band_of, error_over_threshold_db, max_um
 from vibrocast.textures import Profile, Recording
 
 THRESHOLD = read_threshold()

@@ -10,9 +10,9 @@ import pytest
 from msgspec import structs
 
 from tests.planner.scenes import ASKED, CONTROLLER, scene
-from vibrocast.host.planner.candidates import Candidate, CodingOption, Evaluator
-from vibrocast.host.planner.choose import PlanningError, TextureChoice, _Search, choose, plan
-from vibrocast.host.planner.scene import SceneError
+from vibrocast.planner.candidates import Candidate, CodingOption, Evaluator
+from vibrocast.planner.choose import PlanningError, TextureChoice, _Search, choose, plan
+from vibrocast.planner.scene import SceneError
 from vibrocast.textures import Recording, save
 
 

@@ -10,10 +10,10 @@ import pytest
 from matplotlib.image import imread
 
 from tests.planner.scenes import scene
-from vibrocast.host.planner import page
-from vibrocast.host.planner.choose import TextureChoice, plan
-from vibrocast.host.planner.plan_file import PlannedTexture
-from vibrocast.host.planner.scene import Scene
+from vibrocast.planner import page
+from vibrocast.planner.choose import TextureChoice, plan
+from vibrocast.planner.plan_file import PlannedTexture
+from vibrocast.planner.scene import Scene
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from msgspec import structs
 
 from tests.planner.scenes import scene
 from vibrocast.codec.threshold import sites
-from vibrocast.host.planner.plan_file import (
+from vibrocast.planner.plan_file import (
     Forecast,
     Plan,
     PlanError,
@@ -19,7 +19,7 @@ from vibrocast.host.planner.plan_file import (
     read_plan,
     write_plan,
 )
-from vibrocast.host.planner.scene import Source
+from vibrocast.planner.scene import Source
 from vibrocast.textures import Recording
 
 FORECAST = Forecast(

@@ -12,8 +12,8 @@ from msgspec import structs
 from tests.planner.scenes import CONTROLLER, scene
 from vibrocast import textures
 from vibrocast.codec.rate_controlled import added_bytes
-from vibrocast.host.planner import choose, comparison, playing
-from vibrocast.host.planner.plan_file import Plan, PlanError, PlannedTexture, read_plan, write_plan
+from vibrocast.planner import choose, comparison, playing
+from vibrocast.planner.plan_file import Plan, PlanError, PlannedTexture, read_plan, write_plan
 
 SIMULATED = CONTROLLER.replace("cortex-m4", "sim-usb")
 TWO = (

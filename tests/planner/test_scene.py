@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from tests.planner.scenes import ACTUATOR, ASKED, CONTROLLER, TEXTURE, scene, written
 from vibrocast.codec.threshold import sites
-from vibrocast.host.planner.candidates import Evaluator
-from vibrocast.host.planner.scene import SceneError, read_scene
+from vibrocast.planner.candidates import Evaluator
+from vibrocast.planner.scene import SceneError, read_scene
 from vibrocast.textures import Recording, save
 
 

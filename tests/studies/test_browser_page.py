@@ -21,7 +21,7 @@ import pytest
 import vibrocast
 from tests.codec.core_digests import FOREIGN
 from tests.device_protocol.test_messages import GOLDEN
-from tests.host.study.stub_run import chromium
+from tests.study.stub_run import chromium
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol import messages
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT

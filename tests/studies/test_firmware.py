@@ -21,7 +21,7 @@ from vibrocast.codec import CodedSignal, eva
 from vibrocast.device_protocol.coded_stream import unpack_file
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.extras import MissingExtraError
-from vibrocast.simulated_device.cycles import block_cycles
+from vibrocast.harness.boards.cycles import block_cycles
 
 pytestmark = pytest.mark.skipif(find_spec("ziglang") is None, reason="no compiler for microcontrollers")
 

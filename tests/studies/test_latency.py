@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from studies import latency as study
+from vibrocast.harness import Latency, MinLatency
+from vibrocast.harness.latency import PARTS, Spread
 from vibrocast.host.device_clock import ClockFit
-from vibrocast.host.harness import Latency, MinLatency
-from vibrocast.host.harness.latency import PARTS, Spread
 
 TABLE = Path(__file__).parents[2] / "docs" / "benchmarks" / "results" / "latency.csv"
 PLAYED = {"buffer": 250.0, "packet": 46.0, "overlap": 11.0, "drive": 3.0, "dac": 0.5}

@@ -23,8 +23,8 @@ from studies.okamoto_study import (
     similar,
 )
 from studies.texture_paper import PUBLISHED
-from vibrocast.host.study.methods import FixedDesign, design
-from vibrocast.host.study.study_file import read_study
+from vibrocast.study.methods import FixedDesign, design
+from vibrocast.study.study_file import read_study
 
 
 def test_each_p_of_the_tables_follows_from_its_t() -> None:

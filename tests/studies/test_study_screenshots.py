@@ -6,7 +6,7 @@ import pytest
 from click.testing import CliRunner
 
 from studies import study_screenshots
-from tests.host.study.stub_run import chromium
+from tests.study.stub_run import chromium
 
 MOST_BYTES = 60_000
 PNG = b"\x89PNG\r\n\x1a\n"

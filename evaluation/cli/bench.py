@@ -1,0 +1,370 @@
+"""`vibrocast bench`: measures every codec on a data set and writes figures, charts and a page."""
+
+import datetime
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from vibrocast import progress, textures
+from vibrocast.codec import CodecError
+from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
+from vibrocast.device_protocol.model_image import ModelImageError
+from vibrocast.host.cli.answers import tell, wants_json
+from vibrocast.host.cli.option_types import FOLDER, INPUT, Whole
+from vibrocast.host.cli.options import (
+    BadInput,
+    RecordingOptions,
+    allow_programs_option,
+    chosen_highpass_hz,
+    command_run,
+    grouped,
+    keep_dc_option,
+    own_models_option,
+    recording_options,
+)
+from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
+from vibrocast.host.cli.sections import OUTPUT, RUN, SectionedCommand, section
+from vibrocast.models import ModelError
+from vibrocast.textures import dataset
+from vibrocast.textures.dataset import DatasetEntry, DatasetError
+
+if TYPE_CHECKING:  # modules that measure take a second to load; other commands need not wait for them
+    from vibrocast.evaluation.bench import CellCounts
+    from vibrocast.evaluation.comparison import Measurements
+    from vibrocast.evaluation.points import Failure, Point, Timing
+
+SNRS_DB = (5.0, 10.0, 15.0, 20.0)
+SHOWN_FAILURES = 10
+MUCH_REMOVED = 0.5
+"""Of a recording's energy: a person should know."""
+
+
+def separate_names(ctx: click.Context, param: click.Parameter, value: str | None) -> list[str]:
+    """Return what commas separate."""
+    return [name.strip() for name in (value or "").split(",") if name.strip()]
+
+
+@dataclass(frozen=True)
+class CodecOptions:
+    """The codecs to measure."""
+
+    names: list[str]
+    model_folders: tuple[Path, ...]
+    program_list: Path | None
+    allow_programs: bool
+
+
+@dataclass(frozen=True)
+class SplitOptions:
+    """The part of the data set that is measured, as `dataset.split` takes it."""
+
+    part: str
+    split_by: str
+    seed: int
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How often and where to measure, and whether to measure again."""
+
+    repeats: int
+    scheduler: str | None
+    fresh: bool
+
+
+@dataclass(frozen=True)
+class SignalOptions:
+    """The signal that codecs get."""
+
+    stream_rate_hz: int | None
+    keep_dc: bool
+
+
+@click.command(cls=SectionedCommand)
+@click.argument("recordings", metavar="FOLDER|MANIFEST", type=INPUT)
+@section(
+    "Codecs",
+    grouped(
+        "codecs",
+        CodecOptions,
+        click.option(
+            "--codecs",
+            "names",
+            callback=separate_names,
+            metavar="NAME,...",
+            help="Measure these codecs, or sets of their rate points. Default: all.",
+        ),
+        own_models_option,
+        click.option(
+            "--programs",
+            "program_list",
+            type=INPUT,
+            metavar="FILE",
+            help="Add codecs in programs of your own, from a TOML file.",
+        ),
+        allow_programs_option,
+    ),
+    click.option(
+        "--peers", type=INPUT, metavar="FILE", help="Add others' points on the same recordings, from a CSV file."
+    ),
+)
+@section(
+    "Recordings",
+    grouped(
+        "split",
+        SplitOptions,
+        click.option(
+            "--split",
+            "part",
+            type=click.Choice(dataset.PARTS),
+            default="all",
+            show_default=True,
+            help="Choose the part to measure.",
+        ),
+        click.option(
+            "--split-by",
+            type=click.Choice(dataset.SPLITS),
+            default="auto",
+            show_default=True,
+            help="Keep these whole in a split; auto follows the manifest.",
+        ),
+        click.option(
+            "--seed", type=Whole("NUMBER", 0), default=0, show_default=True, help="Choose another random split."
+        ),
+    ),
+    click.option(
+        "--kinds",
+        "kinds_table",
+        type=INPUT,
+        metavar="FILE",
+        help="Tell kinds of textures apart, by a CSV file of file,kind. Default: those of known sets.",
+    ),
+)
+@recording_options
+@section(
+    INPUT_SECTION,
+    grouped(
+        "signal",
+        SignalOptions,
+        click.option(
+            "--stream-rate-hz",
+            type=Whole("Hz", 1, MAX_RATE_HZ),
+            help="Resample all recordings to this rate. Default: each recording's own.",
+        ),
+        keep_dc_option,
+    ),
+)
+@section(
+    RUN,
+    grouped(
+        "run",
+        RunOptions,
+        click.option(
+            "--repeats",
+            type=Whole("NUMBER", 0),
+            default=3,
+            show_default=True,
+            help="Take the median time of these runs; 0 measures no times.",
+        ),
+        click.option(
+            "--scheduler",
+            metavar="ADDRESS",
+            help="Measure on workers of a Dask scheduler that you trust. Default: on this machine.",
+        ),
+        click.option("--fresh", is_flag=True, help="Measure again all that an earlier run has measured."),
+    ),
+)
+@section(
+    OUTPUT,
+    click.option(
+        "--out", type=FOLDER, required=True, help="Write results.md and results/ here, and continue a run that was cut."
+    ),
+)
+def bench(
+    recordings: Path,
+    out: Path,
+    codecs: CodecOptions,
+    peers: Path | None,
+    kinds_table: Path | None,
+    split: SplitOptions,
+    run: RunOptions,
+    signal: SignalOptions,
+    recording: RecordingOptions,
+) -> None:
+    """Measure codecs and trained models on a folder of recordings.
+
+    A MANIFEST is a CSV file that names recordings. It has the column file, and any of unit, rate_hz, full_scale,
+    hand_speed_mm_s, axis, reduce, key, material, subject and split.
+
+    The command codes each recording at every setting of every codec. If one fails, the others continue; the failures
+    are listed at the end, and the exit code is 1.
+
+    A scheduler's ADDRESS is one such as tcp://host:8786. Trust it: whoever runs it, or its workers, can run any program
+    as you on this machine.
+    """
+    from vibrocast import workers
+    from vibrocast.codec.timing import cpu_name
+    from vibrocast.evaluation import bench, cells, cost, external, kinds, results_page, speed, trained
+    from vibrocast.evaluation.cells import BenchError
+    from vibrocast.evaluation.comparison import Measurements
+    from vibrocast.evaluation.external import ProgramError
+    from vibrocast.evaluation.points import Failure, PointsError, check_imported, read_imported, write_rows
+
+    highpass_hz = chosen_highpass_hz(signal.keep_dc, recording.unit)
+    try:
+        programs = external.read_programs(codecs.program_list, codecs.allow_programs) if codecs.program_list else []
+        chosen = cells.methods(codecs.names, programs, trained.known_models(codecs.model_folders))
+        found = dataset.read(recordings, leave_out=out)
+        traces = dataset.split(found.entries, split.part, split.seed, split.split_by)
+        for remark in found.remarks:
+            click.echo(remark, err=True)
+        kinds_of = kinds.kinds(traces, kinds_table or kinds.TABLE)
+        mine = {trace.name for trace in traces}
+        units: dict[str, str] = {}
+        removed: dict[str, float] = {}
+
+        def load(trace: DatasetEntry) -> textures.Recording:
+            passed = dataset.load_highpassed(trace, highpass_hz, signal.stream_rate_hz, **vars(recording))
+            units[trace.name], removed[trace.name] = passed.recording.unit, passed.removed_energy
+            return passed.recording
+
+        imported: tuple[list[Point], list[Timing]] = ([], [])
+        if peers:
+            imported = read_imported(peers)
+            check_imported(peers, found.entries, mine, load)
+        results = bench.results_folder(out)
+        held_out = results_page.read_held_out(results)
+        write_rows(results / "skipped.csv", found.skipped, dataset.Skipped)
+        tell(
+            f"{len(traces)} recordings, {len(chosen)} curves, {sum(len(each.settings) for each in chosen)} settings",
+            recordings=len(traces),
+            curves=len(chosen),
+        )
+        work: Any = partial(workers.on_cores, processes=workers.cores())
+        if run.scheduler:
+            work = partial(workers.on_cluster, address=run.scheduler, version=workers.program_version)
+        with bench.Journal(results / bench.JOURNAL, run.fresh) as journal, progress.bar("measuring") as update:
+            report_progress = progress_reporter(update)
+            measured = bench.run(traces, load, chosen, run.repeats, journal, work, report_progress)
+    except workers.WorkersError as error:
+        raise click.ClickException(str(error)) from error
+    except (BenchError, CodecError, DatasetError, ModelError, ModelImageError, PointsError, ProgramError) as error:
+        raise BadInput(str(error)) from error
+
+    failures = [each for each in measured if isinstance(each, Failure)]
+    good = [each for each in measured if isinstance(each, cells.Measured)]
+    points = [each.point for each in good] + [point for point in imported[0] if point.trace in mine]
+    timings = [each.timing for each in good if each.timing] + [one for one in imported[1] if one.trace in mine]
+    with progress.bar("measuring memory") as update:
+        costs = cost.measure_costs(cells.coders(chosen), update)
+    timed: list[speed.Speed | Failure] = []
+    if run.repeats:
+        with progress.bar("measuring speed") as update:
+            measured_traces = {each.point.trace for each in good}
+            loaded = (load(trace) for trace in traces if trace.name in measured_traces)
+            timed = speed.measure(chosen, points, loaded, run.repeats, update)
+    failures += [each for each in timed if isinstance(each, Failure)]
+    speeds = [each for each in timed if not isinstance(each, Failure)]
+    measurements = Measurements(points, timings, costs, failures, speeds, kinds_of)
+    bench.write(results, measurements)
+    data = recordings.resolve().name + (
+        "" if split.part == "all" else f" ({split.part} part, by {split.split_by}, seed {split.seed})"
+    )
+    cells_on = "a Dask cluster" if run.scheduler else f"{workers.cores()} cores at once"
+    machine = f"{cpu_name()}; single cells on {cells_on}"
+    description = results_page.Description(dataset.printable(data), machine, command_run())
+    with progress.bar("drawing") as update:
+        results_page.write_results(out, measurements, description, held_out, update)
+    show(measurements)
+    tried = {point.codec for point in points} | {failure.codec for failure in failures}
+    if left_out := [method.name for method in chosen if method.physical and method.name not in tried]:
+        tell(f"left out, because no recording states a physical unit (--unit, --full-scale): {', '.join(left_out)}")
+    if drifting := [name for name, part in removed.items() if part > MUCH_REMOVED]:
+        tell(
+            f"removed below {textures.HIGHPASS_HZ:g} Hz: more than {MUCH_REMOVED:.0%} of the energy of {drifting[0]}"
+            f"{others(drifting)} (--keep-dc codes it)"
+        )
+    relative = [name for name, unit in units.items() if unit == "full scale"]
+    if recording.unit not in (None, "full scale") and relative:
+        tell(f"relative to full scale: {relative[0]}{others(relative)}; --unit needs --full-scale or a manifest")
+    tell(
+        f"{out / bench.PAGE}: the charts and tables; their figures are in {results}",
+        page=str(out / bench.PAGE),
+        results=str(results),
+        failures=[asdict(each) for each in failures],
+    )
+    if failures:
+        show_failures(failures)
+        raise click.ClickException(
+            f"{len(failures)} recordings or cells failed; see {results / 'failures.csv'}, correct the cause, and run "
+            "the same command again"
+        )
+
+
+def others(names: Sequence[str]) -> str:
+    """Return how many names there are after the first."""
+    return f" and {len(names) - 1} more" if len(names) > 1 else ""
+
+
+def progress_reporter(update: progress.Update) -> "Callable[[CellCounts], None]":
+    """Return a function that shows the progress of a run by `update`: cells done, failures, time left."""
+    start_s = time.monotonic()
+
+    def report_progress(counts: "CellCounts") -> None:
+        details = f"{counts.done} of {counts.cells} cells, {counts.failed} failed"
+        if counts.measured:
+            left_s = (time.monotonic() - start_s) / counts.measured * (counts.cells - counts.done)
+            details += f", {datetime.timedelta(seconds=round(left_s))} left"
+        update(counts.done / counts.cells, details)
+
+    return report_progress
+
+
+def show(measurements: "Measurements") -> None:
+    """Print a table of the curves: mean bits per sample at some SNRs, median times and delay; in JSON, nothing."""
+    if wants_json():
+        return
+    from statistics import fmean, median
+
+    from rich.box import SIMPLE
+    from rich.console import Console
+    from rich.table import Table
+
+    from vibrocast.evaluation.bd_rate import SNR, bits_per_sample_at
+
+    table = Table(
+        box=SIMPLE, pad_edge=False, title="Mean bits per sample at an SNR; delay, ms; seconds per million samples"
+    )
+    table.add_column("codec", no_wrap=True)
+    for title in (*(f"{snr_db:g} dB" for snr_db in SNRS_DB), "delay", "encode", "decode"):
+        table.add_column(title, justify="right")
+    for name, curves in measurements.curves.items():
+        bits = [bits_per_sample_at(curve, SNRS_DB) for curve in measurements.everywhere(name, SNR) or [()]]
+        delays_ms = [point.delay_ms for curve in curves.values() for point in curve if point.delay_ms is not None]
+        source = measurements.source(name)
+        times = [timing for timing in measurements.timings if (timing.codec, timing.source) == (name, source)]
+        figures = [
+            *(f"{mean:.2f}" for mean in map(fmean, zip(*bits, strict=True))),
+            f"{median(delays_ms):.1f}" if delays_ms else "",
+            f"{median(each.encode_s_per_megasample for each in times):.2f}" if times else "",
+            f"{median(each.decode_s_per_megasample for each in times):.2f}" if times else "",
+        ]
+        table.add_row(name, *(text.replace("nan", "") for text in figures))
+    Console().print(table)
+
+
+def show_failures(failures: "Sequence[Failure]") -> None:
+    """Print what failed on stderr, alike failures in one line, and no more than a person reads."""
+    alike: dict[tuple[str, str], list[str]] = {}
+    for failure in failures:
+        alike.setdefault((failure.codec, failure.reason), []).append(f"{failure.trace} {failure.setting}".strip())
+    for (codec_name, reason), places in list(alike.items())[:SHOWN_FAILURES]:
+        more = f" and {len(places) - 1} more" if len(places) > 1 else ""
+        click.echo(f"failed: {f'{codec_name}: ' if codec_name else ''}{places[0]}{more}: {reason}", err=True)
+    if len(alike) > SHOWN_FAILURES:
+        click.echo(f"failed: {len(alike) - SHOWN_FAILURES} other ways", err=True)

@@ -1,0 +1,123 @@
+"""The subcommand `stability`: maps of where each codec and trained model holds and where it fails."""
+
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+from vibrocast import progress
+from vibrocast.codec import CodecError
+from vibrocast.device_protocol.model_image import ModelImageError
+from vibrocast.host.cli.answers import tell
+from vibrocast.host.cli.option_types import FOLDER, INPUT
+from vibrocast.host.cli.options import (
+    BadInput,
+    RecordingOptions,
+    command_run,
+    own_models_option,
+    recording_options,
+)
+from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
+from vibrocast.host.cli.sections import OUTPUT, RUN, SectionedCommand, section
+from vibrocast.models import ModelError
+from vibrocast.textures import Recording, TextureError, dataset
+from vibrocast.textures.dataset import DatasetError
+
+MAX_FAILURES = 5
+"""That the command prints; the page has all."""
+OUTCOMES = {"rejected": "rejected", "degraded": "degraded", "fails": "failed"}
+
+
+@click.command(cls=SectionedCommand)
+@section(
+    "Codecs",
+    click.option(
+        "--codecs", "names", metavar="NAME,...", help="Test these codecs or families of models. Default: all."
+    ),
+    own_models_option,
+    click.option(
+        "--peers-edge", type=INPUT, metavar="FILE", help="Add other codecs' results with hard signals, from a CSV file."
+    ),
+)
+@section(
+    INPUT_SECTION,
+    click.option(
+        "--recordings",
+        type=INPUT,
+        metavar="FOLDER|MANIFEST",
+        help="Map recordings of your own too. Default: none.",
+    ),
+)
+@recording_options
+@section(
+    RUN,
+    click.option("--maps", "map_names", metavar="NAME,...", help="Make these maps, such as recordings. Default: all."),
+    click.option("--quick", is_flag=True, help="Test a few conditions only."),
+)
+@section(
+    OUTPUT, click.option("--out", type=FOLDER, required=True, help="Write the page and its data into this folder.")
+)
+def stability(
+    out: Path,
+    names: str | None,
+    model_folders: tuple[Path, ...],
+    peers_edge: Path | None,
+    recordings: Path | None,
+    map_names: str | None,
+    quick: bool,
+    recording: RecordingOptions,
+) -> None:
+    """Map where each codec holds and where it fails.
+
+    Writes stability.md, and pictures with their data in stability/. The maps cover your recordings, signals, settings,
+    transport, speed of the hand, actuator and trained models. A failure is a result: the maps show it.
+    """
+    from vibrocast.evaluation import trained
+    from vibrocast.evaluation.cells import BenchError
+    from vibrocast.evaluation.stability import page
+    from vibrocast.evaluation.stability.all_maps import MAPS, make_maps
+    from vibrocast.evaluation.stability.maps import Scope, methods
+    from vibrocast.evaluation.stability.peers import PeersError, read_peers
+
+    try:
+        chosen = methods(None if names is None else names.split(","), trained.known_models(model_folders))
+        peers = read_peers(peers_edge) if peers_edge else []
+        chosen_maps = [] if map_names is None else map_names.split(",")
+        if unknown := set(chosen_maps) - {each.name for each in MAPS}:
+            raise BadInput(f"no map {min(unknown)!r}; choose from {', '.join(each.name for each in MAPS)}")
+        if "recordings" in chosen_maps and recordings is None:
+            raise BadInput("the map of recordings needs them; give a folder or manifest: --recordings")
+        own = load_all(recordings, recording) if recordings else ()
+        page.folder_in(out)  # so that a folder that cannot be written is an error before the measurement
+    except (BenchError, CodecError, DatasetError, ModelError, ModelImageError, PeersError, page.PageError) as error:
+        raise BadInput(str(error)) from error
+    with progress.bar("testing") as update:
+        cells, failures = make_maps(out, Scope(chosen, quick, own), command_run(), peers, update, chosen_maps)
+    outcomes = Counter("as required" if cell.sound else OUTCOMES[cell.outcome] for cell in cells)
+    counts = ", ".join(f"{outcomes[name]} {name}" for name in ("as required", *OUTCOMES.values()) if outcomes[name])
+    for each in failures[:MAX_FAILURES]:
+        tell(f"{each.failure}: {each.methods} ({each.boundary})\n  remedy: {each.remedy}")
+    if len(failures) > MAX_FAILURES:
+        tell(f"{len(failures) - MAX_FAILURES} more failures are on the page")
+    tell(f"{len(cells)} conditions: {counts}", conditions=len(cells), outcomes=dict(outcomes))
+    tell(f"page: {out / page.PAGE}", page=str(out / page.PAGE), failures=[vars(each) for each in failures])
+
+
+def load_all(recordings: Path, options: RecordingOptions) -> tuple[Recording, ...]:
+    """Return the recordings of a folder or manifest that load; the others, and what is skipped, are listed on stderr.
+
+    Raises DatasetError where none loads.
+    """
+    found = dataset.read(recordings)
+    for remark in found.remarks:
+        click.echo(remark, err=True)
+    loaded = []
+    for entry in found.entries:
+        try:
+            loaded.append(replace(dataset.load(entry, **vars(options)), name=entry.name))
+        except TextureError as error:
+            click.echo(f"left out: {entry.name}: {error}", err=True)
+    if not loaded:
+        raise DatasetError(f"{recordings}: no recording of it can be loaded; correct them as listed")
+    return tuple(loaded)

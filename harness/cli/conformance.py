@@ -1,0 +1,80 @@
+"""The subcommand `conformance`: tests a controller against the whole protocol, and writes a report to publish."""
+
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+from rich.console import Console
+from rich.table import Table
+
+from vibrocast import progress
+from vibrocast.host import devices
+from vibrocast.host.cli import exit_codes
+from vibrocast.host.cli.answers import add, tell, wants_json
+from vibrocast.host.cli.option_types import FOLDER
+from vibrocast.host.cli.options import BadInput, actuator_option, device_option, own_actuator
+from vibrocast.host.printable import plain
+
+if TYPE_CHECKING:
+    from vibrocast.harness.conformance import Report
+
+
+@click.command()
+@device_option
+@actuator_option
+@click.option("--out", type=FOLDER, help="Write the report into this folder. Default: none is written.")
+@click.option("--no-flash", is_flag=True, help="Write no model image; requirements on them are not applicable.")
+@click.option("--quick", is_flag=True, help="Leave out tests that take more than a second.")
+def conformance(address: str, actuator_name: str | None, out: Path | None, no_flash: bool, quick: bool) -> None:
+    """Test a controller against the protocol.
+
+    The requirements are those of docs/reference/protocol.md. The tests play textures, and write the spare slot for
+    model images. The image that runs now runs again afterwards.
+
+    The exit code is 0 if the controller conforms, and 1 if it does not. It is 3 if no controller answers, and 6 if this
+    machine was too busy to decide.
+    """
+    from vibrocast.harness.conformance import PAGE, NotTestable, SuiteInterrupted, TappedLink, run_suite
+
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)  # an error is better known before the tests than after
+    try:
+        with (
+            devices.reach(address, actuator=own_actuator(address, actuator_name)) as transport,
+            progress.bar("testing") as update,
+        ):
+            report = run_suite(TappedLink(transport, may_flash=not no_flash), quick, update)
+    except NotTestable as error:
+        raise BadInput(str(error)) from error
+    except SuiteInterrupted as interruption:
+        add(interruption.report.facts())
+        raise
+    if wants_json():
+        add(report.facts())
+    else:
+        show(report)
+    if out is not None:
+        report.write(out)
+        tell(f"report: {out / PAGE}")
+    if not report.conforming:
+        code = exit_codes.HOST_BUSY if report.undecided else exit_codes.FAILED
+        add({"error": report.summary, "exit_code": code})
+        raise click.exceptions.Exit(code)
+
+
+def show(report: "Report") -> None:
+    """Print how many requirements of each section had which outcome, what failed, and the verdict."""
+    from vibrocast.harness.conformance import Outcome
+
+    table = Table("section", *(outcome.value for outcome in Outcome))
+    for section, findings in report.sections():
+        counts = Counter(finding.outcome for finding in findings)
+        table.add_row(section, *(str(counts[outcome] or "") for outcome in Outcome))
+    Console().print(table)
+    for finding in report.findings:
+        if finding.outcome in (Outcome.FAILED, Outcome.HOST_BUSY):
+            click.echo(f"{finding.outcome.value.upper()}  {finding.requirement.text}\n      {finding.reason}")
+    for reason in {finding.reason for finding in report.findings if finding.outcome == Outcome.NOT_TESTED}:
+        click.echo(f"{Outcome.NOT_TESTED.value}: {reason}")
+    click.echo(f"{plain(report.hello.hardware)}, {plain(report.hello.build)}: {report.summary}")

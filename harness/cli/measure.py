@@ -1,0 +1,184 @@
+"""The subcommand `measure`: measures a controller on its bench, reports, and compares with an earlier run."""
+
+import json
+import time
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from vibrocast.harness import ACTUATOR, JSON, NAMES, PAGE
+from vibrocast.harness.cli.sensor_options import sensitivity_option, volts_option
+from vibrocast.host.cli.answers import add, figures_so_far, tell
+from vibrocast.host.cli.failure_trace import trace_failure
+from vibrocast.host.cli.option_types import FOLDER, INPUT
+from vibrocast.host.cli.options import (
+    Regression,
+    actuator_option,
+    allow_programs_option,
+    fail_where_missed,
+    grouped,
+)
+from vibrocast.output import actuator_files
+from vibrocast.textures.sensitivity import Sensitivity
+
+if TYPE_CHECKING:
+    from vibrocast.host.bench_file import Bench
+
+
+TRACE = "trace.pcapng"
+MAX_SHOWN = 6
+"""Figures that are named where a run is not as the earlier one."""
+
+
+def chosen_names(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[str, ...]:
+    """Return the measurements that commas separate, all if not given, or raise click.BadParameter."""
+    names = tuple(name.strip() for name in value.split(",")) if value else NAMES
+    for name in names:
+        if name not in NAMES:
+            raise click.BadParameter(f"{name!r} is no measurement; give some of {', '.join(NAMES)}", ctx, param)
+    return names
+
+
+@dataclass(frozen=True)
+class CalibrationOptions:
+    """An actuator on the first channel and a sensor on it, without a bench file; None = not given."""
+
+    actuator_name: str | None
+    sensor: str | None
+    sensitivity: Sensitivity | None
+    volts_full_scale: float | None
+
+
+calibration_options = grouped(
+    "calibration",
+    CalibrationOptions,
+    actuator_option,
+    click.option("--sensor", metavar="INPUT", help="Choose its sensor: serial:PORT[@BAUD] or audio:CARD:CHANNEL."),
+    sensitivity_option,
+    volts_option,
+)
+
+
+def calibrated(bench: "Bench", given: CalibrationOptions) -> "Bench":
+    """Return the bench with the actuator and the sensor that the options name. Raises click.UsageError."""
+    from vibrocast.host.bench_file import BenchActuator, Sensor
+
+    if given.sensor is None and (given.sensitivity is not None or given.volts_full_scale is not None):
+        raise click.UsageError("--sensitivity and --volts-full-scale describe a sensor; add --sensor")
+    if given.actuator_name is not None:
+        model = actuator_files.find(given.actuator_name)
+        bench = replace(bench, actuators=(BenchActuator(model, bench.first.name, None),))
+    if given.sensor is None:
+        return bench
+    sensitivity = given.sensitivity
+    try:
+        sensor = Sensor(
+            name=given.sensor,
+            kind="laser" if sensitivity is not None and sensitivity.unit == "um" else "accelerometer",
+            controller=bench.first.name,
+            input=given.sensor,
+            sensitivity=None if sensitivity is None else sensitivity.text,
+            volts_full_scale=given.volts_full_scale,
+        )
+    except ValueError as error:
+        raise click.UsageError(f"--sensor: {error}") from error
+    return replace(bench, sensors=(sensor,))
+
+
+def written_since(path: Path, began_ns: int) -> dict[str, Any] | None:
+    """Return the results that a run has written since it began, ns since 1970; None without any."""
+    if not path.exists() or path.stat().st_mtime_ns < began_ns:
+        return None
+    document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return document
+
+
+@click.command()
+@click.option(
+    "--device", metavar="ADDRESS|NAME", help="Choose a controller, by address or name. Default: the bench's, else sim."
+)
+@click.option(
+    "--bench",
+    "bench_path",
+    type=INPUT,
+    metavar="FILE",
+    help="Read controllers, actuators, sensors and textures from a TOML file.",
+)
+@allow_programs_option
+@calibration_options
+@click.option(
+    "--out",
+    type=FOLDER,
+    default=Path("measured"),
+    show_default=True,
+    help=f"Write {PAGE}, {JSON} and {ACTUATOR} into this folder.",
+)
+@click.option(
+    "--compare",
+    "earlier",
+    type=INPUT,
+    metavar="FILE",
+    help=f"Compare with {JSON} of an earlier run; a worse result fails.",
+)
+@click.option(
+    "--only",
+    "names",
+    callback=chosen_names,
+    metavar="NAME,...",
+    help=f"Choose among {', '.join(NAMES)}. Default: all.",
+)
+def measure(
+    device: str | None,
+    bench_path: Path | None,
+    allow_programs: bool,
+    calibration: CalibrationOptions,
+    out: Path,
+    earlier: Path | None,
+    names: tuple[str, ...],
+) -> None:
+    """Measure the latency, load, fidelity and response of a controller.
+
+    If you interrupt the command, it writes the results so far.
+
+    The exit code is 5 if the run is worse than the earlier one, or cannot be compared with it. It is 1 if a measurement
+    failed, or the controller played something else than was sent, and 4 if a limit of the bench file was missed.
+    """
+    from vibrocast.harness import compare, described, deviations, figures, measure_bench, read_results, warnings
+    from vibrocast.host.bench_file import choose_controller, read_bench
+
+    if bench_path and calibration != CalibrationOptions(None, None, None, None):
+        raise click.UsageError("--bench names actuators and sensors; drop it, or --actuator and --sensor")
+    bench = None if bench_path is None else read_bench(bench_path, allow_programs)
+    bench = choose_controller(bench, device)
+    bench = calibrated(bench, calibration)
+    before = None if earlier is None else read_results(earlier)
+    trace_failure(out / TRACE)
+    figures_so_far(partial(written_since, out / JSON, time.time_ns()))
+    results = measure_bench(bench, out, names, before)
+    changes = [] if before is None else compare(before, results.document())
+    for name, why in results.failed.items():
+        click.echo(f"not measured: {name}: {why}", err=True)
+    add(results.document() | {"changes": [asdict(change) for change in changes]})
+    for name, value in figures(results.document()):
+        tell(described(name, value))
+    for warning in warnings(results.document()):
+        click.echo(f"warning: {warning}", err=True)
+    tell(f"{out / PAGE}", page=str(out / PAGE))
+    if results.failed:
+        raise click.ClickException(
+            f"not all could be measured: {', '.join(results.failed)}; the lines above say why, and --only repeats some"
+        )
+    if worse := [f"{change.name} ({change.problem})" for change in changes if change.regressed]:
+        more = f"; and {len(worse) - MAX_SHOWN} more" if len(worse) > MAX_SHOWN else ""
+        raise Regression(
+            f"not as in {earlier}: {'; '.join(worse[:MAX_SHOWN])}{more}; compare both reports, then measure again"
+        )
+    if wrong := list(deviations(results.document())):
+        raise click.ClickException(
+            f"the controller played something else than was sent, though it lost nothing: not {', '.join(wrong)}; "
+            "flash the firmware again, and check the bench's actuators"
+        )
+    fail_where_missed(results.missed)

@@ -1,0 +1,248 @@
+"""The subcommands that look into a wire or break it: `monitor`, `replay` and `proxy`."""
+
+import json
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import click
+
+from vibrocast import progress, textures
+from vibrocast.device_protocol.messages import Start, Status, pack
+from vibrocast.device_protocol.trace import TracedFrame, read_trace
+from vibrocast.device_protocol.transports import Transport, TransportError
+from vibrocast.harness.frame_lines import line
+from vibrocast.host import devices
+from vibrocast.host.cli.answers import tell, wants_json
+from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, positive
+from vibrocast.host.cli.options import BadInput, checked_address, grouped, link_option, tell_address
+from vibrocast.host.printable import plain
+from vibrocast.host.tracing import tracer
+
+if TYPE_CHECKING:
+    from vibrocast.simulated_device.faulty_wire import Fault
+
+_POLL_S = 0.05
+# After the last frame of a replay, answers may come for so long.
+_ANSWERS_S = 0.5
+
+See: TypeAlias = Callable[[Iterable[TracedFrame]], None]
+
+address_argument = click.argument("address", callback=checked_address)
+
+
+class Screen:
+    """Prints frames, as lines or as JSON; the first one begins the time."""
+
+    def __init__(self) -> None:
+        self._as_json = wants_json()
+        self._began_ns: int | None = None
+
+    def show(self, frames: Iterable[TracedFrame]) -> None:
+        """Print frames."""
+        for frame in frames:
+            if self._began_ns is None:
+                self._began_ns = frame.time_ns
+            click.echo(json.dumps(frame.as_json()) if self._as_json else plain(line(frame, self._began_ns)))
+        sys.stdout.flush()
+
+
+@click.command()
+@address_argument
+@link_option
+@click.option("--web", is_flag=True, help="Show signals, spectra and state on a page for your browser.")
+@click.option(
+    "--port", type=Whole("NUMBER", 0, 65_535), default=0, show_default=True, help="Serve it here; 0 takes a free port."
+)
+def monitor(address: str, link: Path | None, web: bool, port: int) -> None:
+    """Show the frames between a host and a controller as they pass.
+
+    The command opens the controller at ADDRESS, and prints the address of another port on stderr. Pass that to the
+    program that you want to watch as its --device. Each line has the time, the direction, the message and its fields:
+    state, position, credit, buffer and the counters that are not 0.
+
+    --json prints one JSON object a line. `vibrocast --trace FILE monitor` also writes them.
+
+    --web prints the address of a page instead. It helps where an actuator buzzes strangely.
+    """
+    if not web:
+        serve(address, link, (), 0, Screen().show)
+        return
+    from vibrocast.harness.wire_page import wire_page
+    from vibrocast.harness.wire_view import WireView
+
+    view = WireView()
+    with wire_page(view.document, port) as page:
+        click.echo(f"page: {page}", err=True)
+        serve(address, link, (), 0, view.note)
+
+
+def _option(kind: Number, name: str, text: str) -> Callable[..., Any]:
+    """Return an option that is 0 by default."""
+    return click.option(name, type=kind, default=0.0, show_default=True, help=text)
+
+
+@dataclass(frozen=True)
+class FaultOptions:
+    """One fault that lasts as long as the wire."""
+
+    lost: float
+    flipped: float
+    delay_ms: float
+    jitter_ms: float
+    bits_per_second: float | None
+
+
+share_option = partial(_option, Number("PART", 0, 1))
+delay_option = partial(_option, Number("ms", 0, 10_000))
+
+
+@click.command()
+@address_argument
+@link_option
+@grouped(
+    "given",
+    FaultOptions,
+    share_option("--lost", "Lose this part of the frames, 0 to 1."),
+    share_option("--flipped", "Damage this part of the frames, 0 to 1."),
+    delay_option("--delay-ms", "Delay each frame."),
+    delay_option("--jitter-ms", "Delay each by up to this much more."),
+    click.option("--rate-bps", "bits_per_second", type=positive("bit/s"), help="Limit the capacity, 8 bits to a byte."),
+)
+@click.option("--faults", "schedule", type=INPUT, metavar="FILE", help="Take a schedule of faults from a TOML file.")
+@click.option(
+    "--seed", type=Whole("NUMBER", 0, 2**31), default=0, show_default=True, help="Draw other faults at random."
+)
+def proxy(address: str, link: Path | None, given: FaultOptions, schedule: Path | None, seed: int) -> None:
+    """Put a wire with faults between a host and a controller.
+
+    The command opens the controller at ADDRESS, and prints the address of another port. Pass that to any program as its
+    --device. The options hold for both directions and all the time. A schedule names faults with their times, and can
+    pull the cable. The same seed gives the same faults for the same frames.
+    """
+    from vibrocast.simulated_device.faulty_wire import Fault, read_faults
+
+    faults = () if schedule is None else read_faults(schedule)
+    serve(address, link, (Fault(**vars(given)), *faults), seed, None)
+
+
+def serve(address: str, link: Path | None, faults: "Sequence[Fault]", seed: int, see: "See | None") -> None:
+    """Serve a controller behind a port of its own until Ctrl-C; raise what broke the way to it.
+
+    `see` takes the frames as they pass.
+    """
+    from vibrocast.simulated_device.faulty_wire import FaultyWire, RemoteDevice
+    from vibrocast.simulated_device.serial_port import has_pseudo_terminals, serial_port
+
+    if any(fault.cut for fault in faults) and not has_pseudo_terminals():
+        raise TransportError("a cut cable needs pseudo-terminals, which this system lacks; leave out `cut`")
+    with devices.reach(address) as transport:
+        remote = RemoteDevice(transport)
+
+        def pull(is_out: bool) -> None:
+            # Not in the thread of the port, which this waits for.
+            threading.Thread(target=getattr(port, "unplug" if is_out else "plug"), daemon=True).start()
+
+        port = serial_port(FaultyWire(remote, faults, seed, pull), link)
+        try:
+            with port:
+                tracer.take()
+                tell_address(port.name, err=see is not None)
+                while remote.failure is None:
+                    time.sleep(_POLL_S)
+                    if see is not None:
+                        see(tracer.take())
+        except TransportError:  # the port says that its controller has failed
+            if remote.failure is None:
+                raise
+        if remote.failure is not None:
+            raise remote.failure
+
+
+@click.command()
+@click.argument("trace", type=INPUT)
+@click.option(
+    "--decode",
+    "out",
+    type=OutputFile(*textures.SAVED_SUFFIXES),
+    metavar="FILE",
+    help="Decode the last stream into a file, up to a missing packet.",
+)
+@click.option(
+    "--device",
+    "address",
+    callback=lambda *given: given[2] and checked_address(*given),
+    metavar="ADDRESS",
+    help="Send the frames from the host to this controller, at their times.",
+)
+def replay(trace: Path, out: Path | None, address: str | None) -> None:
+    """Show the frames of a trace, decode them, or send them again.
+
+    Without an option, the command shows the frames of TRACE, a .pcapng or .jsonl file of `vibrocast --trace`. With it,
+    the frames from the host go to the controller at the times of the trace, and the command shows both directions.
+    """
+    screen, frames = Screen(), list(read_trace(trace))
+    if out is not None:
+        decode_last(frames, trace, out)
+        return
+    if address is None:
+        screen.show(frames)
+        return
+    with devices.reach(address) as transport:
+        tracer.take()
+        send_again(transport, [each for each in frames if each.from_host], first_device_us(frames), screen)
+
+
+def decode_last(frames: Sequence[TracedFrame], trace: Path, out: Path) -> None:
+    """Decode the last stream of a trace into a file. Raises BadInput, StreamError, CodecError, OSError."""
+    from vibrocast.codec.stream import write_recording
+    from vibrocast.harness.trace_streams import streams_of
+
+    streams = streams_of(frames)
+    if not streams:
+        raise BadInput(f"{trace}: no stream was set up in it; trace the whole command")
+    stream = streams[-1].stream()
+    with progress.bar("decoding") as update:
+        write_recording(out, stream, progress=update)
+    tell(f"{out}: {stream.seconds:.3f} s at {stream.header.rate_hz} Hz", out=str(out), seconds=stream.seconds)
+
+
+def first_device_us(frames: Iterable[TracedFrame]) -> int | None:
+    """Return the controller's time in the first Status of a trace; None without one."""
+    for frame in frames:
+        found = frame.message()
+        if found is not None and isinstance(found[1], Status):
+            return found[1].device_time_us
+    return None
+
+
+def send_again(transport: Transport, frames: Sequence[TracedFrame], before_us: int | None, screen: Screen) -> None:
+    """Send frames at their times. `before_us`: the controller's time then, by which that of a Start is moved."""
+    from vibrocast.device_protocol.frames import DELIMITER, write_frame
+
+    began_s = time.monotonic()
+    shift_us: int | None = None
+    for frame in frames:
+        due_s = began_s + (frame.time_ns - frames[0].time_ns) / 1e9
+        encoded = frame.encoded + DELIMITER
+        while True:
+            transport.read(max(0.0, min(_POLL_S, due_s - time.monotonic())))
+            if shift_us is None and before_us is not None and (now_us := first_device_us(tracer.frames)) is not None:
+                shift_us = now_us - before_us
+            screen.show(tracer.take())
+            if time.monotonic() >= due_s:
+                break
+        found = frame.message()
+        if found is not None and isinstance(found[1], Start) and found[1].device_time_us and shift_us is not None:
+            moved = Start(max(0, found[1].device_time_us + shift_us))
+            encoded = write_frame(pack(moved, found[0]))
+        transport.write(encoded)
+    until_s = time.monotonic() + _ANSWERS_S
+    while time.monotonic() < until_s:
+        transport.read(_POLL_S)
+    screen.show(tracer.take())

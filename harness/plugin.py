@@ -1,0 +1,432 @@
+"""The pytest plugin: a team's own tests run on the simulated controller at a desk and on the real one at the bench.
+
+pytest loads it in every project of the environment, so it imports nothing but pytest until a test asks for a fixture.
+Where you load it by its module's name as well, pass `-p no:vibrocast -p vibrocast.harness.plugin`.
+"""
+
+from __future__ import annotations  # no annotation is evaluated: an old pytest lacks some of the classes
+
+import argparse
+import math
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from vibrocast.device_protocol.messages import ImageDescription
+    from vibrocast.harness.faulty_transport import FaultyTransport
+    from vibrocast.harness.latency import Latency
+    from vibrocast.harness.live_run import LiveRun
+    from vibrocast.host.bench_file import Bench
+    from vibrocast.host.bench_limits import Judged
+    from vibrocast.host.controller import Controller
+    from vibrocast.host.end_to_end import Member, Outcome
+    from vibrocast.host.position_playback import Stroke
+    from vibrocast.output.actuator import Actuator
+    from vibrocast.textures import Recording
+
+
+def _seconds(text: str) -> float:
+    """Return the value of an option in seconds. Raises argparse.ArgumentTypeError."""
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = math.nan
+    if not (math.isfinite(seconds) and seconds >= 0):
+        raise argparse.ArgumentTypeError(f"{text} cannot be used; give a finite number of seconds of at least 0")
+    return seconds
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the options that select the controller under test."""
+    group = parser.getgroup("vibrocast", "haptic controllers")
+    group.addoption(
+        "--vibrocast-device",
+        action="append",
+        metavar="ADDRESS",
+        help="controller to test: an address as `vibrocast devices` lists them, or a name in the bench file; given "
+        "several times, or as `all` of the bench file, each test runs on each; default: the first one of the bench "
+        "file, or the simulated one without a bench file",
+    )
+    group.addoption(
+        "--vibrocast-bench", metavar="FILE.toml", help="bench file: controllers, actuators, sensors, textures"
+    )
+    group.addoption(
+        "--vibrocast-allow-programs", action="store_true", help="let the bench file start programs as sensors"
+    )
+    group.addoption(
+        "--vibrocast-wait-s",
+        type=_seconds,
+        default=0.0,
+        metavar="SECONDS",
+        help="wait so long for a controller that is absent, or that another process uses; default: 0",
+    )
+    group.addoption(
+        "--vibrocast-skip-missing", action="store_true", help="skip tests whose controller is still absent then"
+    )
+    group.addoption(
+        "--vibrocast-keep",
+        metavar="FOLDER",
+        help="keep files of each test in this folder: the last frames on the wire; of each playback, a report and a "
+        "picture; JUnit XML names the files",
+    )
+    group.addoption(
+        "--vibrocast-timeout-s",
+        type=_seconds,
+        metavar="SECONDS",
+        help="fail a test that still talks to its controller after so long; default: never",
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Report a mistake in the bench file before any test runs."""
+    _read(config)
+
+
+def _read(config: pytest.Config) -> Bench | None:
+    """Return the bench of the bench file; None without one. Raises pytest.UsageError."""
+    path = config.getoption("vibrocast_bench")
+    if path is None:
+        return None
+    from vibrocast.files import InputFileError
+    from vibrocast.host.bench_file import read_bench
+
+    try:
+        return read_bench(Path(path), config.getoption("vibrocast_allow_programs"))
+    except (InputFileError, OSError) as error:
+        raise pytest.UsageError(str(error).replace("--allow-programs", "--vibrocast-allow-programs")) from error
+
+
+def _devices(config: pytest.Config) -> list[str]:
+    """Return the names or addresses of the controllers under test; empty = the default."""
+    names: list[str] = config.getoption("vibrocast_device") or []
+    if names != ["all"]:
+        return names
+    bench = _read(config)
+    if bench is None:
+        raise pytest.UsageError("--vibrocast-device all means those of a bench file; add --vibrocast-bench")
+    return [each.name for each in bench.controllers]
+
+
+@pytest.fixture(scope="session")
+def vibrocast_bench(request: pytest.FixtureRequest, pytestconfig: pytest.Config) -> Bench:
+    """The bench of --vibrocast-bench; without it, the controller of --vibrocast-device."""
+    from vibrocast.host.bench_file import BenchFileError, choose_controller
+
+    names = _devices(pytestconfig)
+    device = getattr(request, "param", names[0] if names else None)
+    try:
+        return choose_controller(_read(pytestconfig), device)
+    except BenchFileError as error:
+        raise pytest.UsageError(str(error)) from error
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Repeat a test for each of several controllers, and for each texture if it asks for `vibrocast_texture`."""
+    names = _devices(metafunc.config)
+    if "vibrocast_bench" in metafunc.fixturenames and len(names) > 1:
+        metafunc.parametrize("vibrocast_bench", names, indirect=True, scope="session")
+    if "vibrocast_texture" in metafunc.fixturenames:
+        bench = _read(metafunc.config)
+        textures = ("wood",) if bench is None else bench.texture_names
+        metafunc.parametrize("vibrocast_texture", range(len(textures)), ids=textures, indirect=True)
+
+
+class _Kept:
+    """The files of a test in the folder of --vibrocast-keep, if any; JUnit XML gets their names as properties."""
+
+    def __init__(self, request: pytest.FixtureRequest) -> None:
+        folder = request.config.getoption("vibrocast_keep")
+        self._folder = None if folder is None else Path(folder)
+        self._properties = request.node.user_properties
+        # With its module: tests of several may have one name.
+        self._name = "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in request.node.nodeid)
+        self._count = 0
+
+    def path(self, kind: str, suffix: str) -> Path | None:
+        """Return where to write a file of this kind; None = nowhere."""
+        if self._folder is None:
+            return None
+        self._folder.mkdir(parents=True, exist_ok=True)
+        number = f"-{self._count}" if self._count > 1 and kind != "trace" else ""
+        path = self._folder / f"{self._name}{number}{suffix}"
+        self._properties.append((f"vibrocast_{kind}", str(path)))
+        return path
+
+    def playback(self, outcome: Outcome) -> None:
+        """Keep the report of a playback, and its picture where matplotlib is there."""
+        from vibrocast import extras
+        from vibrocast.host import picture
+
+        self._count += 1
+        if path := self.path("report", ".json"):
+            outcome.report.write(path)
+            if extras.advice("plot") is None and (drawn := self.path("picture", ".png")):
+                picture.draw(drawn, outcome.report.file, outcome.caption, outcome.traces)
+
+
+@pytest.fixture
+def _vibrocast_kept(request: pytest.FixtureRequest) -> _Kept:
+    return _Kept(request)
+
+
+@pytest.fixture
+def vibrocast_wire(
+    pytestconfig: pytest.Config, vibrocast_bench: Bench, _vibrocast_kept: _Kept
+) -> Iterator[FaultyTransport]:
+    """The way to the controller under test; `damage` and `pull_cable` break it."""
+    import contextlib
+    import time
+
+    from vibrocast.device_protocol.transports import TransportError
+    from vibrocast.harness.faulty_transport import FaultyTransport
+    from vibrocast.host import devices
+    from vibrocast.host.tracing import tracer
+
+    first = vibrocast_bench.first
+    until_s = time.monotonic() + pytestconfig.getoption("vibrocast_wait_s")
+    tracer.take()
+    with contextlib.ExitStack() as stack:
+        while True:
+            try:
+                way = devices.reach(first.address, actuator=vibrocast_bench.actuator(first.name))
+                transport = FaultyTransport(stack.enter_context(way))
+                break
+            except TransportError as error:
+                if time.monotonic() >= until_s:
+                    if pytestconfig.getoption("vibrocast_skip_missing"):
+                        pytest.skip(str(error))
+                    raise
+                time.sleep(0.1)
+        transport.expire_after(pytestconfig.getoption("vibrocast_timeout_s"))
+        yield transport
+    if path := _vibrocast_kept.path("trace", ".pcapng"):
+        tracer.save(path)
+
+
+@pytest.fixture
+def vibrocast_device(vibrocast_bench: Bench, vibrocast_wire: FaultyTransport) -> Iterator[Controller]:
+    """A session with the controller under test. Its output is brought to rest after the test."""
+    import contextlib
+
+    from vibrocast.device_protocol.transports import TransportError
+    from vibrocast.host.bench_file import check_actuator
+    from vibrocast.host.controller import Controller, ControllerError
+
+    session = Controller(vibrocast_wire)
+    check_actuator(vibrocast_bench, vibrocast_bench.first, session.description.actuator)
+    yield session
+    vibrocast_wire.damage()
+    vibrocast_wire.expire_after(None)
+    with contextlib.suppress(ControllerError, TransportError):  # a test may leave the cable out
+        session.stop()
+
+
+@pytest.fixture
+def vibrocast_devices(vibrocast_bench: Bench) -> Iterator[dict[str, Controller]]:
+    """Sessions with all controllers of the bench, by name; their outputs are brought to rest after the test."""
+    import contextlib
+
+    from vibrocast.device_protocol.transports import TransportError
+    from vibrocast.host.bench_file import connect
+    from vibrocast.host.controller import ControllerError
+
+    with contextlib.ExitStack() as stack:
+        sessions = {
+            each.name: stack.enter_context(connect(vibrocast_bench, each)) for each in vibrocast_bench.controllers
+        }
+        yield sessions
+        for session in sessions.values():
+            with contextlib.suppress(ControllerError, TransportError):
+                session.stop()
+
+
+@pytest.fixture
+def vibrocast_power_cycle(vibrocast_bench: Bench, vibrocast_device: Controller) -> Callable[..., None]:
+    """A function that takes the device's power away and gives it back, by the program in the bench file.
+
+    It waits until the device answers again, for `within_s` at most, 30 by default. Without a program, the test is
+    skipped.
+    """
+    from vibrocast.host.bench_file import PoweredController
+
+    first = vibrocast_bench.first
+    program = first.power_cycle if isinstance(first, PoweredController) else None
+    if program is None:
+        pytest.skip(f"controller {first.name} has no power_cycle in the bench file")
+
+    def power_cycle(within_s: float = 30.0) -> None:
+        import subprocess
+
+        subprocess.run(program, stdin=subprocess.DEVNULL, check=True, timeout=within_s)
+        vibrocast_device.reconnect(within_s)
+
+    return power_cycle
+
+
+@pytest.fixture
+def vibrocast_actuator(vibrocast_bench: Bench, vibrocast_device: Controller) -> Actuator:
+    """The model of the actuator on the controller's first channel: from the bench file, or from the controller."""
+    from vibrocast.host.bench_file import actuator_of
+
+    return actuator_of(vibrocast_bench, vibrocast_bench.first, vibrocast_device.description.actuator)
+
+
+@pytest.fixture
+def _vibrocast_member(vibrocast_bench: Bench, vibrocast_device: Controller, vibrocast_actuator: Actuator) -> Member:
+    """The controller under test, with the models of its actuator."""
+    from vibrocast.host.bench_file import driven_actuator
+    from vibrocast.host.end_to_end import Member
+
+    first = vibrocast_bench.first
+    driven = driven_actuator(vibrocast_bench, first, vibrocast_device.description.actuator)
+    return Member(vibrocast_device, first.address, driven, vibrocast_actuator)
+
+
+@pytest.fixture
+def vibrocast_play(vibrocast_bench: Bench, _vibrocast_member: Member, _vibrocast_kept: _Kept) -> Callable[..., Outcome]:
+    """A function that encodes a texture, plays it and compares: `vibrocast_play(texture, **options)`.
+
+    The options are those of `vibrocast.codec.encoding.encode_recording`. It returns an Outcome, whose `report` is a
+    Report. The test fails where the playback misses limits of the bench file, or the controller plays something else
+    than was sent though nothing was lost.
+    """
+    from vibrocast.codec.encoding import encode_recording
+    from vibrocast.host import end_to_end
+
+    member = _vibrocast_member
+
+    def play_texture(texture: Recording, **options: Any) -> Outcome:
+        encoding = encode_recording(texture, live=True, **options)
+        outcome = end_to_end.play(
+            member.controller,
+            member.address,
+            texture.name,
+            encoding.stream,
+            encoding,
+            actuator=member.actuator,
+            skin_model=member.skin_model,
+        )
+        _vibrocast_kept.playback(outcome)
+        report = outcome.report
+        _judge(vibrocast_bench, report.judged(), report.differs and not (report.lost_packets or report.underruns))
+        return outcome
+
+    return play_texture
+
+
+def _judge(bench: Bench, figures: Iterable[Judged], differs: bool = False) -> None:
+    """Fail a test whose figures miss limits of the bench file, or whose controller played otherwise than was sent."""
+    from vibrocast.host.bench_limits import missed
+
+    if differs:
+        pytest.fail("the controller played something else than was sent, though nothing was lost")
+    if lines := missed(bench.limits, figures):
+        pytest.fail(f"limits missed: {'; '.join(lines)}")
+
+
+@pytest.fixture
+def vibrocast_live(vibrocast_bench: Bench, _vibrocast_member: Member) -> Callable[..., LiveRun]:
+    """A function that streams a texture live: `vibrocast_live(texture, seconds=10.0, playout_delay_s=None)`.
+
+    It returns a LiveRun, with the counts of each minute: with many seconds, a soak. The test fails where the stream
+    misses limits of the bench file, or the controller plays something else than was sent though nothing was lost.
+    """
+    from vibrocast.harness.live_run import run_live
+    from vibrocast.host.live_watch import judged
+
+    def stream(texture: Recording, seconds: float = 10.0, **options: Any) -> LiveRun:
+        run = run_live(_vibrocast_member, texture, seconds, **options)
+        _judge(vibrocast_bench, judged(run.result, run.quality, run.timing), run.quality.differs)
+        return run
+
+    return stream
+
+
+@pytest.fixture
+def vibrocast_latency(
+    vibrocast_bench: Bench, vibrocast_device: Controller, vibrocast_actuator: Actuator
+) -> Callable[..., Latency]:
+    """A function that measures the latency of a live texture: `vibrocast_latency(texture, seconds=4.0)`.
+
+    It returns a `vibrocast.harness.Latency`. The test fails where it misses limits of the bench file, or the
+    controller decodes something else than was sent though nothing was lost.
+    """
+    from dataclasses import asdict
+
+    from vibrocast.harness.latency import measure_latency
+    from vibrocast.harness.results import judged_latency
+
+    def measure(texture: Recording, **options: Any) -> Latency:
+        latency = measure_latency(vibrocast_device, vibrocast_actuator, texture, **options)
+        _judge(vibrocast_bench, judged_latency(asdict(latency)), latency.stable and not latency.as_sent)
+        return latency
+
+    return measure
+
+
+@pytest.fixture
+def vibrocast_flash(vibrocast_device: Controller) -> Iterator[Callable[[bytes], ImageDescription]]:
+    """A function that flashes a packed model image, starts and confirms it: `vibrocast_flash(image)`.
+
+    After the test, the controller runs the image again that it ran before, if any.
+    """
+    from functools import partial
+
+    from vibrocast.host import uploader
+
+    before = uploader.running(vibrocast_device)
+    yield partial(uploader.flash, vibrocast_device)
+    if before is not None:
+        uploader.run_again(vibrocast_device, before)
+
+
+@pytest.fixture
+def vibrocast_stroke(
+    vibrocast_bench: Bench, vibrocast_device: Controller, vibrocast_actuator: Actuator
+) -> Callable[..., Stroke]:
+    """A function that plays a height profile under a hand that strokes there and back.
+
+    `vibrocast_stroke(profile, stroke_mm=10.0, hand_speed_mm_s=50.0, strokes=1, **options)`; the options are those of
+    `vibrocast.host.profiles.encode`. It returns a `vibrocast.host.position_playback.Stroke`. The test fails where the
+    playback misses limits of the bench file.
+    """
+    from vibrocast.host import end_to_end, position_playback, profiles
+    from vibrocast.host.bench_file import driven_actuator
+
+    first = vibrocast_bench.first
+    driven = driven_actuator(vibrocast_bench, first, vibrocast_device.description.actuator)
+    member = end_to_end.Member(vibrocast_device, first.address, driven, vibrocast_actuator)
+
+    def stroke(
+        profile: Recording,
+        stroke_mm: float = 10.0,
+        hand_speed_mm_s: float = 50.0,
+        strokes: int = 1,
+        **options: Any,
+    ) -> Stroke:
+        encoding = profiles.encode(profile, **options)
+        movement = position_playback.back_and_forth(stroke_mm, hand_speed_mm_s, strokes)
+        played = position_playback.play_and_compare(
+            member, profile.name, encoding.stream, movement, encoding.recording, vibrocast_bench.sha256
+        )
+        _judge(vibrocast_bench, played.report.judged())
+        return played
+
+    return stroke
+
+
+@pytest.fixture(scope="session")
+def vibrocast_scene(vibrocast_bench: Bench) -> tuple[Recording, ...]:
+    """The textures of the bench file; a generated one without a bench file."""
+    return vibrocast_bench.scene()
+
+
+@pytest.fixture
+def vibrocast_texture(request: pytest.FixtureRequest, vibrocast_bench: Bench) -> Recording:
+    """One texture of the bench file; the test runs once for each, and the texture's name is in its own."""
+    loaders = vibrocast_bench.textures
+    texture: Recording = loaders[request.param]() if loaders else vibrocast_bench.scene()[0]
+    return texture

@@ -1,0 +1,141 @@
+"""Measures a bench by the names of the measurements, again where times have become worse, and writes what there is."""
+
+import contextlib
+import sys
+from collections.abc import Collection, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from vibrocast import progress
+from vibrocast.codec import CodecError
+from vibrocast.device_protocol.coded_stream import StreamError
+from vibrocast.device_protocol.messages import MessageError
+from vibrocast.device_protocol.transports import TransportError
+from vibrocast.harness import measurements, page
+from vibrocast.harness.latency import Latency
+from vibrocast.harness.results import ACTUATOR, JSON, NAMES, PAGE, Results, compare, judged
+from vibrocast.harness.sensors import SensorError
+from vibrocast.host import bench_file
+from vibrocast.host.alignment import AlignmentError
+from vibrocast.host.bench_file import Bench
+from vibrocast.host.bench_limits import missed
+from vibrocast.host.controller import ConnectionLost, Controller, ControllerError
+from vibrocast.host.provenance import Provenance
+
+# Measured again where they have become worse: the computer may have been busy with something else.
+_TIMED = NAMES[:5]
+_RETAKES = 2
+
+
+def measure_bench(
+    bench: Bench, folder: Path, names: Collection[str] = NAMES, earlier: dict[str, Any] | None = None
+) -> Results:
+    """Measure a bench, write PAGE, JSON and the fitted ACTUATOR into a folder, and show how far it is on stderr.
+
+    `names`: some of NAMES. `earlier`: the document of an earlier run to compare with (`read_results`). A measurement
+    that fails leaves the others; after a lost controller, or Ctrl-C, what was measured before is written. Raises
+    BenchFileError, ControllerError, TransportError, OSError.
+    """
+    results = Results({}, {}, asked=_possible(bench, names), run=Provenance(bench.sha256))
+    folder.mkdir(parents=True, exist_ok=True)
+    with _written(folder, results, earlier, bench):
+        _measure(bench, names, results)
+        for _ in range(_RETAKES):
+            if earlier is None:
+                break
+            again = [name for name in _TIMED if name in results.measured and _is_worse(earlier, results, name)]
+            if not again:
+                break
+            print(f"worse, measured again: {', '.join(again)}", file=sys.stderr)
+            retaken = Results({}, {}, asked=tuple(again))
+            _measure(bench, again, retaken)
+            for key, count in retaken.link.items():
+                results.link[key] = results.link.get(key, 0) + count
+            for name, value in retaken.measured.items():
+                before = results.measured[name]
+                results.measured[name] = before if _is_worse(earlier, retaken, name) else value
+                if name == "latency":
+                    results.measured[name] = _with_losses_of(results.measured[name], before, value)
+    return results
+
+
+def _with_losses_of(kept: Latency, first: Latency, second: Latency) -> Latency:
+    """Return the times of one take with the losses of both: only times depend on how busy the computer was."""
+    return replace(
+        kept,
+        packets=first.packets + second.packets,
+        underruns=first.underruns + second.underruns,
+        lost_packets=first.lost_packets + second.lost_packets,
+        as_sent=first.as_sent and second.as_sent,
+    )
+
+
+def _possible(bench: Bench, names: Collection[str]) -> tuple[str, ...]:
+    """Return the names of the measurements that a bench allows: one controller plays nothing together with others."""
+    return tuple(name for name in NAMES if name in names and (name != "together" or len(bench.controllers) > 1))
+
+
+def _measure(bench: Bench, names: Collection[str], results: Results) -> None:
+    """Take the measurements of these names; one that fails leaves the others, a lost controller ends all."""
+    results.host.update(measurements.machine())
+    with bench_file.connect(bench, bench.first) as controller, _counted(controller, results):
+        results.device.update(measurements.device_facts(bench, controller))
+        subject = measurements.subject(bench, controller)
+        for name, measurement in measurements.MEASUREMENTS.items():
+            if name not in names:
+                continue
+            with progress.bar(name) as update:
+                try:
+                    results.measured[name] = measurement(subject, update)
+                except (ConnectionLost, TransportError):
+                    raise
+                except (AlignmentError, CodecError, ControllerError, MessageError, SensorError, StreamError) as error:
+                    results.failed[name] = str(error)
+                    controller.stop()
+                except KeyboardInterrupt:
+                    with contextlib.suppress(ControllerError, TransportError):
+                        controller.stop()
+                    raise
+    if "together" in _possible(bench, names):
+        with progress.bar("together"):
+            results.measured["together"] = measurements.together(bench)
+
+
+@contextlib.contextmanager
+def _counted(controller: Controller, results: Results) -> Iterator[None]:
+    """Count the frames that are damaged on the link during the block, as far as the controller can be asked."""
+    there, here = controller.request_status().bad_frames, controller.bad_frames
+    try:
+        yield
+    finally:
+        results.link["bad_frames_at_host"] = controller.bad_frames - here
+        with contextlib.suppress(ControllerError, TransportError):
+            results.link["bad_frames_at_controller"] = controller.request_status().bad_frames - there
+
+
+def _is_worse(earlier: dict[str, Any], results: Results, name: str) -> bool:
+    """Return whether a time of one measurement has become worse than in an earlier run."""
+    now = Results(results.device, results.host, {name: results.measured[name]}, asked=(name,))
+    return any(change.problem == "worse" and not change.counted for change in compare(earlier, now.document()))
+
+
+@contextlib.contextmanager
+def _written(folder: Path, results: Results, earlier: dict[str, Any] | None, bench: Bench) -> Iterator[None]:
+    """Write the results when the block ends, however it ends."""
+    try:
+        yield
+    except BaseException as error:
+        results.failed["the rest"] = str(error) or "interrupted"
+        raise
+    finally:
+        if results.measured:
+            table = ""
+            if response := results.measured.get("response"):
+                table = bench_file.actuator_toml(response.actuator, bench.first.name)
+                (folder / ACTUATOR).write_text(table, encoding="utf-8")
+            results.missed[:] = missed(bench.limits, judged(results.document()))
+            results.missed += measurements.misfits(bench, results.measured.get("response"))
+            document = results.document()
+            results.write(folder / JSON)
+            page.write(folder / PAGE, document, [] if earlier is None else compare(earlier, document), table)

@@ -1,0 +1,227 @@
+"""Records an actuator by a sensor of the bench: at an input of this computer, or by a program that writes a file."""
+
+import contextlib
+import math
+import os
+import signal
+import subprocess
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import BinaryIO, TypeAlias
+
+import numpy as np
+
+from vibrocast import extras, textures
+from vibrocast.device_protocol.transports import TransportError
+from vibrocast.harness.recorder import Levels, Source, open_source, pieces
+from vibrocast.host.bench_file import Sensor
+from vibrocast.textures import Recording
+from vibrocast.textures.recording import Signal
+from vibrocast.textures.sensitivity import parse
+
+
+@dataclass(frozen=True)
+class TimedRecording(Recording):
+    """A recording at an input of this computer. `began_s`: when its first sample came here, by time.monotonic."""
+
+    began_s: float = 0.0
+
+
+Recorder: TypeAlias = Callable[[float], AbstractContextManager[Callable[[], Recording]]]
+"""Records for so many seconds; what it yields waits for the end and gives the recording, m/s^2 or um."""
+
+# A program may take so long to start, and to end after its time.
+_STARTS_WITHIN_S = 1.0
+_ENDS_WITHIN_S = 15.0
+_MAX_COMPLAINT_BYTES = 500
+
+
+class SensorError(RuntimeError):
+    """A sensor's program that failed, or a recording that cannot be used; the message says what to do."""
+
+
+def recorder(sensor: Sensor) -> Recorder:
+    """Return what records by a sensor. Raises SensorError, when it starts and when it gives its recording.
+
+    It begins so long before what is played that the beginning is in the recording, as the harness waits for it. The
+    processes of a program have ended when the block is left, in any way.
+    """
+    if sensor.command is None:
+        return partial(_at_input, sensor)
+    arguments = sensor.command
+
+    @contextlib.contextmanager
+    def record(seconds: float) -> Iterator[Callable[[], Recording]]:
+        with tempfile.TemporaryDirectory(prefix="vibrocast-", ignore_cleanup_errors=True) as folder:
+            file, complaints = Path(folder) / f"recording{sensor.suffix}", Path(folder) / "complaints"
+            values = {"{file}": str(file), "{seconds}": f"{seconds + _STARTS_WITHIN_S:g}"}
+            command = [_filled(part, values) for part in arguments]
+            with complaints.open("wb") as stderr:  # children of the program would hold a pipe open
+                process = _start(sensor, command, stderr)
+            try:
+                yield partial(_finish, sensor, process, file, complaints, seconds + _STARTS_WITHIN_S + _ENDS_WITHIN_S)
+            finally:
+                # In a session of its own: the children of a shell end with it.
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
+
+    return record
+
+
+@contextlib.contextmanager
+def _at_input(sensor: Sensor, seconds: float) -> Iterator[Callable[[], Recording]]:
+    """Record these seconds at a sensor's input, from now on. Raises SensorError."""
+    assert sensor.input is not None, "required"
+    with contextlib.ExitStack() as stack:
+        try:
+            source = stack.enter_context(
+                open_source(
+                    sensor.input,
+                    None if sensor.sensitivity is None else parse(str(sensor.sensitivity)),
+                    sensor.volts_full_scale,
+                    axes=(sensor.axis or "").lower(),
+                    rate_hz=None if sensor.rate_hz is None else int(sensor.rate_hz),
+                )
+            )
+        except (TransportError, textures.TextureError, extras.MissingExtraError) as error:
+            raise SensorError(f"sensor {sensor.name}: {error}") from error
+        if source.channels != 1:
+            raise SensorError(
+                f"sensor {sensor.name}: {source.channels} channels; give axis, or the number of a channel"
+            )
+        _check_unit(sensor, source.unit)
+        collector = _Collector(sensor, source, seconds)
+        stack.callback(collector.stop)
+        yield collector.finish
+
+
+class _Collector:
+    """Reads a source in a thread of its own until the recording is complete."""
+
+    def __init__(self, sensor: Sensor, source: Source, seconds: float) -> None:
+        self._sensor, self._source = sensor, source
+        self._wanted = round(seconds * source.rate_hz)
+        self._pieces: list[Signal] = []
+        self._levels = Levels(source)
+        self._began_s = math.inf
+        self._failure: Exception | None = None
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._collect, name=sensor.name)
+        self._within_s = seconds + _ENDS_WITHIN_S
+        self._thread.start()
+
+    def _collect(self) -> None:
+        count = 0
+        try:
+            for piece in pieces(self._source):
+                self._levels.watch(piece)
+                self._pieces.append(piece)
+                count += len(piece)
+                # The one that came soonest after its samples were taken tells best when the first one came.
+                self._began_s = min(self._began_s, time.monotonic() - count / self._source.rate_hz)
+                if count >= self._wanted or self._ending.is_set():
+                    break
+        except Exception as failure:  # `finish` raises it
+            self._failure = failure
+
+    def stop(self) -> None:
+        """End the thread; may be called again."""
+        self._ending.set()
+        self._thread.join()
+
+    def finish(self) -> Recording:
+        """Return the recording, when it is complete. Raises SensorError, also for a clipped one and one with gaps."""
+        self._thread.join(self._within_s)
+        complete = not self._thread.is_alive()
+        self.stop()
+        self._levels.finish()
+        name = self._sensor.name
+        if self._failure is not None:
+            raise SensorError(f"sensor {name}: {self._failure}") from self._failure
+        if not complete:
+            raise SensorError(f"sensor {name}: fewer samples than its rate says; check its rate_hz and its cable")
+        if self._levels.clipping.runs:
+            raise SensorError(f"sensor {name}: its recording is clipped; lower the gain of its amplifier")
+        if self._source.losses.gaps:
+            raise SensorError(
+                f"sensor {name}: samples were lost {self._source.losses.gaps} times; close other programs"
+            )
+        samples = np.concatenate(self._pieces)[: self._wanted]
+        return TimedRecording(samples, float(self._source.rate_hz), self._source.unit, name, began_s=self._began_s)
+
+
+def _start(sensor: Sensor, command: list[str], stderr: BinaryIO) -> "subprocess.Popen[bytes]":
+    try:
+        return subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=stderr, start_new_session=True
+        )
+    except OSError as error:
+        raise SensorError(
+            f"sensor {sensor.name}: {command[0]} cannot be run ({error.strerror}); correct its command in the bench "
+            "file"
+        ) from error
+
+
+def _finish(
+    sensor: Sensor, process: "subprocess.Popen[bytes]", file: Path, complaints: Path, within_s: float
+) -> Recording:
+    """Wait for a sensor's program and return what it has recorded. Raises SensorError."""
+    try:
+        process.wait(within_s)
+    except subprocess.TimeoutExpired as error:
+        raise SensorError(
+            f"sensor {sensor.name}: {sensor.program} does not end by itself; correct its command in the bench file"
+        ) from error
+    if process.returncode or not file.exists():
+        with complaints.open("rb") as said:
+            said.seek(max(0, complaints.stat().st_size - _MAX_COMPLAINT_BYTES))
+            lines = said.read().decode(errors="replace").strip().splitlines() or [f"exit code {process.returncode}"]
+        raise SensorError(
+            f"sensor {sensor.name}: {sensor.program} has recorded nothing ({lines[-1]}); check the sensor"
+        )
+    return read_recording(sensor, file)
+
+
+def read_recording(sensor: Sensor, file: Path) -> Recording:
+    """Read what a sensor has recorded: one channel, m/s^2 of an accelerometer, um of a laser. Raises SensorError."""
+    try:
+        full_scale = None if sensor.sensitivity is None else 1 / float(sensor.sensitivity)
+        recording = textures.load(
+            file,
+            rate_hz=sensor.rate_hz,
+            unit=sensor.unit,
+            full_scale=full_scale,
+            axis=sensor.axis,
+            reduce=sensor.reduce,
+        )
+    except textures.TextureError as error:
+        raise SensorError(f"sensor {sensor.name}: {error}") from error
+    _check_unit(sensor, recording.unit)
+    if recording.channels != 1:
+        raise SensorError(
+            f"sensor {sensor.name}: a recording of {recording.channels} channels; record one, or give axis or reduce"
+        )
+    return recording
+
+
+def _check_unit(sensor: Sensor, unit: str) -> None:
+    """Raise SensorError for a recording that is not in the unit of this kind of sensor."""
+    required = {"accelerometer": "m/s^2", "laser": "um"}[sensor.kind]
+    if unit != required:
+        raise SensorError(
+            f"sensor {sensor.name}: a {sensor.kind} whose recording is in {unit}; give its unit and sensitivity in the "
+            "bench file"
+        )
+
+
+def _filled(part: str, values: dict[str, str]) -> str:
+    for placeholder, value in values.items():
+        part = part.replace(placeholder, value)
+    return part

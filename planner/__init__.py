@@ -1,0 +1,1 @@
+"""The planner: from a scene - textures, hand, actuators, controllers, requirements - to how each texture is coded."""

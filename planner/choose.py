@@ -1,0 +1,412 @@
+"""Chooses how each texture of a scene is coded: the least weighted cost that meets the targets; and says why."""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+from vibrocast.codec.rate_controlled import RateTarget
+from vibrocast.files import InputFileError
+from vibrocast.pages import listed
+from vibrocast.planner.band import MARGIN_DB, BandError
+from vibrocast.planner.candidates import BUFFERS_MS, Candidate, CodingOption, Evaluator
+from vibrocast.planner.plan_file import CAPPED_MODE, SETTING_MODE, Plan, PlannedController, PlannedTexture
+from vibrocast.planner.scene import Asked, Scene, Weights
+
+Progress = Callable[[float, str], None]
+FIRST_PACKET_BLOCKS = 4
+"""Length of packets with which the search for a setting of an option begins."""
+_FINER, _FINER_ON_THE_WHOLE = 3, 16
+"""Finer settings that the search tries after the one found, in other packets, and on the whole of a long texture."""
+NEAREST = 3
+"""Alternatives in the answer; candidates.csv has all candidates."""
+QUALITIES = {
+    "snr_db": ("SNR", " dB"),
+    "spqi": ("SPQI", ""),
+    "third_octave_distance_db": ("third-octave distance", " dB"),
+}
+"""Name and unit of each measure in the answer."""
+_RATE_LIMITS = {"rate_limit_bps", "bytes_per_second"}
+"""Keys of the limits that a capped rate may keep if no setting does."""
+
+
+class PlanningError(InputFileError):
+    """A scene whose requirements no codec meets. The message names the requirement, the best result and the action."""
+
+
+@dataclass(frozen=True)
+class Reason:
+    """Why an option was rejected. `best`: its candidate nearest to the targets; None if it has no setting."""
+
+    option: CodingOption
+    best: Candidate | None
+    why: str
+
+
+@dataclass(frozen=True)
+class TextureChoice:
+    """The choice for a texture, `why` it was chosen, all candidates, and why each other option was rejected.
+
+    `compared`: the choice on the part of the texture on which options are compared.
+    """
+
+    evaluator: Evaluator
+    chosen: Candidate
+    compared: Candidate
+    why: str
+    candidates: tuple[Candidate, ...]
+    reasons: tuple[Reason, ...]
+
+    @property
+    def name(self) -> str:
+        """Name of the texture."""
+        return self.evaluator.texture.name
+
+    @property
+    def alternatives(self) -> tuple[Reason, ...]:
+        """The NEAREST other options in cost: first those that meet the targets, then those that miss one."""
+        measured = [(each, each.best) for each in self.reasons if each.best is not None]
+        measured.sort(key=lambda pair: (not pair[1].meets, abs(pair[1].cost - self.compared.cost)))
+        return tuple(reason for reason, _ in measured[:NEAREST])
+
+
+def plan(scene: Scene, progress: Progress = lambda part, details: None) -> tuple[Plan, tuple[TextureChoice, ...]]:
+    """Plan every texture of a scene. Raises PlanningError, also for a texture that nobody can feel.
+
+    `progress`: called with the share that is done, 0 to 1, and a text.
+    """
+    choices = []
+    for place, texture in enumerate(scene.textures):
+
+        def tell(part: float, details: str, place: int = place, name: str = texture.name) -> None:
+            progress((place + part) / len(scene.textures), f"{name}: {details}")
+
+        try:
+            evaluator = Evaluator(scene, texture)
+        except BandError as error:
+            raise PlanningError(f"{scene.path}: {error}") from error
+        choices.append(choose(evaluator, scene, tell))
+    planned = tuple(map(_planned, choices))
+    controllers = tuple(PlannedController(each.name, each.address, each.clock_hz) for each in scene.controllers)
+    return Plan(scene.path, controllers, scene.actuators, planned, scene.threshold_path), tuple(choices)
+
+
+def choose(evaluator: Evaluator, scene: Scene, progress: Progress = lambda part, details: None) -> TextureChoice:
+    """Choose for one texture. Raises PlanningError.
+
+    It caps the rate only if no setting keeps the limits, because a capped rate takes more bits on average.
+    """
+    search = _Search(evaluator, scene, progress)
+    options = evaluator.options(scene.controller(evaluator.texture.controller).core)
+    chosen = search.cheapest(options) or search.cheapest(search.capped(options))
+    if chosen is None or search.compared is None:
+        raise search.error()
+    reasons = tuple(
+        Reason(option, best, search.why_not(option, best, search.compared))
+        for option, best in search.bests.items()
+        if option != chosen.measured.option
+    )
+    return TextureChoice(evaluator, chosen, search.compared, search.why(search.compared), search.candidates(), reasons)
+
+
+class _Search:
+    """The search for the cheapest candidate of one texture.
+
+    `bests`: the best candidate of each option. `compared`: the chosen candidate where options are compared, on the
+    loudest part of a long texture; None before there is a choice.
+    """
+
+    def __init__(self, evaluator: Evaluator, scene: Scene, progress: Progress) -> None:
+        self.bests: dict[CodingOption, Candidate | None] = {}
+        self.compared: Candidate | None = None
+        self._evaluator, self._scene, self._progress = evaluator, scene, progress
+
+    def candidates(self) -> tuple[Candidate, ...]:
+        """Return all measured codings, as the scene sees them."""
+        return tuple(self._evaluator.assessed(measured, self._scene) for measured in self._evaluator.measured)
+
+    def cheapest(self, options: list[CodingOption]) -> Candidate | None:
+        """Return the cheapest candidate of these options that meets the targets, if there is one.
+
+        The search leaves an option that misses the quality and already costs more than the best: finer costs more.
+        """
+        meeting: list[tuple[Candidate, CodingOption, int, int]] = []
+        for place, option in enumerate(options):
+            self._progress(place / len(options), option.name)
+            bound = min((candidate.cost for candidate, *_ in meeting), default=math.inf)
+            found = list(self._of_option(option, bound))
+            self.bests[option] = min((candidate for candidate, *_ in found), key=_preference, default=None)
+            meeting += [(candidate, option, index, blocks) for candidate, index, blocks in found if candidate.meets]
+        meeting.sort(key=lambda each: each[0].cost)
+        for place, (candidate, option, index, blocks) in enumerate(meeting):
+            whole = self._on_the_whole(option, index, blocks)
+            if whole is not None and whole.meets:
+                self.bests[option], self.compared = whole, candidate
+                return whole
+            later = (other for other, same, *_ in meeting[place + 1 :] if same == option)
+            self.bests[option] = next(later, whole)
+        return None
+
+    def capped(self, options: list[CodingOption]) -> list[CodingOption]:
+        """Return, with their rate capped, the options that have the quality and exceed only limits of the rate."""
+        limit_bps = self._scene.asked.rate_limit_bps
+        if limit_bps is None or self._evaluator.over_position:
+            return []
+        enough = {
+            candidate.measured.option
+            for candidate in self.candidates()
+            if candidate.shortfall <= 0 and {limit.key for limit in candidate.broken} <= _RATE_LIMITS
+        }
+        return [replace(option, rate_limit_bps=limit_bps) for option in options if option in enough]
+
+    def why_not(self, option: CodingOption, best: Candidate | None, compared: Candidate) -> str:
+        """Return in a line why an option was rejected. `compared`: the choice."""
+        if best is None and option.rate_limit_bps is not None:
+            return "cannot hold this rate"
+        if best is None:
+            return "cannot code this signal at this rate"
+        is_higher = best.cost >= compared.cost
+        cost = f"{'higher' if is_higher else 'lower'} cost ({_apart(best.cost, compared.cost)})"
+        if not best.meets:
+            return f"{cost} {'and' if is_higher else 'but'} misses the target: {self._missing(best)}"
+        extra = _dominant_extra(best, compared, self._scene.weights)
+        return cost if extra is None else f"{cost}: {extra.text}"
+
+    def why(self, compared: Candidate) -> str:
+        """Return in a sentence why an option was chosen, and how much more the next one costs."""
+        options = len([best for best in self.bests.values() if best is not None])
+        chosen = compared.measured.option
+        others = [best for option, best in self.bests.items() if option != chosen and best is not None and best.meets]
+        required = requirements(self._scene.asked)
+        if not others:
+            return f"the only one of {options} options that meets {required}"
+        following = min(others, key=lambda best: best.cost)
+        first = f"cheapest of {len(others) + 1} options that meet {required}; the next costs "
+        extra = _dominant_extra(following, compared, self._scene.weights)
+        if extra is None:
+            return f"{first}the same"
+        percent = 100 * (following.cost / compared.cost - 1) if compared.cost else math.inf
+        more = "more" if percent == math.inf else f"{percent:.0f} % more" if percent >= 1 else "less than 1 % more"
+        return f"{first}{more}, mainly {extra.name}"
+
+    def error(self) -> PlanningError:
+        """Return the error: the requirement that cannot be met, the best that can be reached, and what to change."""
+        texture, candidates, asked = self._evaluator.texture, self.candidates(), self._scene.asked
+        where = f"{self._scene.path}: {texture.name}"
+        if not candidates:
+            return PlanningError(
+                f"{where}: no codec that {texture.controller} decodes takes this signal; choose another controller"
+            )
+        within = [each for each in candidates if not each.broken and each.quality is not None]
+        best = min(within, key=lambda each: each.shortfall, default=None)
+        enough = [each for each in candidates if each.shortfall <= 0 and each.broken]
+        if not enough:
+            place = "the best is" if best is None else "the best within all limits is"
+            best = best or min(candidates, key=lambda each: each.shortfall)
+            return PlanningError(
+                f"{where}: no codec reaches {target(asked)}; {place} {reached(best, asked)} "
+                f"({best.measured.option.name}); {_lowered(best, asked) or 'choose another measure of quality'}"
+            )
+        nearest = min(enough, key=_octaves_over)
+        exceeded = " and ".join(
+            f"{limit.place(texture.controller)} = {limit.available:.9g}" for limit in nearest.broken
+        )
+        needed = " and ".join(f"{limit.key} = {_rounded_up(limit.needed)}" for limit in nearest.broken)
+        within_limits = (
+            "no setting keeps all limits"
+            if best is None
+            else f"the best within all limits is {reached(best, asked)} ({best.measured.option.name})"
+        )
+        limits = "the limit to this value" if len(nearest.broken) == 1 else "the limits to these values"
+        lower = None if best is None else _lowered(best, asked)
+        return PlanningError(
+            f"{where}: no codec reaches {target(asked)} with {exceeded}; {nearest.measured.option.name} comes nearest "
+            f"and needs {needed}; {within_limits}; raise {limits}{'' if lower is None else f', or {lower}'}"
+        )
+
+    def _missing(self, candidate: Candidate) -> str:
+        """Return the quality of a candidate if it is too low, and the limits that it exceeds."""
+        quality = [reached(candidate, self._scene.asked)] * (candidate.shortfall > 0)
+        limits = [f"{limit.key} {limit.needed:.4g}, limit {limit.available:.4g}" for limit in candidate.broken]
+        return "; ".join([*quality, *limits])
+
+    def _of_option(self, option: CodingOption, bound: float) -> Iterator[tuple[Candidate, int, int]]:
+        """Yield candidates of an option, each with the place of its setting and the blocks in its packets.
+
+        Bisection finds the coarsest setting with the required quality. Then packets of other lengths follow.
+        """
+        lengths = self._evaluator.packet_blocks(option)
+        if option.rate_limit_bps is not None:
+            first_length = lengths[-1]  # the fewest frames leave the most for quality
+        else:
+            first_length = min(lengths, key=lambda blocks: abs(blocks - FIRST_PACKET_BLOCKS))
+        last = len(self._evaluator.qualities(option)) - 1
+        low, high, found = 0, last, None
+        while low <= high:
+            middle = (low + high) // 2
+            candidate = self._candidate(option, middle, first_length)
+            if candidate is not None:
+                yield candidate, middle, first_length
+            if candidate is not None and candidate.shortfall <= 0:
+                found, high = candidate, middle - 1
+            elif candidate is not None and candidate.cost >= bound:
+                return
+            else:
+                low = middle + 1
+        if found is None:
+            return
+        for blocks in self._other_lengths(lengths, found, first_length):
+            # A packet's length moves the quality a little, as refreshes lie elsewhere.
+            for index in range(low, min(low + _FINER, last + 1)):
+                candidate = self._candidate(option, index, blocks)
+                if candidate is not None:
+                    yield candidate, index, blocks
+                    if candidate.shortfall <= 0:
+                        break
+
+    def _other_lengths(self, lengths: list[int], found: Candidate, blocks: int) -> list[int]:
+        """Return the other packet lengths, in blocks, for an option whose candidate `found` has `blocks`.
+
+        The usual ones, and the longest within the delay limit, which have the fewest frames.
+        """
+        usual, limit_ms = set(lengths), self._scene.asked.delay_limit_ms
+        if limit_ms is not None and not self._evaluator.over_position:
+            block_ms = 1e3 * found.measured.packet_samples / blocks / self._evaluator.samples_per_second
+            for buffer_ms in BUFFERS_MS:
+                left_ms = limit_ms - (found.forecast.delay_ms - found.buffer_ms) - buffer_ms
+                longest = blocks + math.floor(left_ms / block_ms)
+                if 0 < longest <= max(usual):
+                    usual.add(longest)
+        return sorted(usual - {blocks})
+
+    def _on_the_whole(self, option: CodingOption, index: int, blocks: int) -> Candidate | None:
+        """Return the candidate measured on the whole texture, with a finer setting if needed.
+
+        If no setting has the quality, return the finest one; None if the codec rejects the texture.
+        """
+        last = None
+        for finer in range(index, min(index + _FINER_ON_THE_WHOLE, len(self._evaluator.qualities(option)))):
+            candidate = self._candidate(option, finer, blocks, whole=True)
+            last = candidate or last
+            if candidate is not None and candidate.shortfall <= 0:
+                return candidate
+        return last
+
+    def _candidate(self, option: CodingOption, index: int, blocks: int, whole: bool = False) -> Candidate | None:
+        measured = self._evaluator.evaluate(option, index, blocks, whole)
+        return None if measured is None else self._evaluator.assessed(measured, self._scene)
+
+
+def _preference(candidate: Candidate) -> tuple[bool, int, float, float]:
+    """Order an option's candidates: one that meets all first, the cheapest of those; else the nearest to it."""
+    return not candidate.meets, len(candidate.broken), max(0.0, candidate.shortfall), candidate.cost
+
+
+def _octaves_over(candidate: Candidate) -> float:
+    """Return by how many octaves a candidate exceeds limits, all together."""
+    return sum(math.log2(limit.needed / limit.available) for limit in candidate.broken if limit.available)
+
+
+@dataclass(frozen=True)
+class _Extra:
+    """A cost of which one candidate has more than another: its name, and how much more, with its unit."""
+
+    name: str
+    text: str
+
+
+def _dominant_extra(best: Candidate, compared: Candidate, weights: Weights) -> _Extra | None:
+    """Return the cost that adds most to the weighted cost of `best`; None if none adds to it."""
+    a, b = best.forecast, compared.forecast
+    memory = [((each.flash_bytes or 0) + (each.ram_bytes or 0)) / 1e3 for each in (a, b)]
+    instructions = [(each.instructions_per_second or 0) / 1e6 for each in (a, b)]
+    weight, difference, name, unit = max(
+        (weights.per_kilobit_per_second, (a.wire_bps - b.wire_bps) / 1e3, "bits", "kbit/s more"),
+        (
+            weights.per_million_instructions_per_second,
+            instructions[0] - instructions[1],
+            "instructions",
+            "million instructions/s more",
+        ),
+        (weights.per_kilobyte, memory[0] - memory[1], "memory", "kB more memory"),
+        (weights.per_millisecond, a.delay_ms - b.delay_ms, "delay", "ms more delay"),
+        key=lambda part: part[0] * part[1],
+    )
+    return _Extra(name, f"{difference:.{2 if difference < 10 else 3}g} {unit}") if weight * difference > 0 else None
+
+
+def _apart(a: float, b: float) -> str:
+    """Return "a vs b" with the fewest decimals, at least 2, that tell them apart."""
+    digits = next((digits for digits in range(2, 9) if f"{a:.{digits}f}" != f"{b:.{digits}f}"), 2)
+    return f"{a:.{digits}f} vs {b:.{digits}f}"
+
+
+def _rounded_up(value: float) -> str:
+    """Return a number above 0 with four significant digits, rounded up, so that it is enough."""
+    step = 10.0 ** (math.floor(math.log10(value)) - 3)
+    return f"{math.ceil(value / step) * step:.9g}"
+
+
+def _lowered(best: Candidate, asked: Asked) -> str | None:
+    """Return how to require no more than the quality of `best`, rounded to the safe side; None if that cannot be."""
+    if best.quality is None or asked.measure == "imperceptible":
+        return None
+    if asked.measure == "third_octave_distance_db":
+        return f"raise {asked.measure} to {math.ceil(10 * best.quality) / 10:g}"
+    scale = 100 if asked.measure == "spqi" else 10
+    lower = math.floor(scale * best.quality) / scale
+    return f"lower {asked.measure} to {lower:g}" if lower > 0 else None
+
+
+def requirements(asked: Asked) -> str:
+    """Return all requirements: the quality, and the limits of rate and delay."""
+    given = [target(asked)]
+    if asked.rate_limit_bps is not None:
+        given.append(f"{asked.rate_limit_bps:.9g} bit/s")
+    if asked.delay_limit_ms is not None:
+        given.append(f"{asked.delay_limit_ms:g} ms")
+    return listed(given)
+
+
+def reached(candidate: Candidate, asked: Asked) -> str:
+    """Return the quality of a candidate in words."""
+    if candidate.quality is None:
+        return "silence"
+    if asked.measure == "imperceptible":
+        return f"an error of {candidate.quality:+.1f} dB re the felt level"
+    name, unit = QUALITIES[asked.measure]
+    return f"{name} {candidate.quality:.3g}{unit}"
+
+
+def target(asked: Asked) -> str:
+    """Return the required quality in words."""
+    if asked.measure == "imperceptible":
+        return f"an error of {MARGIN_DB:g} dB re the felt level"
+    name, unit = QUALITIES[asked.measure]
+    return f"{name} {getattr(asked, asked.measure):.3g}{unit}"
+
+
+def _planned(choice: TextureChoice) -> PlannedTexture:
+    evaluator, chosen = choice.evaluator, choice.chosen
+    measured = chosen.measured
+    target = measured.target or RateTarget()
+    return PlannedTexture(
+        name=evaluator.texture.name,
+        source=evaluator.texture.source,
+        controller=evaluator.texture.controller,
+        hand_speed_mm_s=evaluator.hand_speed_mm_s,
+        over_position=evaluator.over_position,
+        codec=measured.option.codec,
+        model=measured.model,
+        setting=measured.setting,
+        rate=evaluator.band.rate,
+        lowest=evaluator.band.lowest,
+        highest=evaluator.band.highest,
+        packet_samples=measured.packet_samples,
+        refresh_packets=measured.refresh_packets,
+        rate_mode=SETTING_MODE if measured.target is None else CAPPED_MODE,
+        buffer_ms=chosen.buffer_ms,
+        forecast=chosen.forecast,
+        sha256=evaluator.texture.source.sha256(),
+        capped_rate_bps=target.capped_rate_bps,
+        packet_snr_db=target.snr_db,
+    )

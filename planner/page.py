@@ -1,0 +1,301 @@
+"""Shows a plan: the answer as text or JSON, the picture of the candidates, and their tables."""
+
+import json
+import textwrap
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from msgspec import structs
+
+from vibrocast import pages
+from vibrocast.codec.rate_controlled import RateTarget
+from vibrocast.evaluation.points import write_rows
+from vibrocast.files import atomic_write
+from vibrocast.host.printable import plain
+from vibrocast.planner.band import MARGIN_DB
+from vibrocast.planner.candidates import Candidate
+from vibrocast.planner.choose import TextureChoice
+from vibrocast.planner.plan_file import PlannedTexture
+from vibrocast.planner.scene import Asked, Scene
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+CANDIDATES, BANDS, PICTURE, PLAN = "candidates.csv", "bands.csv", "plan.png", "plan.toml"
+MAX_PANELS = 6
+WIDTH, INDENT = 80, 14
+"""Columns of the answer, and of its labels."""
+FAR = {"snr_db": 6.0, "spqi": 0.3, "third_octave_distance_db": 4.0, "imperceptible": 12.0}
+"""Difference from the target, in the unit of each measure, up to which the picture shows candidates."""
+FAR_COST = 2.0
+"""Multiple of the choice's cost up to which the picture shows candidates."""
+_LABEL, _LEGEND = 0.075, 0.74
+"""Height of a line of a label, and lower end of the legend, as parts of a panel."""
+LABELS = {
+    "snr_db": "SNR, dB",
+    "spqi": "SPQI",
+    "third_octave_distance_db": "third-octave distance, dB (less is better)",
+    "imperceptible": "error re felt level, dB (less is better)",
+}
+_MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*", "p", "h")
+# Dark to light, so that grey print keeps them apart; markers differ as well.
+_COLOURS = ("#20123a", "#0072b2", "#009e73", "#d55e00", "#cc79a7", "#56b4e9", "#e69f00")
+
+
+@dataclass(frozen=True)
+class CandidateRow:
+    """A line of candidates.csv; costs and qualities as in plan_file.Forecast.
+
+    `short_of`: the requirements that it misses: "quality", or keys of limits. `packet_snr_db`, `capped_rate_bps`: of a
+    capped rate, as in plan_file.PlannedTexture.
+    """
+
+    texture: str
+    codec: str
+    model: str | None
+    setting: str
+    packet_snr_db: float | None
+    capped_rate_bps: float | None
+    packet_samples: int
+    refresh_packets: int
+    buffer_ms: float
+    cost: float
+    quality: float | None
+    meets: bool
+    chosen: bool
+    short_of: str
+    payload_bps: float
+    wire_bps: float
+    instructions_per_second: float | None
+    load_percent: float | None
+    flash_bytes: int | None
+    ram_bytes: int | None
+    snr_db: float | None
+    spqi: float | None
+    third_octave_distance_db: float | None
+    error_over_threshold_db: float | None
+    delay_ms: float
+
+
+@dataclass(frozen=True)
+class BandRow:
+    """A line of bands.csv: a third octave of a texture at the skin, levels in dB re the detection threshold."""
+
+    texture: str
+    frequency_hz: float
+    level_db: float
+    reach_db: float
+    worth_coding: bool
+
+
+def write_tables(folder: Path, choices: Sequence[TextureChoice]) -> None:
+    """Write candidates.csv and bands.csv. Raises OSError."""
+    with atomic_write(folder / CANDIDATES) as path:
+        write_rows(path, [row for choice in choices for row in _candidate_rows(choice)], CandidateRow)
+    with atomic_write(folder / BANDS) as path:
+        rows = [
+            BandRow(
+                choice.name, round(each.frequency_hz, 2), round(each.level_db, 2), round(each.reach_db, 2), each.worth
+            )
+            for choice in choices
+            for each in choice.evaluator.band.levels
+        ]
+        write_rows(path, rows, BandRow)
+
+
+def _candidate_rows(choice: TextureChoice) -> Iterator[CandidateRow]:
+    for candidate in choice.candidates:
+        measured = candidate.measured
+        target = measured.target or RateTarget()
+        yield CandidateRow(
+            choice.name,
+            measured.option.codec,
+            measured.model,
+            json.dumps(measured.setting),
+            target.snr_db,
+            target.capped_rate_bps,
+            measured.packet_samples,
+            measured.refresh_packets,
+            candidate.buffer_ms,
+            round(candidate.cost, 4),
+            candidate.quality,
+            candidate.meets,
+            candidate == choice.chosen,
+            "; ".join(["quality"] * (candidate.shortfall > 0) + [limit.key for limit in candidate.broken]),
+            **structs.asdict(candidate.forecast),
+        )
+
+
+def draw(path: Path, scene: Scene, choices: Sequence[TextureChoice]) -> None:
+    """Draw cost against quality, a panel for each texture, with the choice and its alternatives. Raises OSError.
+
+    A panel leaves out candidates that would squeeze the others (`is_near`), and states their number.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    shown = choices[:MAX_PANELS]
+    figure = Figure(figsize=(8.4, 4.2 * len(shown) + 0.6), dpi=120, layout="constrained")
+    FigureCanvasAgg(figure)
+    left = "" if len(shown) == len(choices) else f" (the first {len(shown)} of {len(choices)} textures)"
+    figure.suptitle(f"{scene.path.name}: the choice and its alternatives{left}", fontweight="bold", parse_math=False)
+    panels = figure.subplots(len(shown), 1, squeeze=False).ravel()
+    codecs = list(dict.fromkeys(each.measured.option.codec for choice in choices for each in choice.candidates))
+    for axes, choice in zip(panels, shown, strict=True):
+        _draw_panel(axes, scene.asked, choice, codecs)
+    with atomic_write(path) as partial:
+        figure.savefig(partial)
+
+
+def _draw_panel(axes: "Axes", asked: Asked, choice: TextureChoice, codecs: Sequence[str]) -> None:
+    alternatives = [(each.option, each.best) for each in choice.alternatives if each.best is not None]
+    near = [each for each in choice.candidates if is_near(asked, choice, each)]
+    for place, name in enumerate(codecs):
+        own = [each for each in near if each.measured.option.codec == name]
+        colour = _COLOURS[place % len(_COLOURS)]
+        axes.scatter(
+            [each.quality or 0.0 for each in own],
+            [each.cost for each in own],
+            marker=_MARKERS[place % len(_MARKERS)],
+            s=26,
+            facecolors=[colour if each.meets else "none" for each in own],
+            edgecolors=colour,
+            linewidths=0.9,
+            label=name if own else "_",
+        )
+    forecast = choice.chosen.forecast
+    chosen = f"{choice.chosen.measured.option.name}\n{forecast.wire_bps / 1e3:.2f} kbit/s, {forecast.delay_ms:.0f} ms"
+    labels = [(chosen, choice.compared), *((option.name, best) for option, best in alternatives)]
+    _label(axes, [(text, each) for text, each in labels if each in near])
+    axes.axvline(wanted(asked), color="0.5", linestyle=(0, (5, 2)), linewidth=1)
+    axes.set_xlabel(f"{LABELS[asked.measure]}; dashed: the target")
+    axes.set_ylabel("weighted cost")
+    outside = len(choice.candidates) - len(near)
+    note = f"; {outside} further candidates outside, see {CANDIDATES}" if outside else ""
+    axes.set_title(f"{choice.name}{note}", loc="left", fontsize="medium", parse_math=False)
+    axes.grid(alpha=0.3)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(
+        fontsize="x-small",
+        ncols=2,
+        title="filled: meets all requirements",
+        title_fontsize="x-small",
+        frameon=False,
+        loc="upper left",
+        bbox_to_anchor=(1.03, 1.0),
+        borderaxespad=0,
+    )
+
+
+def _label(axes: "Axes", marked: Sequence[tuple[str, Candidate]]) -> None:
+    """Write labels right of a panel, each near the height of its candidate; the first one, the choice, is bold."""
+    low, high = axes.get_ylim()
+    in_order = sorted(marked, key=lambda each: each[1].cost)
+    heights = [_LABEL * (1 + text.count("\n")) for text, _ in in_order]
+    bottom = 0.0
+    for place, (text, candidate) in enumerate(in_order):
+        is_choice = candidate is marked[0][1]
+        # Above the label before; low enough for those that follow, below the legend.
+        level = (candidate.cost - low) / (high - low) - heights[place] / 2
+        bottom = max(bottom, min(level, _LEGEND - sum(heights[place:])))
+        position = (candidate.quality or 0.0, candidate.cost)
+        axes.scatter(
+            *position,
+            s=200 if is_choice else 100,
+            facecolors="none",
+            edgecolors="black",
+            linewidths=2 if is_choice else 1,
+        )
+        axes.annotate(
+            text,
+            position,
+            xytext=(1.03, bottom + heights[place] / 2),
+            textcoords="axes fraction",
+            verticalalignment="center",
+            fontsize="small",
+            fontweight="bold" if is_choice else "normal",
+            arrowprops={"arrowstyle": "-", "linewidth": 0.6, "color": "0.4", "relpos": (0, 0.5), "shrinkB": 6},
+            annotation_clip=False,
+            parse_math=False,
+        )
+        bottom += heights[place]
+    axes.set_ylim(low, high)
+
+
+def is_near(asked: Asked, choice: TextureChoice, candidate: Candidate) -> bool:
+    """Return whether the picture shows a candidate: near the target, and at most FAR_COST times the choice's cost.
+
+    An alternative widens these limits, to twice as much at most. Silence has no quality, and no place.
+    """
+    if candidate.quality is None:
+        return False
+    factor = 2 if candidate in [each.best for each in choice.alternatives] else 1
+    is_cheap = candidate.cost <= factor * FAR_COST * choice.compared.cost
+    is_close = abs(candidate.quality - wanted(asked)) <= factor * FAR[asked.measure]
+    return candidate == choice.compared or (is_cheap and is_close)
+
+
+def wanted(asked: Asked) -> float:
+    """Return the target quality in its measure."""
+    return MARGIN_DB if asked.measure == "imperceptible" else float(getattr(asked, asked.measure))
+
+
+def summary(asked: Asked, choice: TextureChoice, planned: PlannedTexture) -> str:
+    """Return the answer for one texture in lines of WIDTH columns at most: the choice, then the alternatives."""
+    text = pages.render(
+        Path(__file__).with_name("plan.txt.jinja"),
+        texture=planned,
+        chosen=choice.chosen.measured.option.name,
+        why=choice.why,
+        settings=_settings(planned, choice.chosen),
+        at_the_skin=asked.measure == "imperceptible",
+        alternatives=choice.alternatives,
+    )
+    # Names come from files: what cannot be seen is escaped before lines are folded.
+    return "\n".join(
+        textwrap.fill(plain(line), WIDTH, subsequent_indent=" " * (INDENT if line.startswith(" ") else 2))
+        for line in text.splitlines()
+    )
+
+
+def _settings(planned: PlannedTexture, chosen: Candidate) -> str:
+    """Return the settings that the option's name does not state, the rate and the packets."""
+    named = chosen.measured.option.given
+    values = {name: value for name, value in planned.setting.items() if name not in named}
+    listed = [
+        f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}" for name, value in values.items()
+    ]
+    rate = f"{planned.rate} samples/m" if planned.over_position else f"{planned.rate} Hz"
+    return "; ".join(filter(None, (", ".join(listed), f"{rate}, packets of {planned.packet_samples} samples")))
+
+
+def document(choice: TextureChoice, planned: PlannedTexture) -> dict[str, object]:
+    """Return the answer for one texture, ready for JSON. Costs are those on which options were compared."""
+    return {
+        "texture": planned.name,
+        "choice": {
+            "option": choice.chosen.measured.option.name,
+            "codec": planned.codec,
+            "model": planned.model,
+            "setting": dict(planned.setting),
+            "rate": planned.rate,
+            "packet_samples": planned.packet_samples,
+            "controller": planned.controller,
+            "cost": choice.compared.cost,
+            "forecast": structs.asdict(planned.forecast),
+        },
+        "reason": choice.why,
+        "alternatives": [
+            {
+                "option": each.option.name,
+                "rejected": each.why,
+                "meets": each.best.meets,
+                "cost": each.best.cost,
+                "quality": each.best.quality,
+            }
+            for each in choice.alternatives
+            if each.best is not None
+        ],
+    }

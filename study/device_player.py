@@ -1,0 +1,368 @@
+"""Plays the stimuli of a study on a controller, on a sound card or nowhere: one interface for the session."""
+
+import math
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+
+from vibrocast.codec.stream import Stream
+from vibrocast.device_protocol.coded_stream import StreamError
+from vibrocast.device_protocol.messages import State, Status
+from vibrocast.device_protocol.transports import TransportError
+from vibrocast.host import player, position_playback, profiles
+from vibrocast.host.controller import Controller, ControllerError
+from vibrocast.host.limits import carried, check_limits, fitted
+from vibrocast.host.position_playback import Movement, back_and_forth
+from vibrocast.host.stream_session import configure_steps
+from vibrocast.output.actuator import Actuator, Codes
+from vibrocast.output.rendering import render
+from vibrocast.output.sample_player import SamplePlayer
+from vibrocast.output.sound_card import Card
+from vibrocast.study.stimuli import UNCODED_SNR_DB, stream_sha256
+from vibrocast.study.study_file import Hand
+from vibrocast.study.trials import Played, Stimulus, StimulusPlayer
+
+# A controller that has not come to rest after this time is given up; its watchdog stops it.
+_STOP_WITHIN_S = 5.0
+
+
+class _Stopped(Exception):
+    """Raised in the thread that plays, to end a stimulus before its time."""
+
+
+@dataclass
+class _Playing:
+    """A stimulus under way, and its thread."""
+
+    stimulus: Stimulus
+    thread: threading.Thread
+    stopping: threading.Event
+
+
+class ControllerPlayer(StimulusPlayer):
+    """Plays on a controller session, which nobody else uses meanwhile.
+
+    One thread at a time talks to the controller. `switch` stops and starts, because a controller plays one stream at a
+    time: about 0.4 s lie between. Some streams no controller decodes, such as one that is coded as a whole file. Such a
+    stream is decoded here and sent as `limits.carried` says. That error lies far below the stream's own.
+    `reconnect_s`: how long a broken connection is opened again.
+    """
+
+    def __init__(self, controller: Controller, reconnect_s: float = player.RECONNECT_S) -> None:
+        self._controller, self._reconnect_s = controller, reconnect_s
+        self._playing: _Playing | None = None
+        self._error: Exception | None = None
+        self._played: list[Played] = []
+        self._carried: dict[str, Stream] = {}
+
+    def prepare(self, stimuli: Sequence[Stimulus]) -> None:
+        """Offer each stream to the controller, split packets that are too long, code again what it rejects."""
+        for stimulus in stimuli:
+            stream = stimulus.stream
+            try:
+                check_limits(self._controller, stream.header.channels, stream.header.rate_hz)
+            except StreamError as error:
+                raise ControllerError(f"{stimulus.key}: {error}") from error
+            try:
+                sent = fitted(self._controller, stream)
+                self._controller.run(configure_steps(self._controller, sent.header, 1, packets=len(sent.packets)))
+                self._controller.stop()
+            except StreamError:
+                sent = carried(stream)
+            except ControllerError as error:
+                if error.code is None:
+                    raise
+                sent = carried(stream)
+            self._carried[stream_sha256(stream)] = sent
+
+    def start(self, stimulus: Stimulus) -> None:
+        """Play from the beginning; the one before ramps down first. Raises ControllerError, TransportError."""
+        self._end()
+        self._raise_error()
+        stopping = threading.Event()
+        thread = threading.Thread(target=self._play, args=(stimulus, stopping), name="stimulus", daemon=True)
+        self._playing = _Playing(stimulus, thread, stopping)
+        thread.start()
+
+    def switch(self, stimulus: Stimulus) -> None:
+        """Play another stimulus from its beginning."""
+        self.start(stimulus)
+
+    def stop(self) -> None:
+        """Bring the actuator to rest. Never raises for a device that is gone."""
+        self._end()
+
+    def playing(self) -> str | None:
+        """Return the key of the stimulus that plays, None at rest. Raises ControllerError, TransportError."""
+        self._raise_error()
+        now = self._playing
+        return now.stimulus.key if now is not None and now.thread.is_alive() else None
+
+    def take_played(self) -> list[Played]:
+        """Return what has been played since the last call."""
+        played, self._played = self._played, []
+        return played
+
+    def close(self) -> None:
+        """Stop; whoever opened the session closes it."""
+        self._end()
+
+    def _end(self) -> None:
+        """End the stimulus that plays, and wait for its thread."""
+        now, self._playing = self._playing, None
+        if now is not None:
+            now.stopping.set()
+            now.thread.join(_STOP_WITHIN_S)
+
+    def _raise_error(self) -> None:
+        error, self._error = self._error, None
+        if error is not None:
+            raise error
+
+    def _play(self, stimulus: Stimulus, stopping: threading.Event) -> None:
+        """Play one stimulus, in its own thread."""
+        begun_utc: datetime | None = None
+        begun_s = 0.0
+        asked_s = time.monotonic()
+        latest: player.Progress | None = None
+
+        def watch(now: player.Progress) -> None:
+            nonlocal begun_utc, begun_s, latest
+            latest = now
+            if begun_utc is None and now.status.state == State.PLAYING:
+                begun_s = time.monotonic() - now.position_s
+                begun_utc = datetime.now(UTC) - timedelta(seconds=now.position_s)
+            if stopping.is_set():
+                raise _Stopped
+
+        try:
+            stream = self._carried.get(stream_sha256(stimulus.stream), stimulus.stream)
+            packet_samples = stream.decoder().packet_samples
+            if not stopping.is_set():
+                player.play(
+                    self._controller,
+                    stream.header,
+                    stream.packets,
+                    packet_samples,
+                    loops=stimulus.loops,
+                    progress=watch,
+                )
+        except _Stopped:
+            pass
+        except (ControllerError, TransportError) as error:
+            self._error = error
+        except (StreamError, ValueError) as error:
+            self._error = ControllerError(f"{stimulus.key} cannot be played: {error}")
+        if latest is not None and begun_utc is not None:
+            self._note(stimulus, latest.status, begun_utc, begun_s, asked_s)
+
+    def _note(self, stimulus: Stimulus, status: Status, begun_utc: datetime, begun_s: float, asked_s: float) -> None:
+        """Note what was played, from the last status."""
+        limited = status.compensation_clipped + status.voltage_limited + status.slew_limited + status.power_limited
+        self._played.append(
+            Played(
+                stimulus=stimulus.key,
+                stream_sha256=stream_sha256(stimulus.stream),
+                started_utc=begun_utc.isoformat(timespec="microseconds"),
+                latency_ms=1000 * (begun_s - asked_s),
+                gain_db=stimulus.gain_db,
+                limited=limited,
+                underruns=status.underruns,
+                seconds=time.monotonic() - begun_s,
+            )
+        )
+
+
+class HandPlayer(ControllerPlayer):
+    """Plays stimuli over position: under the controller's own sensor of the hand, or under the strokes of `hand`.
+
+    A stimulus that is coded over time, for a hand at `hand.speed_mm_s`, is a height profile at that speed. It is
+    decoded here and sent as a profile in the default codec at UNCODED_SNR_DB. The controller repeats it at its ends.
+    `seconds`: duration of a presentation. A controller without a sensor gets strokes there and back, one a beat.
+    """
+
+    def __init__(self, controller: Controller, hand: Hand, seconds: float) -> None:
+        super().__init__(controller)
+        self._speed_mm_s = hand.speed_mm_s
+        # The highest speed of a cosine is pi / 2 times its mean.
+        whole = back_and_forth(hand.stroke_mm, math.pi / 2 * hand.speed_mm_s, math.ceil(seconds / (2 * hand.stroke_s)))
+        within = whole.times_s <= seconds
+        self._movement = Movement(whole.times_s[within], whole.positions_mm[within])
+
+    def prepare(self, stimuli: Sequence[Stimulus]) -> None:
+        """Make a profile of each stimulus, and load it once. Raises ControllerError, TransportError."""
+        for stimulus in stimuli:
+            recording = stimulus.stream.recording()
+            over_position = replace(recording, rate_hz=1000 * recording.rate_hz / self._speed_mm_s)
+            try:
+                profile = profiles.encode(over_position, snr_db=UNCODED_SNR_DB, touch=0).stream
+                position_playback.load(self._controller, profile)
+            except (ControllerError, ValueError) as error:
+                raise ControllerError(f"{stimulus.key} as a height profile: {error}") from error
+            finally:
+                self._controller.stop()
+            self._carried[stream_sha256(stimulus.stream)] = profile
+
+    def _play(self, stimulus: Stimulus, stopping: threading.Event) -> None:
+        """Play one stimulus, in its own thread."""
+        asked_s = time.monotonic()
+        begun: tuple[datetime, float] | None = None
+
+        def watch(part: float) -> None:
+            nonlocal begun
+            if begun is None and part > 0:
+                begun = datetime.now(UTC), time.monotonic()
+            if stopping.is_set():
+                raise _Stopped
+
+        try:
+            profile = self._carried[stream_sha256(stimulus.stream)]
+            with suppress(_Stopped):
+                position_playback.play(self._controller, profile, self._movement, watch)
+            if begun is not None:
+                self._note(stimulus, self._controller.request_status(), *begun, asked_s)
+        except (ControllerError, TransportError) as error:
+            self._error = error
+
+
+class CardPlayer(StimulusPlayer):
+    """Plays on a sound card: each stimulus is rendered once, by the integer code of controllers, at the card's rate.
+
+    `switch` goes on at the same place without a gap. `actuator` is the one behind the card, whose DAC is the card;
+    `channels` are the card's, from 1: a stimulus of one channel plays on all of them. Raises TransportError and
+    MissingExtraError.
+    """
+
+    def __init__(self, card: Card, channels: Sequence[int], actuator: Actuator) -> None:
+        self._actuator, self._channels = actuator, len(channels)
+        self._samples = SamplePlayer(card, channels, actuator)
+        self._rendered: dict[str, tuple[Codes, int]] = {}
+        self._known: dict[str, Stimulus] = {}
+        self._counted = self._samples.underruns, self._samples.limited
+
+    def prepare(self, stimuli: Sequence[Stimulus]) -> None:
+        """Render each stimulus, and wait until the card plays. Raises as `start`.
+
+        Raises ControllerError for a stimulus that the card's channels cannot play.
+        """
+        self._samples.wait_for_begin()
+        for stimulus in stimuli:
+            self._codes(stimulus)
+
+    def start(self, stimulus: Stimulus) -> None:
+        """Play from the beginning; the one before fades out meanwhile. Raises TransportError."""
+        self._samples.start(*self._codes(stimulus))
+
+    def switch(self, stimulus: Stimulus) -> None:
+        """Go on at the same place in another stimulus. Raises TransportError."""
+        self._samples.switch(*self._codes(stimulus))
+
+    def stop(self) -> None:
+        """Bring the output to rest."""
+        self._samples.stop()
+
+    def playing(self) -> str | None:
+        """Return the key of the stimulus that plays, None at rest. Raises TransportError if the card is gone."""
+        sha256 = self._samples.playing()
+        return None if sha256 is None else self._known[sha256].key
+
+    def take_played(self) -> list[Played]:
+        """Return what has been played since the last call."""
+        counts = self._samples.underruns, self._samples.limited
+        underruns, limited = (now - before for now, before in zip(counts, self._counted, strict=True))
+        self._counted = counts
+        taken = []
+        for each in self._samples.take_played():
+            stimulus = self._known[each.key]
+            begun_utc = datetime.fromtimestamp(each.started_s, UTC)
+            taken.append(
+                Played(
+                    stimulus=stimulus.key,
+                    stream_sha256=each.key,
+                    started_utc=begun_utc.isoformat(timespec="microseconds"),
+                    latency_ms=1000 * self._samples.latency_s,
+                    gain_db=stimulus.gain_db,
+                    limited=self._rendered[each.key][1] + limited,
+                    underruns=underruns,
+                    seconds=each.frames / self._actuator.dac_rate_hz,
+                )
+            )
+        return taken
+
+    def close(self) -> None:
+        """Bring the output to rest, and release the card."""
+        self._samples.close()
+
+    def _codes(self, stimulus: Stimulus) -> tuple[str, Codes]:
+        """Return the hash of a stimulus and its codes int16 (n, channels), rendered once. Raises ControllerError."""
+        stream = stimulus.stream
+        sha256 = stream_sha256(stream)
+        if sha256 not in self._rendered:
+            if stream.header.channels not in (1, self._channels):
+                raise ControllerError(
+                    f"{stimulus.key}: {stream.header.channels} channels on {self._channels} of the sound card; name as "
+                    "many in its address"
+                )
+            delay = stream.decoder().delay_samples
+            codes, counts = render(stream.header, stream.decode_integers(), delay, self._actuator, loops=stimulus.loops)
+            limits = counts.compensation_clipped, counts.voltage_limited, counts.slew_limited, counts.power_limited
+            self._rendered[sha256] = (
+                np.ascontiguousarray(np.broadcast_to(codes, (len(codes), self._channels))),
+                sum(limits),
+            )
+        self._known[sha256] = stimulus
+        return sha256, self._rendered[sha256][0]
+
+
+class SilentPlayer(StimulusPlayer):
+    """Plays nothing, for simulated observers, rehearsals and tests.
+
+    `speed`: how many times faster than real time it is; infinite = every stimulus is over at once.
+    """
+
+    def __init__(self, speed: float = float("inf")) -> None:
+        self._speed = speed
+        self._now: Stimulus | None = None
+        self._until_s = 0.0
+        self._played: list[Played] = []
+
+    def prepare(self, stimuli: Sequence[Stimulus]) -> None:
+        """Do nothing."""
+
+    def start(self, stimulus: Stimulus) -> None:
+        """Note that a stimulus begins."""
+        self._now = stimulus
+        self._until_s = time.monotonic() + stimulus.seconds / self._speed
+        now_utc = datetime.now(UTC).isoformat(timespec="microseconds")
+        sha256 = stream_sha256(stimulus.stream)
+        self._played.append(Played(stimulus.key, sha256, now_utc, None, stimulus.gain_db, 0, 0, stimulus.seconds))
+
+    def switch(self, stimulus: Stimulus) -> None:
+        """Note another stimulus, at the same place."""
+        until_s = self._until_s
+        self.start(stimulus)
+        self._until_s = until_s
+
+    def stop(self) -> None:
+        """Note that nothing plays."""
+        self._now = None
+
+    def playing(self) -> str | None:
+        """Return the key of the stimulus whose time is not over."""
+        if self._now is not None and time.monotonic() >= self._until_s:
+            self._now = None
+        return None if self._now is None else self._now.key
+
+    def take_played(self) -> list[Played]:
+        """Return what has been noted since the last call."""
+        played, self._played = self._played, []
+        return played
+
+    def close(self) -> None:
+        """Do nothing."""
+        self.stop()

@@ -1,0 +1,228 @@
+"""Tests of `vibrocast export`: a checkpoint becomes a folder that codes and plays; other files are rejected."""
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, NoReturn
+
+import onnx
+import pytest
+import torch
+
+from tests.cli.test_command_line import fails, succeeds, vibrocast
+from tests.export import tiny
+from vibrocast import codec, models, textures
+from vibrocast.codec.encoding import encode_recording
+from vibrocast.codec.eva_image import EvaImage
+from vibrocast.device_protocol.model_image import sha256
+from vibrocast.export import model_card
+from vibrocast.firmware.keys import read_public_key
+from vibrocast.host import signatures
+
+
+@pytest.fixture(scope="session")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("trained") / "checkpoint.pt"
+    tiny.checkpoint().save(path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def exported(trained: Path) -> Path:
+    out = trained.with_name("exported")
+    succeeds("export", trained, "--out", out, "--runtime", "both")
+    return out
+
+
+def texture() -> textures.Recording:
+    return textures.GENERATORS["rough"](seed=5, seconds=0.5)
+
+
+def test_the_folder_holds_a_model(exported: Path) -> None:
+    model = models.load(exported)
+    assert sorted(path.name for path in exported.iterdir()) == sorted(
+        ["analysis.onnx", "synthesis.onnx", "tiny.vcmi", "card.json", "card.md", "curves.csv", "curves.png"]
+    )
+    assert (model.name, model.family) == ("tiny", "tiny")
+    codec.check_tables(model.codec_identifier, model.tables)
+    image = EvaImage.unpack(model.tables)
+    assert (image.width, image.latents, image.prior, image.runtime) == (16, 16, "adaptive", "core")
+    assert image.graph == (exported / "synthesis.onnx").read_bytes()
+    for file in ("analysis.onnx", "synthesis.onnx"):
+        onnx.checker.check_model(onnx.load(exported / file), full_check=True)
+
+
+def test_a_signed_export_is_a_whole_model_with_the_identity_of_the_unsigned_one(
+    trained: Path, exported: Path, tmp_path: Path
+) -> None:
+    key, out = tmp_path / "key.pem", tmp_path / "signed"
+    succeeds("keys", "new", key)
+    succeeds("export", trained, "--out", out, "--runtime", "both", "--sign", key, "--number", 4)
+    signed, plain = models.load(out).image, models.load(exported).image
+    assert signatures.check(signed, read_public_key(key)).number == 4
+    assert sha256(signed) == sha256(plain)
+    for half in (("--sign", key), ("--number", 4)):
+        assert "pass both" in fails(2, "export", trained, "--out", tmp_path / "none", *half)
+
+
+def test_the_card_says_what_the_model_is_and_does(exported: Path) -> None:
+    card = models.load(exported).card
+    assert card["shape"] == {"width": 16, "latents": 16}
+    assert card["prior"] == "adaptive"
+    assert card["training"]["data"] == [
+        {
+            "name": "generator",
+            "about": "this project's generated textures",
+            "recordings": 2,
+            "hours": pytest.approx(2 / 3600, rel=0.01),
+        }
+    ]
+    assert card["training"]["held_back"] == ["generator/grating", "generator/wood"]
+    assert (card["training"]["seed"], card["training"]["steps"]) == (1, 1)
+    assert max(card["export"]["parity"].values()) <= 1e-5
+    point = card["results"]["point"]
+    assert 0 < point["bits_per_sample"] < point["bits_per_sample_static"]
+    assert point["snr_db"] == pytest.approx(point["snr_db_by_onnx"], abs=0.3)
+    assert all(seconds > 0 for seconds in card["results"]["seconds_per_million_samples"].values())
+    for file, about in card["files"].items():
+        assert about["bytes"] == (exported / file).stat().st_size
+    text = (exported / "card.md").read_text()
+    for needed in ("# tiny, version 1", "generator/wood", "seed 1", "opset 17", "seconds per million samples"):
+        assert needed in text
+
+
+def test_the_same_checkpoint_gives_the_same_files(trained: Path, exported: Path, tmp_path: Path) -> None:
+    succeeds("export", trained, "--out", tmp_path / "again", "--runtime", "both")
+    for file in ("analysis.onnx", "synthesis.onnx", "tiny.vcmi"):
+        assert (tmp_path / "again" / file).read_bytes() == (exported / file).read_bytes()
+
+
+def test_an_image_holds_the_requested_parts(trained: Path, tmp_path: Path) -> None:
+    succeeds(
+        *("export", trained, "--name", "other", "--version", "2", "--out", tmp_path / "new" / "out"),
+        *("--runtime", "onnx", "--prior", "static"),
+    )
+    model = models.load(tmp_path / "new" / "out")
+    image = EvaImage.unpack(model.tables)
+    assert image.prior == "static" == model.card["prior"]
+    assert (model.name, model.card["version"], image.runtime, image.network) == ("other", "2", "onnx", None)
+    encoding = encode_recording(texture(), setting={"level": 1.0}, model=model)
+    assert encoding.quality.snr_db is not None and encoding.quality.snr_db > 8
+
+
+def unreadable(kind: str, whole: bytes, path: Path) -> None:
+    if kind == "text":
+        path.write_text("no checkpoint")
+    elif kind == "cut short":
+        path.write_bytes(whole[: len(whole) // 2])
+    elif kind == "weights alone":
+        torch.save({"weight": torch.zeros(3)}, path)
+    elif kind == "another version":
+        torch.save({**torch.load(path.with_name("checkpoint.pt"), weights_only=True), "version": 99}, path)
+    elif kind == "arrays of another shape":
+        content = torch.load(path.with_name("checkpoint.pt"), weights_only=True)
+        torch.save({**content, "shape": {**content["shape"], "width": 8}}, path)
+    elif kind == "not finite":
+        content = torch.load(path.with_name("checkpoint.pt"), weights_only=True)
+        content["model"]["analysis.0.weight"][:] = torch.nan
+        torch.save(content, path)
+    elif kind == "all zeros":
+        content = torch.load(path.with_name("checkpoint.pt"), weights_only=True)
+        torch.save({**content, "model": {name: 0 * array for name, array in content["model"].items()}}, path)
+    elif kind == "sparse":
+        content = torch.load(path.with_name("checkpoint.pt"), weights_only=True)
+        torch.save({**content, "model": {name: array.to_sparse() for name, array in content["model"].items()}}, path)
+    elif kind == "another training":
+        content = torch.load(path.with_name("checkpoint.pt"), weights_only=True)
+        torch.save({**content, "training": {"name": "tiny"}}, path)
+
+
+@pytest.mark.parametrize(
+    ("kind", "advice"),
+    [
+        ("missing", "give a checkpoint"),
+        ("text", "give one that"),
+        ("cut short", "give one that"),
+        ("weights alone", "give one that"),
+        ("another version", "version 99"),
+        ("arrays of another shape", "train the model again"),
+        ("not finite", "train the model again"),
+        ("all zeros", "train it again"),
+        ("sparse", "train the model again"),
+        ("another training", "missing"),
+    ],
+)
+def test_bad_checkpoints_are_rejected(kind: str, advice: str, trained: Path, tmp_path: Path) -> None:
+    (tmp_path / "checkpoint.pt").write_bytes(trained.read_bytes())
+    unreadable(kind, trained.read_bytes(), tmp_path / "other.pt")
+    assert advice in fails(2, "export", tmp_path / "other.pt", "--out", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_is_no_model_is_not_replaced(trained: Path, tmp_path: Path) -> None:
+    (tmp_path / "letters").mkdir()
+    (tmp_path / "letters" / "to_a_friend").write_text("dear")
+    assert "give another --out" in fails(2, "export", trained, "--out", tmp_path / "letters")
+    assert "small letters" in fails(2, "export", trained, "--name", "../up", "--out", tmp_path / "up")
+    assert [path.name for path in tmp_path.rglob("*")] == ["letters", "to_a_friend"]
+
+
+def test_data_that_are_not_there_are_named(tmp_path: Path) -> None:
+    checkpoint = tiny.checkpoint()
+    checkpoint.training["archive"] = [{"archive": "recordings.npz", "drop_s": 0.0, "high_pass_hz": 0.0}]
+    checkpoint.save(tmp_path / "checkpoint.pt")
+    rejection = fails(2, "export", tmp_path / "checkpoint.pt", "--out", tmp_path / "out", "--data", tmp_path)
+    assert "recordings.npz" in rejection
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_failed_export_leaves_the_model_that_was_there(
+    trained: Path, exported: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(card: Any) -> NoReturn:
+        raise OSError(28, "No space left on device", "card.md")
+
+    before = {path.name: path.read_bytes() for path in exported.iterdir()}
+    monkeypatch.setattr(model_card, "as_markdown", full)
+    failed = vibrocast("export", trained, "--name", "other", "--out", exported)
+    assert failed.exit_code == 2
+    assert "free some space" in failed.stderr
+    assert {path.name: path.read_bytes() for path in exported.iterdir()} == before
+    assert not [path.name for path in exported.parent.iterdir() if path.name.startswith(".")]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("missing", ["torch", "onnx"])
+def test_without_torch_or_onnx_the_command_says_what_to_install(missing: str, trained: Path, tmp_path: Path) -> None:
+    (tmp_path / f"{missing}.py").write_text(f"raise ModuleNotFoundError('not installed', name={missing!r})")
+    code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from vibrocast.host.cli.entry import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", code, "export", str(trained)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert f"needs {missing}; install the extra [train]: " in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_training_that_was_cut_is_not_exported(tmp_path: Path) -> None:
+    cut = tiny.checkpoint()
+    cut.training["training"]["steps"] = 2
+    cut.save(tmp_path / "checkpoint.pt")
+    assert "was cut at step 1 of 2; continue it with `vibrocast train --resume`" in fails(
+        2, "export", tmp_path / "checkpoint.pt", "--out", tmp_path / "model"
+    )
+
+
+def test_curves_stand_next_to_the_card(exported: Path) -> None:
+    assert (exported / "curves.csv").read_text().splitlines()[0].startswith("step,seconds,training_loss,loss")
+    assert (exported / "curves.png").read_bytes().startswith(b"\x89PNG")
+    assert "![Losses over steps; SNR over rate](curves.png)" in (exported / "card.md").read_text()
+
+
+def test_a_folder_that_holds_more_than_a_model_is_not_replaced(exported: Path, trained: Path, tmp_path: Path) -> None:
+    out = tmp_path / "model"
+    out.mkdir()
+    succeeds("export", trained, "--out", out)
+    (out / "recording.wav").touch()
+    assert "holds other files than a model" in fails(2, "export", trained, "--out", out)
+    assert (out / "recording.wav").exists()

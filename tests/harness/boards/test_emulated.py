@@ -1,0 +1,348 @@
+"""The firmware on emulated boards: it plays every codec as computed, keeps images, reports faults; its stack."""
+
+import itertools
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import unicorn
+from unicorn import arm_const
+
+from vibrocast import codec, models, textures
+from vibrocast.codec import Choice, SignalFormat
+from vibrocast.codec.encoding import encode_recording
+from vibrocast.codec.stream import Stream
+from vibrocast.device_protocol.frames import write_frame
+from vibrocast.device_protocol.messages import (
+    CaptureData,
+    CaptureRead,
+    Configure,
+    Hello,
+    Pause,
+    Resume,
+    Start,
+    State,
+    Status,
+    Stop,
+    StreamData,
+    Tap,
+    pack,
+)
+from vibrocast.firmware.build import build
+from vibrocast.firmware.elf import Elf
+from vibrocast.harness.boards import cortex_m, stm32f405
+from vibrocast.harness.boards.cortex_m import CORES, CortexM
+from vibrocast.harness.boards.emulator import EmulationError
+from vibrocast.harness.boards.stm32f405 import Stm32F405
+from vibrocast.host import uploader
+from vibrocast.host.controller import Controller as Host
+from vibrocast.host.player import play
+from vibrocast.output.actuator import PIEZO_STACK, Codes
+from vibrocast.output.rendering import render
+from vibrocast.simulated_device.faulty_link import MemoryLink
+from vibrocast.simulated_device.flash import FlashMemory
+
+LEARNED = "eva-16-4"
+MODELS = {"eva": LEARNED, "lapped": "lapped-textures"}
+START_US, BOARD_DAC_HZ = 300_000, 3000
+
+
+def coded(codec_name: str, seconds: float = 0.3) -> Stream:
+    """Return a texture on two channels at some 12 dB if there is an SNR to ask for, with refresh packets."""
+    recording = textures.GENERATORS["rough"](3, seconds)
+    recording = replace(recording, samples=np.tile(recording.samples, (1, 2)))
+    model = models.find(MODELS[codec_name]) if codec_name in MODELS else None
+    snr_db = 12 if codec.codec_by_name(codec_name).keeps_waveform else None
+    return encode_recording(
+        recording, codec_name=codec_name, snr_db=snr_db, model=model, live=True, runtime="core"
+    ).stream
+
+
+def rate_controlled(stream: Stream) -> Stream:
+    """Return the stream coded again, its packets of different qualities, some padded."""
+    header, known = stream.header, codec.codec_by_identifier(stream.header.codec_identifier)
+    model = models.find(MODELS[known.name]) if known.needs_model else None
+    signal = stream.decode_integers()[stream.decoder().delay_samples :][: stream.samples] / 32768
+    turn = itertools.cycle([Choice(0), Choice(-7), Choice(-20, min_bytes=100), Choice(-12)])
+    encoder = known.make_encoder(
+        known.complete({}),
+        SignalFormat(header.rate_hz, header.unit, header.gains, (0.2, 0.2)),
+        codec.live_framing(header.rate_hz),
+        None if model is None else codec.Model(model.tables, model.analysis),
+        lambda trial: next(turn),
+    )
+    packets = encoder.encode(signal) + encoder.finish()
+    return replace(stream, header=replace(header, configuration=encoder.configuration), packets=tuple(packets))
+
+
+def board(
+    name: str, flash: FlashMemory | None = None, on_dac: Callable[[Codes], None] | None = None
+) -> CortexM | Stm32F405:
+    return Stm32F405(flash, on_dac) if name == "stm32f405" else CortexM(name, flash, on_dac)
+
+
+def session(device: CortexM | Stm32F405) -> tuple[MemoryLink, Host]:
+    link = MemoryLink(device)
+    return link, Host(link, link.clock, link.sleep)
+
+
+def flash_of(name: str) -> FlashMemory:
+    return FlashMemory(stm32f405.FLASH_BYTES if name == "stm32f405" else cortex_m.FLASH_BYTES)
+
+
+@pytest.mark.parametrize(
+    ("name", "codec_name"),
+    [
+        *((name, "mdct") for name in (*CORES, "stm32f405")),
+        *(
+            pytest.param(name, codec_name, marks=pytest.mark.slow)
+            for name in ("cortex-m4", "stm32f405")
+            for codec_name in ("dct", "slp", "eva", "lapped", "parametric")
+        ),
+    ],
+)
+def test_streams_are_played_as_computed_within_the_stack(name: str, codec_name: str) -> None:
+    """On the board, and on the other cores, rate-controlled ones where the codec controls its rate."""
+    codes: list[Codes] = []
+    device = board(name, on_dac=codes.append)
+    link, host = session(device)
+    if codec_name in MODELS:
+        uploader.flash(host, models.find(MODELS[codec_name]).image)
+    stream = coded(codec_name)
+    if name != "cortex-m4" and codec.codec_by_name(codec_name).controls_rate:
+        stream = rate_controlled(stream)
+    decoder, decoded = stream.decoder(), stream.decode_integers()
+    result = play(host, stream.header, stream.packets, decoder.packet_samples, capture=True)
+    link.sleep(0.2)
+    assert (result.state, result.underruns, result.lost_packets) == (State.FINISHED, 0, 0)
+    np.testing.assert_array_equal(result.decoded, decoded)
+    actuator = replace(PIEZO_STACK, dac_bits=host.description.actuator.dac_bits)
+    expected, _ = render(stream.header, decoded, decoder.delay_samples, actuator)
+    np.testing.assert_array_equal(result.dac_codes, expected)
+    np.testing.assert_array_equal(between_rests(np.concatenate(codes)), between_rests(expected))
+    # Three quarters of the smaller stack: other streams may need the rest.
+    assert 500 < device.processor.stack_bytes() < 6144
+
+
+def between_rests(codes: Codes) -> Codes:
+    """Return what is played, without rest before and after, and without the way up to rest at the boot of a board."""
+    booted = np.flatnonzero(~codes.any(axis=1))[0]
+    sound = booted + np.flatnonzero(codes[booted:].any(axis=1))
+    return codes[sound[0] : sound[-1] + 1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [*CORES, "stm32f405"])
+def test_images_outlive_a_restart(name: str) -> None:
+    flash = flash_of(name)
+    kept = uploader.flash(session(board(name, flash))[1], models.find(LEARNED).image)
+    _, host = session(board(name, flash))
+    running = uploader.running(host)
+    assert running is not None
+    assert (running.slot, running.sha256) == (kept.slot, kept.sha256)
+
+
+def test_the_board_rests_in_the_middle_from_the_first_moment() -> None:
+    codes: list[Codes] = []
+    device = Stm32F405(on_dac=codes.append)
+    for now_us in range(0, 200_000, 1000):
+        device.advance(now_us)
+    assert len(codes) > 1
+    assert not np.concatenate(codes).any()
+
+
+def test_an_interrupt_between_conditional_instructions_runs_all_of_its_handler() -> None:
+    device = Stm32F405()
+    unicorn_core = device.processor.unicorn
+    negative, behind_ge = 1 << 31, 0xA800  # flags of which GE is false, and the state behind ITT GE
+    unicorn_core.reg_write(arm_const.UC_ARM_REG_XPSR, negative | behind_ge)
+    stack = unicorn_core.reg_read(arm_const.UC_ARM_REG_SP)
+    device._interrupt(stm32f405._TIM6)
+    assert unicorn_core.reg_read(arm_const.UC_ARM_REG_SP) == stack
+    assert unicorn_core.reg_read(arm_const.UC_ARM_REG_XPSR) & behind_ge == behind_ge
+
+
+def slow_down(device: Stm32F405, function: str, milliseconds: list[int]) -> None:
+    """Make each call of a function take its time, and all further ones the last time: interrupts come in its midst."""
+    address = Elf(build("stm32f405")).symbols[function] & ~1
+
+    def pass_time(emulator: object, where: int, size_bytes: int, context: object) -> None:
+        device.processor.counter.add_cycles(
+            168_000 * (milliseconds.pop(0) if len(milliseconds) > 1 else milliseconds[0])
+        )
+
+    device.processor.unicorn.hook_add(unicorn.UC_HOOK_CODE, pass_time, None, address, address)
+
+
+def played_by_board(
+    decoding_ms: list[int],
+    meanwhile: Callable[[Host, MemoryLink], None] = lambda host, link: None,
+    stall_ms: list[int] | None = None,
+) -> tuple[Codes, Codes, Codes]:
+    """Play a stream from 0.3 s on; return its codes, the DAC's from that time on, and those captured.
+
+    `decoding_ms`: of each block of a channel; `meanwhile`: what a host does 0.1 s later; `stall_ms`: by each message
+    then.
+    """
+    codes: list[Codes] = []
+    device = Stm32F405(on_dac=codes.append)
+    stalls = [0]
+    slow_down(device, "vc_spectra_poll", decoding_ms)
+    slow_down(device, "vc_message_read", stalls)
+    link, host = session(device)
+    stream = coded("mdct", seconds=0.6)
+    host.request(Configure(1, stream.header.pack(), 280, packets=len(stream.packets)), Status)
+    host.send(StreamData(1, 0, stream.packets[:12]))
+    host.request(Start(START_US), Status)
+    link.sleep((START_US - link.now_us) / 1e6 + 0.1)
+    host.send(StreamData(1, 0, stream.packets[12:]))
+    stalls[:] = [*(stall_ms or []), 0]
+    meanwhile(host, link)
+    link.sleep(1.0)
+    actuator = replace(PIEZO_STACK, dac_bits=12)
+    expected, _ = render(stream.header, stream.decode_integers(), stream.decoder().delay_samples, actuator)
+    pieces, end = [b""], 1
+    while (offset := sum(map(len, pieces)) // 4) < end:
+        captured = host.request(CaptureRead(Tap.DAC, offset, 500), CaptureData)
+        pieces, end = [*pieces, captured.data], captured.end
+    played = np.concatenate(codes)[1 + START_US * BOARD_DAC_HZ // 1_000_000 :]
+    return expected, played, np.frombuffer(b"".join(pieces), "<i2").reshape(-1, 2)
+
+
+def ask_often(host: Host, link: MemoryLink) -> None:
+    for _ in range(4):
+        host.request_status()
+        link.sleep(0.1)
+
+
+def check_that_it_faded(expected: Codes, played: Codes, last_samples: int, most_lag_ms: float) -> None:
+    """Check that the last samples are those of the stream, so late, and that nothing jumped before."""
+    end = np.flatnonzero(played.any(axis=1))[-1] + 1
+    assert len(expected) < end <= len(expected) + most_lag_ms * BOARD_DAC_HZ / 1000
+    np.testing.assert_array_equal(played[end - last_samples : end], between_rests(expected)[-last_samples:])
+    step = np.abs(np.diff(expected.astype(int), axis=0)).max()
+    assert np.abs(np.diff(played.astype(int), axis=0)).max() <= step + 4096 // 100
+    moving = np.flatnonzero(played.any(axis=1))
+    begins = moving[1:][np.diff(moving) > 20]
+    assert np.abs(played[begins]).max(initial=0) < 4096 // 100
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("decoding_ms", "least_ms", "most_ms"), [(0, 3, 7), (1, 7, 11), (2, 11, 15), (4, 19, 23)])
+def test_the_board_lags_by_what_decoding_needs(decoding_ms: int, least_ms: int, most_ms: int) -> None:
+    expected, played, _ = played_by_board([decoding_ms])
+    lag = np.flatnonzero(played.any(axis=1))[0] - np.flatnonzero(expected.any(axis=1))[0]
+    assert least_ms <= lag * 1000 / BOARD_DAC_HZ <= most_ms
+    np.testing.assert_array_equal(played[lag : lag + len(expected)], expected)
+    assert not played[lag + len(expected) :].any()
+
+
+def test_the_board_fades_out_and_in_where_decoding_takes_far_longer_than_at_first() -> None:
+    check_that_it_faded(*played_by_board([1, 1, 1, 120, 1])[:2], 600, most_lag_ms=250)
+
+
+def test_the_board_plays_on_later_after_its_loop_stood_still() -> None:
+    check_that_it_faded(*played_by_board([1], ask_often, [300])[:2], 300, most_lag_ms=4 + 2 * 310)
+
+
+def test_the_board_gets_used_to_short_stalls() -> None:
+    """Only the first one is felt."""
+    check_that_it_faded(*played_by_board([0], ask_often, [6, 6, 6, 6])[:2], 1200, most_lag_ms=4 + 2 * 13)
+
+
+def test_the_board_goes_on_after_a_pause_with_the_lag_that_it_needs() -> None:
+    def pause(host: Host, link: MemoryLink) -> None:
+        host.request(Pause(), Status)
+        link.sleep(0.2)
+        host.request(Resume(), Status)
+
+    _, played, captured = played_by_board([5], pause)
+    np.testing.assert_array_equal(played[played.any(axis=1)], captured[captured.any(axis=1)])
+
+
+@pytest.mark.parametrize("decoding_ms", [1, 5])
+def test_a_stop_reaches_the_register_within_30_ms_and_the_output_rests_soon(decoding_ms: int) -> None:
+    stopped_us = []
+
+    def stop(host: Host, link: MemoryLink) -> None:
+        stopped_us.append(link.now_us - START_US)
+        host.request(Stop(), Status)
+
+    expected, played, captured = played_by_board([decoding_ms], stop)
+    lag = np.flatnonzero(played.any(axis=1))[0] - np.flatnonzero(expected.any(axis=1))[0]
+    as_expected = (played[lag : lag + len(expected)] == expected[: len(played) - lag]).all(axis=1)
+    way_down = lag + np.flatnonzero(~as_expected)[0]
+    late_us = way_down * 1_000_000 // BOARD_DAC_HZ - stopped_us[0]
+    assert 0 <= late_us < 1000 * (decoding_ms + 3)
+    level = np.abs(played[way_down - 1 :].astype(int))
+    assert np.all(np.diff(level, axis=0) <= 12), "on its way to rest"
+    assert not played[way_down + 60 * BOARD_DAC_HZ // 1000 :].any()
+    assert len(captured) < len(expected)
+
+
+def test_the_board_comes_to_rest_when_its_loop_stands_still() -> None:
+    """Only the DAC's interrupt goes on, in the midst of a stream: what is there is played, then the output let down."""
+    codes: list[Codes] = []
+    device = Stm32F405(on_dac=codes.append)
+    link, host = session(device)
+    stream = coded("mdct", seconds=1.0)
+    host.request(Configure(1, stream.header.pack(), 280, packets=len(stream.packets)), Status)
+    host.send(StreamData(1, 0, stream.packets[:12]))
+    host.request(Start(), Status)
+    link.sleep(0.35)
+    before = len(np.concatenate(codes))
+    for _ in range(1500):
+        device._interrupt(stm32f405._TIM6)
+    device.advance(link.now_us)
+    level = np.concatenate(codes)[before:]
+    assert level[:150].any()
+    assert not level[-900:].any()
+    at_rest = np.flatnonzero(level.any(axis=1))[-1]
+    way_down = np.abs(np.diff(level[at_rest - 3 : at_rest + 2].astype(int), axis=0))
+    assert way_down.max() <= 4096 // 100
+
+
+def test_a_cable_that_carries_garbage_stops_nothing() -> None:
+    device = CortexM("cortex-m4")
+    generator = np.random.default_rng(0)
+    for now_us in range(0, 100_000, 1000):
+        device.receive(generator.bytes(500) + b"\0", now_us)
+    device.transmit()
+    _, host = session(device)
+    assert host.request_status().bad_frames > 0
+
+
+def test_what_a_host_does_not_read_stays_bounded() -> None:
+    device = CortexM("cortex-m4")
+    asked = write_frame(pack(Hello(), 5)) + b"".join(write_frame(pack(Hello(), n)) for n in range(6, 2000))
+    device.receive(asked, 0)
+    assert 0 < len(device.transmit()) < 100_000
+
+
+def test_clock_that_runs_fast_is_seen_by_the_host() -> None:
+    link = MemoryLink(CortexM("cortex-m4", drift_ppm=5000))
+    host = Host(link, link.clock, link.sleep)
+    first, from_us = host.request_status().device_time_us, link.now_us
+    link.sleep(2.0)
+    passed_us = host.request_status().device_time_us - first
+    assert passed_us / (link.now_us - from_us) == pytest.approx(1.005, abs=2e-4)
+
+
+def test_instructions_are_counted() -> None:
+    device = CortexM("cortex-m4")
+    counter = device.processor.counter
+    booted = counter.instructions
+    device.advance(1000)
+    turn = counter.instructions - booted
+    device.advance(2000)
+    assert 50 < turn < 2000
+    assert counter.instructions - booted == pytest.approx(2 * turn, rel=0.2)
+    assert counter.cycles > counter.instructions
+
+
+def test_image_that_a_processor_would_stop_is_an_error_that_says_where() -> None:
+    device = CortexM("cortex-m4")
+    device.processor.unicorn.reg_write(arm_const.UC_ARM_REG_PC, 0x6000_0000)
+    with pytest.raises(EmulationError, match=r"stopped at 0x6.*: there is nothing at 0x60000000"):
+        device.advance(1000)

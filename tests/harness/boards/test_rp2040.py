@@ -1,0 +1,218 @@
+"""The RP2040's port on an emulated board: its boot, its flash, what it plays and how it rests."""
+
+import struct
+import zlib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from unicorn import UC_HOOK_CODE, arm_const
+
+from tests.firmware.test_targets import functions
+from tests.harness.boards.test_emulated import LEARNED, MODELS, between_rests, coded
+from vibrocast import models, textures
+from vibrocast.codec.encoding import encode_recording
+from vibrocast.device_protocol.messages import Configure, Start, State, Status, StreamData
+from vibrocast.firmware import rp2040 as image_format
+from vibrocast.firmware.build import build
+from vibrocast.firmware.elf import Elf
+from vibrocast.harness.boards.emulator import EmulationError
+from vibrocast.harness.boards.rp2040 import FLASH_BYTES, UNIQUE_NUMBER, Rp2040
+from vibrocast.host import uploader
+from vibrocast.host.controller import Controller as Host
+from vibrocast.host.player import play
+from vibrocast.output.actuator import LRA, PIEZO_STACK, Codes
+from vibrocast.output.rendering import render
+from vibrocast.simulated_device.faulty_link import MemoryLink
+from vibrocast.simulated_device.flash import FlashMemory
+
+FLASH, BOOT_RAM, STEPS = 0x1000_0000, 0x2004_1F00, 5000
+
+
+def session(device: Rp2040) -> tuple[MemoryLink, Host]:
+    link = MemoryLink(device)
+    return link, Host(link, link.clock, link.sleep)
+
+
+@pytest.mark.parametrize(
+    "codec_name",
+    [
+        "mdct",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("dct", "slp", "eva", "lapped", "parametric")),
+    ],
+)
+def test_streams_reach_the_pwm_register_as_computed_within_the_stack(codec_name: str) -> None:
+    codes: list[Codes] = []
+    device = Rp2040(on_dac=codes.append)
+    link, host = session(device)
+    if codec_name in MODELS:
+        uploader.flash(host, models.find(MODELS[codec_name]).image)
+    stream = coded(codec_name)
+    decoder, decoded = stream.decoder(), stream.decode_integers()
+    result = play(host, stream.header, stream.packets, decoder.packet_samples, capture=True)
+    link.sleep(0.2)
+    assert (result.state, result.underruns, result.lost_packets) == (State.FINISHED, 0, 0)
+    np.testing.assert_array_equal(result.decoded, decoded)
+    expected, _ = render(stream.header, decoded, decoder.delay_samples, replace(PIEZO_STACK, dac_bits=12))
+    np.testing.assert_array_equal(result.dac_codes, expected)
+    np.testing.assert_array_equal(between_rests(np.concatenate(codes)), between_rests(expected))
+    assert 500 < device.processor.stack_bytes() < 6144
+    assert 0 < device.latest_level_ticks < STEPS, "each level is there before the next period of the PWM"
+
+
+def test_the_board_states_the_unique_number_of_its_flash() -> None:
+    _, host = session(Rp2040())
+    assert bytes.fromhex(host.description.serial_number) == UNIQUE_NUMBER
+
+
+def test_a_haptic_driver_gets_the_upper_bits_of_each_sample() -> None:
+    device = Rp2040(image="rp2040-drv260x")
+    link, host = session(device)
+    # DRV2605 datasheet, 8.6: rest, two voltages, ERM with its other bits as after power-up, open loop, RTP.
+    assert device.haptic_writes == [(2, 0), (0x16, 0x3E), (0x17, 0x8C), (0x1A, 0x36), (0x1D, 0x20), (1, 5)]
+    device.haptic_writes.clear()
+    recording = replace(textures.GENERATORS["rough"](3, 0.3))
+    stream = encode_recording(recording, codec_name="mdct", snr_db=12, live=True, runtime="core").stream
+    decoder, decoded = stream.decoder(), stream.decode_integers()
+    result = play(host, stream.header, stream.packets, decoder.packet_samples, capture=True)
+    link.sleep(0.2)
+    expected, _ = render(stream.header, decoded, decoder.delay_samples, LRA)
+    np.testing.assert_array_equal(result.dac_codes, expected)
+    inputs = np.maximum(expected[:, 0] >> 8, -127)
+    changes = inputs[np.flatnonzero(np.diff(inputs, prepend=0))]
+    assert {address for address, _ in device.haptic_writes} == {2}
+    written = np.array([value for _, value in device.haptic_writes], np.uint8).astype(np.int8)
+    np.testing.assert_array_equal(written[: len(changes)], changes)
+    assert len(changes) > 100 and written[-1] == 0
+
+
+def test_the_board_rests_at_half_of_the_steps_from_the_first_moment() -> None:
+    codes: list[Codes] = []
+    device = Rp2040(on_dac=codes.append)
+    for now_us in range(0, 200_000, 1000):
+        device.advance(now_us)
+    assert len(np.concatenate(codes)) == pytest.approx(0.2 * 3000, abs=15)
+    assert not np.concatenate(codes).any()
+
+
+def test_the_output_comes_to_rest_when_the_loop_stands_still() -> None:
+    codes: list[Codes] = []
+    device = Rp2040(on_dac=codes.append)
+    link, host = session(device)
+    stream = coded("mdct", seconds=1.0)
+    host.request(Configure(1, stream.header.pack(), 280, packets=len(stream.packets)), Status)
+    host.send(StreamData(1, 0, stream.packets[:12]))
+    host.request(Start(), Status)
+    link.sleep(0.35)
+    before = len(np.concatenate(codes))
+    for _ in range(1500):
+        device._interrupt(16 + 4)
+    device.advance(link.now_us)
+    level = np.concatenate(codes)[before:]
+    assert level[:100].any()
+    assert not level[-900:].any()
+    at_rest = np.flatnonzero(level.any(axis=1))[-1]
+    assert np.abs(np.diff(level[at_rest - 3 : at_rest + 2].astype(int), axis=0)).max() <= 4096 // 100
+
+
+def test_images_outlive_a_restart_and_a_stream_of_bytes_goes_on_meanwhile() -> None:
+    flash = FlashMemory(FLASH_BYTES)
+    codes: list[Codes] = []
+    device = Rp2040(flash, codes.append)
+    link, host = session(device)
+    firmware = bytes(flash.contents[:0xF_8000])
+    kept = uploader.flash(host, models.find(LEARNED).image)
+    assert bytes(flash.contents[:0xF_8000]) == firmware
+    assert bytes(flash.contents[0xF_8000:]).strip(b"\xff")
+    # The sample clock went on while flash could not be read.
+    assert len(np.concatenate(codes)) == pytest.approx(link.now_us * 3000 / 1e6, rel=0.01)
+    running = uploader.running(session(Rp2040(flash))[1])
+    assert running is not None
+    assert (running.slot, running.sha256) == (kept.slot, kept.sha256)
+
+
+def test_a_read_of_flash_that_is_being_changed_stops_the_emulated_board() -> None:
+    device = Rp2040()
+    rom = {name: 0x100 + 2 * number for number, name in enumerate(("look up", "IF", "EX", "RE", "RP", "FC"))}
+    device._call_rom(None, rom["EX"], 2, None)
+    device.processor.unicorn.reg_write(arm_const.UC_ARM_REG_PC, Elf(build("rp2040")).symbols["Reset_Handler"] & ~1)
+    with pytest.raises(EmulationError, match="0x100"):
+        device.processor.run()
+
+
+def test_the_watchdog_resets_a_board_whose_loop_stands_still() -> None:
+    device = Rp2040()
+    device.advance(0)
+    device._interrupt = lambda exception: None  # type: ignore[method-assign]
+    with pytest.raises(EmulationError, match=r"watchdog.*4\.0 s"):
+        for now_us in range(0, 5_000_000, 100_000):
+            device.advance(now_us)
+
+
+def test_the_second_stage_of_the_boot_sets_up_flash_and_starts_the_program() -> None:
+    """It runs from RAM, where the boot ROM copies it; its checksum is that of the datasheet."""
+    image = Elf(build("rp2040"))
+    stage = next(segment.data for segment in image.segments if segment.address == FLASH)
+    assert len(stage) == 256
+    reversed_bits = bytes(int(f"{byte:08b}"[::-1], 2) for byte in stage[:252])
+    reflected = zlib.crc32(reversed_bits) ^ 0xFFFF_FFFF
+    assert struct.unpack("<I", stage[252:])[0] == int(f"{reflected:032b}"[::-1], 2)
+
+    device = Rp2040()
+    unicorn = device.processor.unicorn
+    written: list[tuple[int, int]] = []
+    unicorn.mem_unmap(0x1800_0000, 4096)
+    device.processor.add_registers(0x1800_0000, lambda offset: 0, lambda offset, value: written.append((offset, value)))
+    unicorn.mem_write(BOOT_RAM, stage)
+    unicorn.reg_write(arm_const.UC_ARM_REG_SP, BOOT_RAM)
+    reset = image.symbols["Reset_Handler"] & ~1
+    unicorn.hook_add(UC_HOOK_CODE, lambda *_: unicorn.emu_stop(), None, reset, reset)
+    unicorn.ctl_flush_tb()
+    unicorn.emu_start(BOOT_RAM | 1, 0)
+    assert unicorn.reg_read(arm_const.UC_ARM_REG_PC) == reset
+    assert unicorn.reg_read(arm_const.UC_ARM_REG_SP) == image.symbols["vc_stack_top"]
+    assert device._system[0xD08] == image.sections[".vectors"].address
+    # RP2040 datasheet, 4.10.13: off, half of the clock, words on two wires, fast read dual output, on.
+    assert written[0] == (0x08, 0) and written[-1] == (0x08, 1)
+    assert dict(written[1:-1]) == {0x14: 2, 0xF0: 1, 0x00: 0x003F_0300, 0x04: 0, 0xF4: 0x3B00_4218}
+
+
+def test_what_runs_while_flash_is_changed_reads_nothing_in_flash() -> None:
+    """All code but that of signatures is in RAM; interrupts and the calls of the ROM do not leave it."""
+    image = Elf(build("rp2040"))
+    found = functions(image)
+    names = {image.functions[start]: start for start in found}
+    todo = [names[name] for name in ("PWM_IRQ_WRAP_Handler", "UART0_IRQ_Handler", "program", "erase")]
+    reached: set[int] = set()
+    while todo:
+        start = todo.pop()
+        if start not in reached:
+            reached.add(start)
+            todo += found[start].callees
+    assert names["vc_paced_next"] in reached and names["vc_watchdog_feed"] in reached
+    assert all(start >> 28 == 2 for start in reached)
+
+
+def test_the_file_for_usb_holds_the_flash_of_the_image() -> None:
+    path = build("rp2040")
+    image, blocks = Elf(path), path.with_suffix(".uf2").read_bytes()
+    assert len(blocks) % 512 == 0
+    flash = bytearray(b"\xff" * (1 << 20))
+    for number in range(len(blocks) // 512):
+        block = blocks[512 * number : 512 * (number + 1)]
+        start, second, flags, address, size, index, count, family = struct.unpack_from("<8I", block)
+        assert (start, second) == (0x0A32_4655, 0x9E5D_5157) and block[-4:] == struct.pack("<I", 0x0AB1_6F30)
+        assert (flags, size, index, count, family) == (0x2000, 256, number, len(blocks) // 512, 0xE48B_FF56)
+        flash[address - FLASH : address - FLASH + size] = block[32 : 32 + size]
+    for segment in image.segments:
+        offset = segment.load_address - FLASH
+        if segment.data:
+            assert flash[offset : offset + len(segment.data)] == segment.data
+
+
+def test_finishing_an_image_twice_changes_nothing(tmp_path: Path) -> None:
+    copy = tmp_path / "image.elf"
+    copy.write_bytes(build("rp2040").read_bytes())
+    image_format.finish(copy)
+    assert copy.read_bytes() == build("rp2040").read_bytes()

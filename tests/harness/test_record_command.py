@@ -1,0 +1,201 @@
+"""`vibrocast record` on a pseudo-terminal and on a sound server: files, meter, early ends and errors."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from tests.harness.test_serial_sensor import FACTS, description, frames, line
+from tests.sound_server import PAD, SoundServer
+from vibrocast import textures
+from vibrocast.harness.serial_sensor import MAX_LINE_BYTES
+from vibrocast.host.cli.command_line import main
+from vibrocast.output.actuator import Codes
+from vibrocast.output.sound_card import Playback, find
+
+needs_terminals = pytest.mark.skipif(sys.platform == "win32", reason="no pseudo-terminals")
+STEP = 20
+
+
+def run(*arguments: str) -> Result:
+    return CliRunner().invoke(main, ["record", *arguments])
+
+
+def lines(first: int) -> bytes:
+    """Return lines of a tone of 50 Hz at 1 kHz, 9.80665 m/s^2 of amplitude on x alone."""
+    numbers = range(first, first + STEP)
+    return b"# rate_hz=1000 unit=g axes=xyz\n" * (first % 1000 == 0) + b"".join(
+        line(1000 * number, np.array([np.sin(2 * np.pi * 0.05 * number), 0.0, 1.0])) for number in numbers
+    )
+
+
+def binary(first: int) -> bytes:
+    counts = np.zeros((STEP, 3))
+    counts[:, 0] = np.rint(256 * np.sin(2 * np.pi * 0.05 * np.arange(first, first + STEP)))
+    return description(FACTS) * (first % 1000 == 0) + frames(counts, first, STEP)
+
+
+def rubbish(first: int) -> bytes:
+    return np.random.default_rng(first).integers(1, 256, 4000, np.uint8).tobytes()
+
+
+def endless(first: int) -> bytes:
+    return b"1" * (20 * MAX_LINE_BYTES)
+
+
+@contextmanager
+def sensor(sent: object, pull_after: int | None = None) -> Iterator[str]:
+    """Run a fast sensor behind a pseudo-terminal; yield its port. `pull_after`: a number of samples."""
+    ours, theirs = os.openpty()
+    os.set_blocking(ours, False)
+    ending = threading.Event()
+
+    def send() -> None:
+        import termios
+        import tty
+
+        tty.setraw(theirs, termios.TCSANOW)
+        first = 0
+        while not ending.is_set() and (pull_after is None or first < pull_after):
+            data = sent(first)  # type: ignore[operator]
+            while data and not ending.is_set():
+                try:
+                    data = data[os.write(ours, data) :]
+                except BlockingIOError:
+                    time.sleep(0.002)
+            first += STEP
+            time.sleep(0.002)
+        if pull_after is not None:
+            time.sleep(0.5)
+            os.close(ours)
+
+    thread = threading.Thread(target=send)
+    name = os.ttyname(theirs)
+    thread.start()
+    try:
+        if pull_after is not None:
+            time.sleep(0.05)
+            os.close(theirs)
+        yield f"serial:{name}"
+    finally:
+        ending.set()
+        thread.join()
+        if pull_after is None:
+            os.close(ours)
+            os.close(theirs)
+
+
+@needs_terminals
+@pytest.mark.parametrize("sent", [lines, binary])
+def test_a_serial_sensor_is_recorded_and_encoded(tmp_path: Path, sent: object) -> None:
+    path = tmp_path / "out.wav"
+    with sensor(sent) as address:
+        result = run("--input", address, "--seconds", "2", str(path))
+    assert result.exit_code == 0, result.output
+    assert "2.000 s at 1000 Hz, 3 channel(s) (x, y, z)" in result.output
+    assert "warning" not in result.output
+    recording = textures.load(path)
+    assert (recording.unit, recording.axes) == ("m/s^2", ("X", "Y", "Z"))
+    assert np.abs(recording.samples[1000:, 0]).max() == pytest.approx(9.80665, rel=0.02)
+    assert np.abs(recording.samples[1000:, 2]).max() < 0.05  # gravity is gone
+    stated = json.loads((tmp_path / "out.json").read_text())
+    assert stated["format"] == ("text" if sent is lines else "binary")
+    assert stated["lost"]["gaps"] == 0
+    coded = CliRunner().invoke(main, ["encode", str(path), str(tmp_path / "out.vct"), "--axis", "x"])
+    assert coded.exit_code == 0, coded.output
+
+
+@needs_terminals
+def test_a_pulled_cable_leaves_what_came_before(tmp_path: Path) -> None:
+    path = tmp_path / "out.wav"
+    with sensor(lines, pull_after=3000) as address:
+        result = run("--input", address, str(path))
+    assert result.exit_code == 3
+    assert "broke off" in result.output
+    assert "s are saved in" in result.output
+    assert textures.load(path).seconds > 1
+
+
+@needs_terminals
+@pytest.mark.parametrize("sent", [rubbish, endless])
+def test_another_device_is_rejected_and_leaves_no_file(tmp_path: Path, sent: object) -> None:
+    path = tmp_path / "out.wav"
+    with sensor(sent) as address:
+        result = run("--input", address, str(path))
+    assert result.exit_code == 3
+    assert "neither lines of samples nor frames; check the @BAUD" in result.output
+    assert list(tmp_path.iterdir()) == []
+
+
+@needs_terminals
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_recording_and_keeps_it(tmp_path: Path, number: signal.Signals) -> None:
+    path = tmp_path / "out.wav"
+    command = [sys.executable, "-c", "from vibrocast.host.cli.entry import main; main()", "record", "--input"]
+    with sensor(lines) as address:
+        process = subprocess.Popen(
+            [*command, address, str(path)], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        assert process.stderr is not None
+        meter = process.stderr.readline()
+        process.send_signal(number)
+        out, rest = process.communicate(timeout=60)
+    assert process.returncode == 0, rest
+    assert meter.startswith("recording 1 s")
+    assert " g " not in meter
+    assert "m/s^2" in meter
+    assert "channel(s)" in out
+    assert textures.load(path).seconds > 0.5
+
+
+def test_wrong_options_are_named(tmp_path: Path) -> None:
+    path = str(tmp_path / "out.wav")
+    for arguments, error in (
+        (["--input", "card"], "give the sensor's --sensitivity in volts"),
+        (["--input", "card", "--sensitivity", "10mV/g"], "give --volts-full-scale"),
+        (["--input", "card", "--sensitivity", "10mV"], "'10mV' is no sensitivity"),
+        (["--input", "card", "--axes", "xx"], "'xx' are no axes"),
+        (["--input", "serial:/nowhere"], "cannot open serial port"),
+    ):
+        result = run(*arguments, path)
+        assert result.exit_code in (2, 3)
+        assert error in result.output
+    (tmp_path / "out.json").write_text("{}")
+    assert "is another file than a sidecar" in run("--input", "card", path).output
+    assert [each.name for each in tmp_path.iterdir()] == ["out.json"]
+
+
+def test_a_sound_card_is_recorded_in_the_unit(tmp_path: Path, pulseaudio: SoundServer) -> None:
+    path = tmp_path / "out.wav"
+    at = 0
+
+    def fill(frames: int) -> Codes:
+        nonlocal at
+        numbers = np.arange(at, at + frames)
+        at += frames
+        tone: Codes = np.rint(16384 * np.sin(2 * np.pi * 200 * numbers / 48_000)).astype(np.int16)[:, None]
+        return tone
+
+    with Playback(find(PAD), [3], fill) as playback:
+        playback.wait_for_begin()
+        sensitivity = ["--sensitivity", "100mV/(m/s^2)", "--volts-full-scale", "2"]
+        result = run(
+            "--input", f"Monitor of {PAD}:3", *sensitivity, "--axes", "z", "--keep-dc", "--seconds", "1.5", str(path)
+        )
+    assert result.exit_code == 0, result.output
+    recording = textures.load_for_actuators(path)
+    assert (recording.unit, recording.rate_hz, recording.channels) == ("m/s^2", 48_000, 1)
+    # Half of 2 V, at 0.1 V for a m/s^2. A busy machine plays gaps, which leave the peaks as they are.
+    assert np.percentile(np.abs(recording.samples), 99) == pytest.approx(10.0, rel=0.03)
+    stated = json.loads((tmp_path / "out.json").read_text())
+    assert (stated["axes"], stated["volts_full_scale"]) == ("z", 2.0)

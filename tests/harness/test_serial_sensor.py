@@ -1,0 +1,316 @@
+"""Serial sensors: both formats, lost samples, and devices that send something else."""
+
+import struct
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from vibrocast.device_protocol.frames import write_frame
+from vibrocast.device_protocol.transports import Closing, TransportError
+from vibrocast.harness import serial_sensor
+from vibrocast.harness.serial_sensor import (
+    DESCRIPTION,
+    MAX_LINE_BYTES,
+    SAMPLES,
+    Description,
+    Frames,
+    Lines,
+    NumberedSamples,
+    SensorStreamError,
+    SerialSensor,
+    TimedSamples,
+)
+from vibrocast.textures import TextureError
+from vibrocast.textures.recording import Signal
+from vibrocast.textures.sensitivity import parse
+
+Counts = NDArray[Any]
+RATE_HZ = 1000
+G = 9.80665
+HEADER = b"# rate_hz=1000 unit=g axes=xyz\n"
+
+
+class Port(Closing):
+    """Bytes that come in pieces, then nothing, and at last a broken cable."""
+
+    def __init__(self, data: bytes, size: int = 1000, silence: int = 0) -> None:
+        self.pieces = [data[start : start + size] for start in range(0, len(data), size)] + [b""] * silence
+
+    def write(self, data: bytes) -> None:
+        raise AssertionError("a sensor is not written to")
+
+    def read(self, timeout_s: float) -> bytes:
+        if not self.pieces:
+            raise TransportError("serial port broke off")
+        return self.pieces.pop(0)
+
+    def reopen(self) -> None:
+        raise AssertionError("a sensor is not opened again")
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def opened(data: bytes, size: int = 1000, **options: Any) -> SerialSensor:
+    port = Port(data, size)
+    return SerialSensor("PORT", open_port=lambda name, baud: port, **options)
+
+
+def heard(sensor: SerialSensor) -> Signal:
+    """Return all samples until the cable breaks."""
+    pieces = []
+    with pytest.raises(TransportError, match="broke off"):
+        while True:
+            pieces.append(sensor.read(0.1))
+    return np.concatenate(pieces)
+
+
+def line(time_us: int, values: Signal) -> bytes:
+    return (f"{time_us}," + ",".join(f"{value:.6f}" for value in values) + "\n").encode()
+
+
+def signal(times_s: Signal) -> Signal:
+    """Three axes of some g: slow against the rate, so that a cubic polynomial is near."""
+    phases = np.outer(times_s, 2 * np.pi * np.array([20.0, 31.0, 43.0]))
+    return np.asarray(np.sin(phases) + np.array([0.0, 0.0, 1.0]))
+
+
+def text(times_us: list[int], header: bytes = HEADER) -> bytes:
+    return header + b"".join(
+        line(time_us, values) for time_us, values in zip(times_us, signal(np.array(times_us) / 1e6), strict=True)
+    )
+
+
+def description(facts: bytes) -> bytes:
+    return write_frame(bytes([DESCRIPTION]) + facts)
+
+
+def frame(number: int, samples: Counts) -> bytes:
+    return write_frame(bytes([SAMPLES]) + struct.pack("<I", number % 2**32) + samples.astype("<i2").tobytes())
+
+
+def frames(counts: Counts, first: int = 0, size: int = 16, without: tuple[int, ...] = ()) -> bytes:
+    starts = range(0, len(counts), size)
+    return b"".join(frame(first + at, counts[at : at + size]) for at in starts if at not in without)
+
+
+FACTS = b"rate_hz=1000 unit=g counts_per_unit=256 axes=xyz"
+
+
+def test_lines_become_samples_in_the_unit() -> None:
+    times_us = list(range(5_000_000, 9_000_000, 1000))
+    sensor = opened(b"rubbish of a start\n" + text(times_us))
+    assert (sensor.rate_hz, sensor.unit, sensor.axes, sensor.channels) == (1000, "m/s^2", "xyz", 3)
+    samples = heard(sensor)
+    expected = G * signal(np.array(times_us) / 1e6)
+    at = len(expected) - len(samples)  # the lines by which the format was known
+    assert 0 < at < 1000
+    first = int(np.argmin([np.abs(expected[start : start + 500] - samples[:500]).max() for start in range(at)]))
+    assert samples == pytest.approx(expected[first : first + len(samples)], abs=1e-4)
+    assert sensor.losses.gaps == 0
+    assert sensor.warnings() == []
+
+
+@pytest.mark.parametrize("size", [1, 7, 2000])
+def test_frames_become_samples_whatever_the_pieces(size: int) -> None:
+    counts = np.arange(3 * 1600).reshape(-1, 3) % 1000 - 500
+    data = b"\x55\x00" + description(FACTS) + frames(counts, first=2**32 - 100)
+    sensor = opened(data, size)
+    assert (sensor.format, sensor.rate_hz, sensor.unit, sensor.axes) == ("binary", 1000, "m/s^2", "xyz")
+    assert sensor.full_scale == pytest.approx(32767 / 256 * G)
+    samples = heard(sensor)
+    assert samples == pytest.approx(counts[-len(samples) :] / 256 * G)
+    assert sensor.losses.gaps == 0
+
+
+def test_lost_frames_are_counted_and_interpolated() -> None:
+    counts = np.repeat(np.arange(640)[:, None], 3, axis=1)
+    sensor = opened(description(FACTS) + frames(counts, without=(320, 336, 480)), size=50)
+    samples = heard(sensor)
+    assert samples == pytest.approx(counts[-len(samples) :] / 256 * G)  # a ramp is what a line restores
+    assert (sensor.losses.gaps, sensor.losses.samples) == (2, 48)
+    start = 640 - len(samples)
+    assert sensor.losses.places == [((320 - start) / RATE_HZ, 32), ((480 - start) / RATE_HZ, 16)]
+
+
+def test_a_damaged_frame_is_a_loss_and_is_said() -> None:
+    counts = np.repeat(np.arange(640)[:, None], 3, axis=1)
+    whole = frames(counts[:320])
+    broken = bytearray(frame(320, counts[320:336]))
+    broken[20] ^= 0xFF
+    sensor = opened(description(FACTS) + whole + bytes(broken) + frames(counts[336:], first=336), size=64)
+    heard(sensor)
+    assert sensor.losses.samples == 16
+    assert sensor.warnings() == ["1 damaged frame(s)"]
+
+
+@pytest.mark.parametrize("jump", [-1, 5000, 2**31])
+def test_a_count_that_jumps_ends_the_recording(jump: int) -> None:
+    counts = np.zeros((320, 3))
+    data = description(FACTS) + frames(counts) + frames(counts, first=320 + jump)
+    sensor = opened(data, size=64)
+    with pytest.raises(SensorStreamError, match="count of samples jumps"):
+        while True:
+            sensor.read(0.1)
+
+
+def test_times_with_jitter_become_a_uniform_grid() -> None:
+    jitter_us = np.random.default_rng(1).integers(-150, 151, 4000)
+    times_us = (1000 * np.arange(4000) + jitter_us + 1000).tolist()
+    timed = TimedSamples(Lines(), RATE_HZ, 1000.0)
+    timed._samples = np.zeros((0, 3))
+    samples = timed.place(list(zip(times_us, map(tuple, signal(np.array(times_us) / 1e6).tolist()), strict=True)))
+    grid_s = times_us[0] / 1e6 + np.arange(len(samples)) / RATE_HZ
+    assert len(samples) > 3990
+    error = samples - signal(grid_s)
+    assert np.sqrt(np.mean(np.square(error))) < 1e-3  # taken as uniform, the samples would be off by 0.03
+    assert timed.losses.gaps == 0
+    assert 50 < timed.jitter_us < 200
+    assert timed.worst_jitter_us <= 300
+
+
+def test_lost_lines_are_counted_and_interpolated() -> None:
+    kept = [number for number in range(3000) if number not in range(2000, 2020)]
+    lines = b"".join(line(1000 * number, np.full(3, float(number))) for number in kept)
+    sensor = opened(HEADER + lines)
+    samples = heard(sensor)
+    assert np.diff(samples[:, 0]) == pytest.approx(G, rel=1e-6)
+    assert (sensor.losses.gaps, sensor.losses.samples) == (1, 20)
+
+
+def test_the_clock_of_a_board_may_overflow() -> None:
+    times_us = [(2**32 - 1_500_000 + 1000 * number) % 2**32 for number in range(3000)]
+    lines = b"".join(line(time_us, np.full(3, float(number))) for number, time_us in enumerate(times_us))
+    sensor = opened(HEADER + lines)
+    assert np.diff(heard(sensor)[:, 0]) == pytest.approx(G, rel=1e-6)
+    assert sensor.losses.gaps == 0
+
+
+def test_a_rate_that_is_not_stated_comes_from_the_times() -> None:
+    times_us = [round(number * 1e6 / 833.3) for number in range(2000)]
+    sensor = opened(text(times_us, b"# unit=m/s^2\n"))
+    assert sensor.rate_hz == 833
+    assert sensor.axes == "xyz"
+    assert 0 < float(str(sensor.facts()["worst_jitter_us"])) < 1.1  # whole us
+
+
+@pytest.mark.parametrize(
+    ("data", "options", "error"),
+    [
+        (text(list(range(0, 2_000_000, 500))), {}, "its times say 2000.0 Hz"),
+        (text(list(range(0, 2_000_000, 1000))), {"sensitivity": parse("1/g")}, "states its unit, g; leave out"),
+        (text(list(range(0, 2_000_000, 1000)), b"# rate_hz=1000\n"), {}, "does not state its unit; give `sensitivity`"),
+        (text(list(range(0, 2_000_000, 1000)), b""), {"sensitivity": parse("1mV/g")}, "sends numbers, not volts"),
+        (text(list(range(0, 2_000_000, 1000))), {"rate_hz": 500}, "states 1000 Hz; leave out `rate_hz`=500"),
+        (text(list(range(0, 2_000_000, 1000)), b"# unit=g axes=xy\n"), {}, "sends 3 channels, and 2 axes"),
+        (text(list(range(0, 2_000_000, 1000)), b"# unit=g rate_hz=nan\n"), {}, "rate_hz=nan, which cannot be"),
+        (text(list(range(0, 2_000_000, 1000)), HEADER + b"# unit=um\n"), {}, "states unit=g, and then unit=um"),
+        (text([5] * 30_000), {}, "its times do not rise"),
+        (description(b"unit=g axes=x") + frames(np.zeros((64, 1))), {}, "does not state its sample rate"),
+        (b"x" * 100_000, {}, "neither lines of samples nor frames; check the @BAUD"),
+        (bytes(range(256)) * 400, {}, "neither lines of samples nor frames; check the @BAUD"),
+        (frames(np.zeros((20_000, 3))), {}, "no frame that states its axes"),
+        (b"nan,nan,nan\n1,inf,nan,3\n" * 5000, {}, "neither lines of samples nor frames"),
+    ],
+)
+def test_a_wrong_sensor_is_rejected(
+    data: bytes, options: dict[str, Any], error: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(serial_sensor, "_STATED_WITHIN_S", 0.0)
+    with pytest.raises((SensorStreamError, TextureError), match=error):
+        opened(data, **options)
+
+
+def test_a_sensor_that_is_silent_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s = iter(np.arange(0.0, 1000.0, 0.1).tolist())
+    monkeypatch.setattr("time.monotonic", lambda: next(now_s))
+    with pytest.raises(SensorStreamError, match="sends nothing"):
+        SerialSensor("PORT", open_port=lambda name, baud: Port(b"", silence=1000))
+
+
+def test_a_sensor_that_begins_to_send_rubbish_ends_the_recording() -> None:
+    sensor = opened(text(list(range(0, 2_000_000, 1000))) + b"1,2,what,4\n" * 1000)
+    with pytest.raises(SensorStreamError, match="lines in a row that hold no sample"):
+        while True:
+            sensor.read(0.1)
+
+
+def test_some_axes_may_be_chosen_and_are_put_in_order() -> None:
+    times_us = list(range(0, 2_000_000, 1000))
+    values = b"".join(line(time_us, np.array([3.0, 2.0, 1.0])) for time_us in times_us)
+    header = b"# rate_hz=1000 unit=m/s^2 axes=zyx\n"
+    assert heard(opened(header + values))[100] == pytest.approx([1.0, 2.0, 3.0])
+    assert heard(opened(header + values, axes="z"))[100] == pytest.approx([3.0])
+
+
+@given(st.lists(st.one_of(st.binary(max_size=400), st.sampled_from([b"\n", HEADER, b"1,2,3,4\n", b"9,1e5\n"]))))
+def test_lines_survive_anything(pieces: list[bytes]) -> None:
+    lines = Lines()
+    whole = Lines()
+    try:
+        found = [sample for piece in pieces for sample in lines.feed(piece)]
+        assert found == whole.feed(b"".join(pieces))
+    except SensorStreamError:
+        return
+    assert len(lines._pending) <= MAX_LINE_BYTES + 1
+    for _, values in found:
+        assert 1 <= len(values) <= 3
+        assert np.isfinite(values).all()
+
+
+@given(st.lists(st.one_of(st.binary(max_size=100), st.just(description(FACTS)), st.just(frame(7, np.ones((4, 3)))))))
+def test_frames_survive_anything(pieces: list[bytes]) -> None:
+    reader = Frames()
+    try:
+        for _, samples in (each for piece in pieces for each in reader.feed(piece)):
+            assert samples.shape[1] == 3
+    except SensorStreamError:
+        return
+
+
+@given(st.binary(max_size=200))
+def test_a_description_is_known_or_rejected(data: bytes) -> None:
+    try:
+        stated = Description().with_facts(data.decode("ascii", "replace"))
+    except SensorStreamError:
+        return
+    assert stated.rate_hz is None or stated.rate_hz >= 1
+
+
+@given(st.lists(st.tuples(st.integers(0, 2**32 - 1), st.integers(1, 40)), max_size=30))
+def test_numbered_samples_are_as_many_as_the_numbers_say(pieces: list[tuple[int, int]]) -> None:
+    reader = Frames()
+    reader.feed(description(FACTS))
+    numbered = NumberedSamples(reader, RATE_HZ)
+    count, first = 0, None
+    try:
+        for number, size in pieces:
+            first = number if first is None else first
+            count += len(numbered.place([(number, np.ones((size, 3)))]))
+            assert (first + count) % 2**32 == (number + size) % 2**32
+    except SensorStreamError:
+        pass
+    assert count <= sum(size for _, size in pieces) + RATE_HZ * len(pieces)
+
+
+@given(st.lists(st.integers(1, 60_000), min_size=8, max_size=60), st.integers(1, 9))
+def test_timed_samples_do_not_depend_on_the_pieces(steps_us: list[int], size: int) -> None:
+    times_us = np.cumsum(steps_us).tolist()
+    samples: list[tuple[int, tuple[float, ...]]] = [
+        (time_us, (float(index % 7),)) for index, time_us in enumerate(times_us)
+    ]
+
+    def placed(parts: list[int]) -> Signal:
+        timed = TimedSamples(Lines(), RATE_HZ, 1000.0)
+        timed._samples = np.zeros((0, 1))
+        return np.concatenate([timed.place(samples[start:stop]) for start, stop in pairwise(parts)])
+
+    whole = placed([0, len(samples)])
+    pieces = placed([*range(0, len(samples), size), len(samples)])
+    assert len(whole) == 1 + (times_us[-2] - times_us[0]) * RATE_HZ // 1_000_000
+    assert pieces == pytest.approx(whole, abs=1e-6)

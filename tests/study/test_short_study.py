@@ -1,0 +1,109 @@
+"""The shipped study end to end: simulated observers and their report, and a scripted participant in Chromium."""
+
+import csv
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from tests.study.stub_run import chromium
+from vibrocast.host.cli.command_line import main
+
+ROOT = Path(__file__).parents[3]
+STUDY = ROOT / "examples" / "studies" / "textures_short.toml"
+
+
+def shortened(folder: Path) -> Path:
+    """Write the study with one texture, one repetition, short stimuli and no breaks."""
+    text = re.sub(r'\[\[textures\]\]\nname = "(sandpaper|leather)"\n(.+\n)+', "", STUDY.read_text())
+    for key, value in (("repetitions", 1), ("practice_trials", 1), ("break_seconds", 0), ("stimulus_seconds", 0.3)):
+        text, count = re.subn(rf"^{key} = \S+", f"{key} = {value}", text, flags=re.MULTILINE)
+        assert count == 1
+    path = folder / "textures_short.toml"
+    path.write_text(text)
+    return path
+
+
+def test_simulated_observers_take_part_and_are_reported(tmp_path: Path) -> None:
+    out = tmp_path / "short"
+    for arguments in (["simulate", STUDY, "--participants", 3, "--out", out], ["report", out]):
+        result = CliRunner().invoke(main, ["study", *map(str, arguments)])
+        assert result.exit_code == 0, result.stderr
+    document = json.loads((out / "report" / "report.json").read_text())
+    assert (len(document["participants"]), document["simulated"], document["method"]) == (3, True, "degradation")
+    means = {(row["texture"], row["condition"]): row["mean"] for row in document["means"]}
+    for texture in ("wood", "sandpaper", "leather"):
+        assert means[texture, "uncompressed again"] < means[texture, "linear 4"]
+    assert len(document["findings"]) == 12
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(chromium() is None, reason="needs Chromium: Debian's package chromium")
+def test_a_scripted_participant_takes_part_in_chromium(tmp_path: Path) -> None:
+    from playwright.sync_api import expect, sync_playwright
+
+    out = tmp_path / "short"
+    command = ["study", "run", str(shortened(tmp_path)), "--participant", "7", "--port", "0", "--out", str(out)]
+    program = "from vibrocast.host.cli.entry import main; main()"
+    process = subprocess.Popen(
+        [sys.executable, "-c", program, *command],
+        stdout=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+    )
+    assert process.stdout is not None
+    try:
+        address = process.stdout.readline().removeprefix("participant: ").strip()
+        assert address.startswith("http://127.0.0.1:")
+        with sync_playwright() as playwright:
+            browser = playwright.chromium.launch(executable_path=chromium(), args=["--no-sandbox"])
+            page = browser.new_page()
+            page.set_default_timeout(20_000)
+            page.goto(address)
+            page.get_by_role("button", name="Start the sound").click()
+            page.get_by_role("button", name="Continue").click()
+            page.fill("input", "thirty")
+            page.click("button.main")
+            expect(page.get_by_text("Stroke at the pace")).to_be_visible()
+            page.get_by_role("button", name="Continue").click()
+            answered = 0
+            while answered < 6:
+                trial = page.locator("[data-label='A']")
+                rest = page.get_by_role("heading", name="Take a break")
+                expect(trial.or_(rest).first).to_be_visible()
+                if rest.is_visible():
+                    page.get_by_role("button", name="Continue").click()
+                    expect(rest).to_be_hidden()
+                    continue
+                for label in ("Reference", "A"):
+                    button = page.locator(f"[data-label='{label}']")
+                    button.click()
+                    expect(button).to_have_class(re.compile("playing"))
+                    expect(button).not_to_have_class(re.compile("playing"))
+                assert "linear" not in page.inner_text("body"), "nobody who takes part sees a condition"
+                progress = page.locator("#progress-text").inner_text()
+                page.click(f"[data-choice='{answered % 4}']")
+                answered += 1
+                expect(page.locator("#progress-text")).not_to_have_text(progress)
+            page.fill("input", "nothing")
+            page.click("button.main")
+            expect(page.get_by_text("Thank you")).to_be_visible()
+            browser.close()
+        assert process.wait(20) == 0
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    with (out / "participant_007" / "results.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["value"]) for row in rows] == [number % 4 for number in range(6)]
+    events = [json.loads(line) for line in (out / "participant_007" / "log.jsonl").read_text().splitlines()]
+    assert sum(event["event"] == "played" for event in events) == 12
+    result = CliRunner().invoke(main, ["study", "report", str(out)])
+    assert result.exit_code == 0, result.stderr
+    assert "Simulated" not in (out / "report" / "report.html").read_text()

@@ -1,0 +1,441 @@
+"""Statistics of studies against published values, scipy, statsmodels and simulated decisions."""
+
+import math
+import warnings
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike, NDArray
+from scipy import stats
+from statsmodels.stats.multitest import multipletests
+from statsmodels.stats.power import TTestPower
+
+from vibrocast.study import statistics as own
+from vibrocast.study.trials import StudyError
+
+# Hours of sleep gained by two drugs: Cushny and Peebles 1905, the example of Student, Biometrika 6(1), 1908.
+SLEEP = (
+    [0.7, -1.6, -0.2, -1.2, -0.1, 3.4, 3.7, 0.8, 0.0, 2.0],
+    [1.9, 0.8, 1.1, 0.1, -0.1, 4.4, 5.5, 1.6, 4.6, 3.4],
+)
+# Ratings of two films: Lakens 2013, table 1.
+FILMS = ([9, 7, 8, 9, 8, 9, 9, 10, 9, 9], [9, 6, 7, 8, 7, 9, 8, 8, 8, 7])
+# Baseball 1987: A. Agresti, Categorical Data Analysis, 2nd edition, 2002, page 438. Wins of the row's team at home and
+# on visits, against each column's.
+TEAMS = ("Milwaukee", "Detroit", "Toronto", "New York", "Boston", "Cleveland", "Baltimore")
+WON_AT_HOME = [
+    [0, 4, 4, 4, 6, 4, 6],
+    [3, 0, 4, 4, 6, 6, 4],
+    [2, 4, 0, 2, 4, 4, 6],
+    [3, 5, 2, 0, 4, 4, 6],
+    [5, 2, 3, 4, 0, 5, 6],
+    [2, 3, 3, 4, 4, 0, 2],
+    [2, 1, 1, 2, 1, 3, 0],
+]
+WON_ON_VISITS = [
+    [0, 3, 5, 3, 1, 5, 5],
+    [3, 0, 3, 1, 5, 3, 5],
+    [2, 2, 0, 5, 3, 4, 6],
+    [3, 3, 4, 0, 2, 3, 4],
+    [1, 0, 3, 3, 0, 2, 6],
+    [2, 1, 2, 2, 2, 0, 4],
+    [0, 3, 0, 1, 0, 4, 0],
+]
+
+
+@pytest.fixture(autouse=True)
+def no_warnings() -> Iterator[None]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        yield
+
+
+def participants_for(effect: float, most: int = 1000) -> int | None:
+    """Return the least number of participants whose paired t-test has a power of 0.8."""
+    return next((count for count in range(2, most + 1) if own.power_of_paired_test(effect, count) >= 0.8), None)
+
+
+def ends(interval: own.Interval) -> tuple[float, float, float]:
+    """Return low end, value and high end of an interval that has all three."""
+    assert interval.low is not None and interval.value is not None and interval.high is not None
+    return interval.low, interval.value, interval.high
+
+
+# ---- means and tests ----
+
+
+def test_mean_interval_is_that_of_scipy() -> None:
+    values = SLEEP[1]
+    interval = own.mean_interval(values)
+    expected = stats.ttest_1samp(values, 0).confidence_interval(0.95)
+    assert interval.value == pytest.approx(2.33)
+    assert (interval.low, interval.high) == pytest.approx((expected.low, expected.high))
+
+
+def test_paired_test_gives_students_example() -> None:
+    test = own.paired_test(*SLEEP)
+    # As R's documentation of `sleep` has it.
+    assert test.count == 10 and test.difference == pytest.approx(-1.58)
+    assert test.t == pytest.approx(-4.0621, abs=5e-5)
+    assert test.p == pytest.approx(0.002833, abs=5e-7)
+
+
+def test_effect_size_gives_the_example_of_lakens() -> None:
+    test = own.paired_test(*FILMS)
+    assert test.t == pytest.approx(4.74, abs=0.005)
+    # Cohen's d_z is 1.50; Hedges' correction for 10 people is 1 - 3 / 35.
+    assert test.effect.value == pytest.approx(1.5 * (1 - 3 / 35))
+    low, value, high = ends(test.effect)
+    assert 0 < low < value < high
+
+
+def test_hedges_correction_removes_the_bias_of_small_groups() -> None:
+    random = np.random.default_rng(1)
+    values = [own._hedges(random.normal(0.8, 1.0, 8)) for _ in range(4000)]
+    assert np.mean(values) == pytest.approx(0.8, abs=0.03)
+
+
+@pytest.mark.parametrize("p_values", [[0.01, 0.04, 0.03, 0.005], [0.2], [0.6, 0.6, 0.6], [0.0, 1.0, 0.5, 0.05, 0.05]])
+def test_holm_is_that_of_statsmodels(p_values: list[float]) -> None:
+    assert own.holm(p_values) == pytest.approx(list(multipletests(p_values, method="holm")[1]))
+
+
+def test_a_test_that_was_not_made_does_not_count_in_holms_correction() -> None:
+    assert own.holm([None, 0.02, None, 0.01]) == [None, 0.02, None, 0.02]
+    assert own.holm([]) == []
+
+
+def test_bootstrap_is_that_of_scipy() -> None:
+    rows = np.array(SLEEP[1])
+    interval = own.bootstrap(rows, lambda each: float(np.median(each)))
+    expected = stats.bootstrap(
+        (rows,), np.median, method="percentile", n_resamples=5000, rng=np.random.default_rng(1)
+    ).confidence_interval
+    assert (interval.low, interval.high) == pytest.approx((expected.low, expected.high), abs=0.3)
+    assert own.bootstrap(rows, lambda each: float(np.median(each))) == interval
+
+
+# ---- sensitivity ----
+
+
+def test_yes_no_sensitivity_and_the_log_linear_correction() -> None:
+    # Hautus 1995: 0.5 more of each count, 1 more of each total.
+    assert own.rates(50, 50, 5, 50) == pytest.approx((50.5 / 51, 5.5 / 51))
+    assert own.sensitivity_yes_no(*own.rates(50, 50, 5, 50)) == pytest.approx(3.57, abs=0.01)
+
+
+def test_yes_no_sensitivity_of_pairs_is_the_difference_of_two_z() -> None:
+    # 18 of 20 and 4 of 20, corrected: z(18.5 / 21) = 1.1790 and z(4.5 / 21) = -0.7916 in a table of the normal curve.
+    assert own.sensitivity("same_different", [[18, 20, 4, 20]], model="yes_no").value == pytest.approx(1.971, abs=2e-3)
+    assert own.sensitivity("same_different", [[4, 20, 18, 20]], model="yes_no").value == pytest.approx(-1.971, abs=2e-3)
+    with pytest.raises(StudyError, match="same-different"):
+        own.sensitivity("abx", [[4, 20]], model="yes_no")
+
+
+# Worked examples in the help texts of the Palamedes toolbox (Prins and Kingdom), PAL_SDT_1AFCsameDiff_DiffMod_PHFtoDP,
+# PAL_SDT_1AFCsameDiff_IndMod_PHFtoDP and PAL_SDT_2AFCmatchSample_DiffMod_PHFtoDP.
+@pytest.mark.parametrize(
+    ("model", "hit_rate", "false_alarm_rate", "expected"),
+    [
+        ("differencing", 0.6, 0.1, 2.6837),
+        ("differencing", 0.7, 0.1, 3.0675),
+        ("differencing", 0.8, 0.5, 2.0629),
+        ("independent", 0.6, 0.1, 2.2835),
+        ("independent", 0.8, 0.1, 2.8342),
+        ("independent", 0.9, 0.6, 1.7808),
+    ],
+)
+def test_same_different_gives_published_values(
+    model: own.Model, hit_rate: float, false_alarm_rate: float, expected: float
+) -> None:
+    assert own.sensitivity_same_different(hit_rate, false_alarm_rate, model) == pytest.approx(expected, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("hit_rate", "false_alarm_rate", "expected"), [(0.6, 0.1, 2.2063), (0.8, 0.1, 2.8010), (0.9, 0.6, 1.6940)]
+)
+def test_abx_gives_published_values(hit_rate: float, false_alarm_rate: float, expected: float) -> None:
+    unbiased = float(stats.norm.cdf(own.sensitivity_yes_no(hit_rate, false_alarm_rate) / 2))
+    assert own.sensitivity_abx(unbiased) == pytest.approx(expected, abs=1e-4)
+
+
+def test_abx_by_independent_observation_gives_a_published_value() -> None:
+    # PAL_SDT_2AFCmatchSample_IndMod_DPtoPHF: d' = 2.5 without bias gives 0.8639 hits.
+    assert own.sensitivity_abx(0.8639, "independent") == pytest.approx(2.5, abs=1e-3)
+
+
+TRIALS = 200_000
+
+
+def observed(shape: tuple[int, ...]) -> NDArray[np.float64]:
+    return np.random.default_rng(5).standard_normal(shape)
+
+
+@pytest.mark.parametrize("sensitivity", [0.7, 1.5, 2.5])
+def test_formulas_agree_with_simulated_decisions(sensitivity: float) -> None:
+    first, second, third = observed((3, TRIALS))
+    chosen = np.mean(sensitivity + first > second)
+    assert own.sensitivity_two_alternative(float(chosen)) == pytest.approx(sensitivity, abs=0.03)
+
+    hits = np.mean(np.abs(sensitivity + first - second) > 1.4)
+    false_alarms = np.mean(np.abs(third - second) > 1.4)
+    assert own.sensitivity_same_different(float(hits), float(false_alarms)) == pytest.approx(sensitivity, abs=0.05)
+
+    a, b, x = first, sensitivity + second, third  # X is A
+    correct = np.mean(np.abs(x - a) < np.abs(x - b))
+    assert own.sensitivity_abx(float(correct)) == pytest.approx(sensitivity, abs=0.03)
+
+    # Each is classified: same if both lie on one side of the middle; in ABX, the order of A and B, then X.
+    classified = own.sensitivity_same_different(
+        float(np.mean((first > sensitivity / 2) != (sensitivity + second > sensitivity / 2))),
+        float(np.mean((first > sensitivity / 2) != (third > sensitivity / 2))),
+        "independent",
+    )
+    assert classified == pytest.approx(sensitivity, abs=0.05)
+    correct = np.mean((a < b) == (x < sensitivity / 2))
+    assert own.sensitivity_abx(float(correct), "independent") == pytest.approx(sensitivity, abs=0.03)
+
+
+def test_sensitivity_pools_counts_and_varies_over_participants() -> None:
+    counts = [[15, 20], [17, 20], [12, 20], [18, 20]]
+    interval = own.sensitivity("two_alternative", counts)
+    assert interval.value == pytest.approx(math.sqrt(2) * stats.norm.ppf(62.5 / 81))
+    low, value, high = ends(interval)
+    assert low < value < high
+    independent = own.sensitivity("abx", counts, model="independent").value
+    differencing = own.sensitivity("abx", counts).value
+    assert independent is not None and differencing is not None and independent < differencing
+
+
+@pytest.mark.parametrize("method", ["two_alternative", "abx", "same_different"])
+def test_perfect_and_hopeless_observers_have_a_finite_sensitivity(method: str) -> None:
+    perfect = [[20, 20, 0, 20]] * 5 if method == "same_different" else [[20, 20]] * 5
+    hopeless = [[0, 20, 20, 20]] * 5 if method == "same_different" else [[0, 20]] * 5
+    high, low = own.sensitivity(method, perfect).value, own.sensitivity(method, hopeless).value
+    assert high is not None and 2.5 < high < own.LARGEST_SENSITIVITY
+    assert low is not None and low <= 0
+
+
+def test_same_stimuli_have_no_sensitivity() -> None:
+    random = np.random.default_rng(3)
+    chance = np.column_stack([random.binomial(40, 0.5, 12), np.full(12, 40)])
+    interval = own.sensitivity("two_alternative", chance)
+    low, _, high = ends(interval)
+    assert low < 0 < high
+    assert own.sensitivity("same_different", [[4, 20, 5, 20]] * 5).value == 0
+
+
+@pytest.mark.parametrize("counts", [[[1, 2, 3]], [[float("nan"), 2]], [[-1, 2]], [[3, 2]], [], [1, 2]])
+def test_damaged_counts_are_rejected(counts: ArrayLike) -> None:
+    with pytest.raises(StudyError, match="another table"):
+        own.sensitivity("abx", counts)
+
+
+def test_no_trials_give_no_sensitivity() -> None:
+    nothing = own.Interval(None, None, None)
+    assert own.sensitivity("abx", np.zeros((0, 2))) == nothing
+    assert own.sensitivity("abx", [[0, 0], [0, 0]]) == nothing
+    assert own.sensitivity("same_different", [[3, 4, 0, 0]] * 3) == nothing
+    one = own.sensitivity("abx", [[8, 10]])
+    assert one.value is not None and one.low is None and one.high is None
+
+
+@pytest.mark.parametrize("rate", [0.0, 1.0, math.nan])
+def test_extreme_rates_need_the_correction(rate: float) -> None:
+    for each in (own.sensitivity_two_alternative, own.sensitivity_abx):
+        with pytest.raises(StudyError, match="gives no d'"):
+            each(rate)
+    with pytest.raises(StudyError, match="gives no d'"):
+        own.sensitivity_same_different(rate, 0.5)
+
+
+# ---- planning ----
+
+
+@pytest.mark.parametrize(("effect", "count"), [(0.2, 199), (0.5, 34), (0.8, 15)])
+def test_sample_sizes_are_those_of_cohens_effects(effect: float, count: int) -> None:
+    # As G*Power 3 (Faul et al., Behavior Research Methods 39, 2007) gives them: two tails, alpha 0.05, power 0.8.
+    assert participants_for(effect) == count
+
+
+@pytest.mark.parametrize("count", [3, 10, 30])
+@pytest.mark.parametrize("alpha", [0.05, 0.01])
+def test_power_is_that_of_statsmodels(count: int, alpha: float) -> None:
+    other = TTestPower()
+    for effect in (0.0, 0.3, 0.8, 1.5, -0.8):
+        expected = other.power(effect, count, alpha)
+        if np.isfinite(expected):  # statsmodels has none where scipy has none
+            assert own.power_of_paired_test(effect, count, alpha) == pytest.approx(expected, abs=1e-6)
+    least = own.detectable_effect(count, 0.8, alpha)
+    assert least is not None
+    assert own.power_of_paired_test(least, count, alpha) == pytest.approx(0.8)
+    if count > 3:  # statsmodels errs where scipy has no far tail
+        assert least == pytest.approx(other.solve_power(nobs=count, alpha=alpha, power=0.8), rel=1e-4)
+
+
+def test_power_of_three_people_agrees_with_simulated_studies() -> None:
+    drawn = np.random.default_rng(1).normal(7.3, 1.0, (50_000, 3))
+    found = np.mean(stats.ttest_1samp(drawn, 0, axis=1).pvalue < 0.01)
+    assert own.power_of_paired_test(7.3, 3, 0.01) == pytest.approx(found, abs=0.01)
+
+
+def test_power_of_too_few_people_is_none() -> None:
+    assert own.power_of_paired_test(2.0, 1) == 0
+    assert own.power_of_paired_test(100.0, 10) == 1
+    assert own.detectable_effect(2) is None
+    assert participants_for(0.01) is None
+
+
+def test_resampled_sample_size_agrees_with_the_formula() -> None:
+    random = np.random.default_rng(1)
+    people = random.normal([0.8], 1.0, (3000, 1))
+    effect = float(np.mean(people) / np.std(people))
+    wanted = participants_for(effect)
+    (needed,) = own.participants_by_resampling(people)
+    assert needed is not None and wanted is not None and abs(needed - wanted) <= 2
+
+
+def test_resampled_sample_size_corrects_for_several_tests() -> None:
+    random = np.random.default_rng(1)
+    people = random.normal([0.8, 0.0, 0.0, 0.0], 1.0, (3000, 4))
+    alone, (among, *others) = (
+        own.participants_by_resampling(people[:, :1], most=30),
+        own.participants_by_resampling(people, most=30),
+    )
+    assert alone[0] is not None and among is not None and among > alone[0]
+    assert others == [None, None, None]
+
+
+def test_resampled_sample_size_of_degenerate_ratings() -> None:
+    assert own.participants_by_resampling([[0.0, 1.0]] * 5, most=10) == [None, 2]
+    for damaged in ([[1.0]], [1.0, 2.0], [[math.nan], [1.0]]):
+        with pytest.raises(StudyError, match="differences"):
+            own.participants_by_resampling(damaged)
+
+
+# ---- models ----
+
+
+def test_bradley_terry_gives_agrestis_example() -> None:
+    wins = np.array(WON_AT_HOME) + np.array(WON_ON_VISITS)
+    assert np.all((wins + wins.T)[~np.eye(7, dtype=bool)] == 13)
+    strengths = own.bradley_terry(wins, added=0)
+    # Agresti 2002, section 10.6; to four digits in the documentation of the R package BradleyTerry2.
+    expected = [1.5814, 1.4364, 1.2945, 1.2476, 1.1077, 0.6839, 0.0]
+    assert strengths - strengths[-1] == pytest.approx(expected, abs=6e-5)
+    assert np.mean(strengths) == pytest.approx(0)
+
+
+def test_bradley_terry_of_an_item_that_always_wins_is_finite() -> None:
+    strengths = own.bradley_terry([[0, 10, 0], [0, 0, 0], [0, 0, 0]])
+    assert strengths[0] == pytest.approx(-strengths[1])
+    assert np.exp(strengths[0] - strengths[1]) == pytest.approx(10.5 / 0.5)
+    assert strengths[2] == pytest.approx(0, abs=1e-6)
+    assert own.bradley_terry(np.zeros((3, 3))) == pytest.approx([0, 0, 0])
+
+
+@pytest.mark.parametrize("wins", [[1, 2], [[1, 2]], [[0, math.nan], [1, 0]], [[0, -1], [1, 0]], np.zeros((0, 0))])
+def test_damaged_wins_are_rejected(wins: ArrayLike) -> None:
+    with pytest.raises(StudyError, match="wins"):
+        own.bradley_terry(wins)
+
+
+def ratings(people: int = 12, seed: int = 2) -> tuple[NDArray[np.float64], list[str], list[int]]:
+    """Return balanced ratings, conditions and participants."""
+    random = np.random.default_rng(seed)
+    table = random.normal(0, 2, (people, 1)) + np.array([0.0, 0.5, 1.5]) + random.normal(0, 1, (people, 3))
+    return table.ravel(), ["reference", "fine", "coarse"] * people, [each for each in range(people) for _ in range(3)]
+
+
+def test_mixed_model_of_balanced_ratings_is_the_analysis_of_variance() -> None:
+    values, conditions, people = ratings()
+    table = values.reshape(12, 3)
+    fit = own.mixed_model(values, conditions, people, "reference")
+    assert fit is not None
+    residual = table - table.mean(axis=0) - table.mean(axis=1, keepdims=True) + table.mean()
+    variance = np.sum(residual**2) / (11 * 2)
+    between = 3 * np.var(table.mean(axis=1), ddof=1)
+    for place, name in ((1, "fine"), (2, "coarse")):
+        difference, error, p = fit.effects[name]
+        assert difference == pytest.approx(np.mean(table[:, place] - table[:, 0]), abs=1e-6)
+        assert error == pytest.approx(math.sqrt(2 * variance / 12), rel=1e-3)
+        assert p == pytest.approx(2 * stats.norm.sf(abs(difference / error)), abs=1e-6)
+    assert fit.residual_sd == pytest.approx(math.sqrt(variance), rel=1e-3)
+    assert fit.participant_sd == pytest.approx(math.sqrt((between - variance) / 3), rel=1e-2)
+
+
+def test_mixed_model_of_degenerate_ratings() -> None:
+    model: Callable[..., object] = own.mixed_model
+    assert model([], [], [], "a") is None
+    assert model([1, 2], ["a", "b"], [1, 1], "a") is None
+    assert model([1, 1, 1, 1], ["a", "b"] * 2, [1, 1, 2, 2], "a") is None
+    assert model([1, 2, 3, 4], ["b", "c"] * 2, [1, 1, 2, 2], "a") is None
+    assert model([0, 1, 0, 1], ["a", "b"] * 2, [1, 1, 2, 2], "a") is None
+    with pytest.raises(StudyError):
+        model([1, math.nan], ["a", "b"], [1, 2], "a")
+    with pytest.raises(StudyError):
+        model([1, 2, 3], ["a", "b"], [1, 2], "a")
+
+
+def test_correlations_are_those_of_scipy() -> None:
+    result = own.correlation(*SLEEP)
+    expected = stats.pearsonr(*SLEEP)
+    interval = expected.confidence_interval(0.95)
+    assert result.pearson.value == pytest.approx(expected.statistic)
+    assert (result.pearson.low, result.pearson.high) == pytest.approx((interval.low, interval.high))
+    rho = stats.spearmanr(*SLEEP).statistic
+    assert result.spearman.value == pytest.approx(rho)
+    width = 1.959964 * math.sqrt((1 + rho**2 / 2) / 7)
+    expected_ends = (math.tanh(math.atanh(rho) - width), math.tanh(math.atanh(rho) + width))
+    assert (result.spearman.low, result.spearman.high) == pytest.approx(expected_ends)
+
+
+def test_correlation_of_degenerate_values() -> None:
+    nothing = own.Interval(None, None, None)
+    assert own.correlation([], []).pearson == nothing
+    assert own.correlation([1, 2, 3], [5, 5, 5]).spearman == nothing
+    assert own.correlation([1, 2, 3], [1, 2, 4]).pearson.low is None
+    line = own.correlation([1, 2, 3, 4, 5], [2, 4, 6, 8, 10])
+    assert line.pearson.value == pytest.approx(1) and line.pearson.low is None
+    with pytest.raises(StudyError):
+        own.correlation([1, math.nan, 3], [1, 2, 3])
+    with pytest.raises(StudyError):
+        own.correlation([1, 2], [1, 2, 3])
+
+
+# ---- degenerate ratings ----
+
+
+def test_tests_without_a_spread() -> None:
+    same = own.paired_test([1, 2, 3], [1, 2, 3])
+    assert (same.t, same.p, same.effect.value) == (None, 1.0, None)
+    shifted = own.paired_test([2, 3, 4], [1, 2, 3])
+    assert (shifted.difference, shifted.t, shifted.p) == (1, None, None)
+    rounded = own.paired_test([1.1, 2.1, 3.1], [1, 2, 3])
+    assert (rounded.t, rounded.p, rounded.effect.value) == (None, None, None)
+
+
+def test_tests_of_few_people() -> None:
+    assert own.mean_interval([]) == own.Interval(None, None, None)
+    assert own.mean_interval([2.0]) == own.Interval(2.0, None, None)
+    nobody, one = own.paired_test([], []), own.paired_test([1.0], [0.0])
+    assert (nobody.count, nobody.p, one.count, one.t, one.p) == (0, None, 1, None, None)
+    two = own.paired_test([1.0, 2.0], [0.0, 0.5])
+    assert two.p is not None and two.effect.value is None
+
+
+def test_values_that_are_no_numbers_are_rejected() -> None:
+    for values in ([1.0, math.nan], [1.0, math.inf], [[1.0], [2.0]]):
+        with pytest.raises(StudyError, match="remove those rows"):
+            own.mean_interval(values)
+    with pytest.raises(StudyError, match="needs both"):
+        own.paired_test([1, 2], [1])
+    with pytest.raises(StudyError, match="p value"):
+        own.holm([0.1, math.nan])
+
+
+def test_post_screening_of_mushra() -> None:
+    assert own.is_reliable([100] * 17 + [80] * 3)
+    assert not own.is_reliable([100] * 16 + [80] * 4)
+    assert own.is_reliable([90] * 20) and own.is_reliable([])
