@@ -153,7 +153,7 @@ def architecture() -> Picture:
             "vibrocast: the Python API\nimports host and below",
         ]
     )
-    rows.append([_product(name) for name in sorted(PRODUCTS, key=lambda name: len(PRODUCTS[name]))])
+    rows.append([f"{name}\n{ROLES[name]}" for name in sorted(PRODUCTS, key=lambda name: len(PRODUCTS[name]))])
     picture = Picture(1.4 * len(rows) + 0.2)
     for number, row in enumerate(rows):
         width = (WIDTH - 0.2) / len(row)
@@ -169,12 +169,6 @@ def _packaged(package: str) -> str:
         return f"{package}\n{ROLES[package]}"
     everything = len(CORE[package]) == len(CORE) - 1
     return f"{package}: {ROLES[package]}\nimports {'all below' if everything else ', '.join(sorted(CORE[package]))}"
-
-
-def _product(name: str) -> str:
-    """Return what the box of a product says; all of them import the core."""
-    beside = f"core, {', '.join(sorted(PRODUCTS[name]))}" if PRODUCTS[name] else "core"
-    return f"{name}\n{ROLES[name]}\nimports {beside}"
 
 
 Cell = tuple[str, str, float]

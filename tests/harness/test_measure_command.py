@@ -267,7 +267,7 @@ def test_an_accelerometer_on_a_sound_card_fits_the_actuator_behind_another(
     ("arguments", "error"),
     [
         (("--sensitivity", "1mV/g"), "describe a sensor; add --sensor"),
-        (("--bench", "bench.toml", "--actuator", "lra"), "drop them, or --actuator and --sensor"),
+        (("--bench", "bench.toml", "--actuator", "lra"), "drop it, or --actuator and --sensor"),
         (("--sensor", "audio:card:1", "--only", "response"), "records volts; give sensitivity"),
     ],
 )
