@@ -127,11 +127,11 @@ ROLES = {
     "output": "actuators and limits",
     "codec": "signal to bytes and back",
     "simulated_device": "controllers without hardware",
-    "evaluation": "metrics and benchmark",
-    "export": "training, model images",
-    "harness": "measures a bench",
-    "planner": "cheapest setting",
-    "study": "listening studies",
+    "evaluation": "benchmark",
+    "export": "training",
+    "harness": "bench, boards",
+    "planner": "settings",
+    "study": "listeners",
 }
 """What each package is for."""
 
