@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from vibrocast.host.bench_file import Bench
     from vibrocast.host.bench_limits import Judged
     from vibrocast.host.controller import Controller
-    from vibrocast.host.end_to_end import Member, Outcome
-    from vibrocast.host.position_playback import Stroke
+    from vibrocast.host.hand_playback import Stroke
+    from vibrocast.host.playback import Member, Outcome
     from vibrocast.output.actuator import Actuator
     from vibrocast.textures import Recording
 
@@ -278,7 +278,7 @@ def vibrocast_actuator(vibrocast_bench: Bench, vibrocast_device: Controller) -> 
 def _vibrocast_member(vibrocast_bench: Bench, vibrocast_device: Controller, vibrocast_actuator: Actuator) -> Member:
     """The controller under test, with the models of its actuator."""
     from vibrocast.host.bench_file import driven_actuator
-    from vibrocast.host.end_to_end import Member
+    from vibrocast.host.playback import Member
 
     first = vibrocast_bench.first
     driven = driven_actuator(vibrocast_bench, first, vibrocast_device.description.actuator)
@@ -294,7 +294,7 @@ def vibrocast_play(vibrocast_bench: Bench, _vibrocast_member: Member, _vibrocast
     than was sent though nothing was lost.
     """
     from vibrocast.codec.encoding import encode_recording
-    from vibrocast.host import end_to_end
+    from vibrocast.host import playback as end_to_end
 
     member = _vibrocast_member
 
@@ -390,10 +390,12 @@ def vibrocast_stroke(
     """A function that plays a height profile under a hand that strokes there and back.
 
     `vibrocast_stroke(profile, stroke_mm=10.0, hand_speed_mm_s=50.0, strokes=1, **options)`; the options are those of
-    `vibrocast.host.profiles.encode`. It returns a `vibrocast.host.position_playback.Stroke`. The test fails where the
+    `vibrocast.codec.profiles.encode`. It returns a `vibrocast.host.hand_playback.Stroke`. The test fails where the
     playback misses limits of the bench file.
     """
-    from vibrocast.host import end_to_end, position_playback, profiles
+    from vibrocast.codec import profiles
+    from vibrocast.host import hand_playback as position_playback
+    from vibrocast.host import playback as end_to_end
     from vibrocast.host.bench_file import driven_actuator
 
     first = vibrocast_bench.first

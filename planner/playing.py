@@ -18,7 +18,8 @@ from vibrocast.codec.stream import Stream
 from vibrocast.codec.threshold import read_threshold
 from vibrocast.device_protocol.messages import PacketMessage, Position, State, Tap
 from vibrocast.device_protocol.transports import Transport, TransportError
-from vibrocast.host import devices, live, position_playback, uploader
+from vibrocast.host import devices, live, uploader
+from vibrocast.host import hand_playback as position_playback
 from vibrocast.host.bench_file import Bench, actuator_of, check_actuator, choose_controller, driven_actuator
 from vibrocast.host.concurrency import run_concurrently
 from vibrocast.host.controller import Controller, ControllerError

@@ -16,6 +16,7 @@ from studies.page import FOLDER, OUT, errors_in_one_line, render, write, write_r
 from studies.pvc_slp import Sensitivity
 from studies.texture_paper import PUBLISHED, SIXTEEN_BITS, Result
 from vibrocast import codec
+from vibrocast.codec import profiles
 from vibrocast.codec.stream import Stream
 from vibrocast.evaluation import cells, charts, trained
 from vibrocast.evaluation.bd_rate import PSNR, SPQI, ST_SIM_2800
@@ -33,7 +34,6 @@ from vibrocast.evaluation.points import MEASURED, Point, PointsError, Row, read_
 from vibrocast.evaluation.speed import RATES, RATIO, Speed
 from vibrocast.evaluation.tables import as_rows, frame
 from vibrocast.files import atomic_write
-from vibrocast.host import profiles
 from vibrocast.host.cli.options import own_models_option
 from vibrocast.output import profile as rendering
 from vibrocast.output.actuator import PIEZO_STACK, followed_gain

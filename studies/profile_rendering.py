@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from studies.emulated_core import CORES, EmulatedCore, compile_core
 from studies.page import OUT
-from vibrocast.host import position_playback, profiles
+from vibrocast.codec import profiles
+from vibrocast.host import hand_playback as position_playback
 from vibrocast.output import profile as rendering
 from vibrocast.output.actuator import PIEZO_STACK
 

@@ -10,7 +10,8 @@ import click
 from studies.page import OUT, errors_in_one_line, render, results_folder, write, write_rows
 from vibrocast import progress, textures
 from vibrocast.harness import machine, run_live
-from vibrocast.host import devices, end_to_end, live
+from vibrocast.host import devices, live
+from vibrocast.host import playback as end_to_end
 from vibrocast.host.cli.option_types import Whole, positive
 from vibrocast.host.live_watch import Minute
 

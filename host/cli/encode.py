@@ -8,9 +8,8 @@ from typing import Any
 import click
 
 from vibrocast import progress, textures
-from vibrocast.codec import rate_controlled
+from vibrocast.codec import profiles, rate_controlled
 from vibrocast.codec.encoding import Encoding
-from vibrocast.host import profiles
 from vibrocast.host.cli.answers import add, tell, wants_json
 from vibrocast.host.cli.option_types import INPUT, OutputFile, positive, reject_overwriting
 from vibrocast.host.cli.options import (

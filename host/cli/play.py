@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING
 import click
 
 from vibrocast import extras, progress, textures
+from vibrocast.codec import profiles
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ
 from vibrocast.codec.stream import MAX_GAIN_DB, Stream, read_stream
 from vibrocast.device_protocol.coded_stream import StreamError, packet_sequence
 from vibrocast.device_protocol.messages import MessageError
 from vibrocast.device_protocol.transports import TransportError
-from vibrocast.host import devices, player, profiles
+from vibrocast.host import devices, player
 from vibrocast.host.bench_limits import missed
 from vibrocast.host.cli.answers import add, answer, wants_json
 from vibrocast.host.cli.errors import DeviceFailure, explained
@@ -55,13 +56,13 @@ from vibrocast.host.cli.steps import (
 )
 from vibrocast.host.controller import ControllerError
 from vibrocast.host.limits import check_limits, playable
-from vibrocast.host.provenance import Provenance
-from vibrocast.host.report import SCHEMA, Report, Touch, UnfinishedReport, write_json
+from vibrocast.host.report import SCHEMA, Provenance, Report, Touch, UnfinishedReport, write_json
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import ACTUATORS
 
 if TYPE_CHECKING:
-    from vibrocast.host import end_to_end, position_playback
+    from vibrocast.host import hand_playback as position_playback
+    from vibrocast.host import playback as end_to_end
     from vibrocast.host.bench_file import Bench
 
 SILENT_DB = -200.0
@@ -183,7 +184,7 @@ def play(
 
     With --bench, --device may be a name in the file, and the exit code is 4 if a limit is missed.
     """
-    from vibrocast.host import end_to_end
+    from vibrocast.host import playback as end_to_end
 
     if outputs.plot_path is not None:
         extras.require("plot")
@@ -205,7 +206,7 @@ def play(
             raise click.UsageError("a profile under a hand has its own level; drop --gain-db")
         ((name, controlled),) = names.items()
         own_actuator(controlled.address, playback.actuator_name)
-        from vibrocast.host import position_playback
+        from vibrocast.host import hand_playback as position_playback
 
         movement = position_playback.chosen_movement(
             hand.positions_path, hand.stroke_mm, recording.hand_speed_mm_s, playback.loops
@@ -369,7 +370,7 @@ def read_source(
     file: Path, quality: QualityOptions, recording: RecordingOptions, runtime: str | None
 ) -> Stream | textures.Recording:
     """Return a .vct file, or a recording that is to be coded. Raises BadInput, CodecError and TextureError."""
-    from vibrocast.host import end_to_end
+    from vibrocast.host import playback as end_to_end
 
     source: Stream | textures.Recording
     if file.suffix.lower() == ".vct":
@@ -436,7 +437,8 @@ def spatial_stream(
 
 def tell_stroke(stroke: "position_playback.Stroke", outputs: OutputOptions) -> None:
     """Print what was played under a hand, write it and draw it. Raises ControllerError where it is not as computed."""
-    from vibrocast.host import picture, position_playback
+    from vibrocast.host import hand_playback as position_playback
+    from vibrocast.host import picture
 
     report, played = stroke.report, stroke.played
     if outputs.report_path:

@@ -8,7 +8,8 @@ import pytest
 from click.testing import CliRunner, Result
 
 from vibrocast.device_protocol.transports import TransportError
-from vibrocast.host import devices, end_to_end
+from vibrocast.host import devices
+from vibrocast.host import playback as end_to_end
 from vibrocast.host.cli.command_line import main
 from vibrocast.output.actuator import Actuator
 
@@ -48,7 +49,7 @@ def test_a_playback_that_is_cut_leaves_report_and_trace(
             return dict.fromkeys(outcomes, cut)
         raise cut
 
-    monkeypatch.setattr("vibrocast.host.end_to_end.play_together", play_and_cut)
+    monkeypatch.setattr("vibrocast.host.playback.play_together", play_and_cut)
     report = tmp_path / "cut.json"
     result = run("--report", report, "--json")
     assert result.exit_code == exit_code, result.output

@@ -14,7 +14,8 @@ from vibrocast.codec import CodecError, Decoder, Signal
 from vibrocast.codec.core import CoreDecoder
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.registry import Source
-from vibrocast.host import end_to_end, uploader
+from vibrocast.host import playback as end_to_end
+from vibrocast.host import uploader
 from vibrocast.host.controller import Controller
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.faulty_link import MemoryLink

@@ -12,10 +12,9 @@ from vibrocast.device_protocol.messages import Message, SinglePacket
 from vibrocast.harness import LiveRun, measure_latency, run_live
 from vibrocast.host.bench_limits import BenchLimits, missed
 from vibrocast.host.controller import Controller
-from vibrocast.host.end_to_end import Member, actuator_model, member
 from vibrocast.host.live import LiveStream
-from vibrocast.host.live_quality import CodedSignal, LiveQuality
-from vibrocast.host.live_watch import judged
+from vibrocast.host.live_watch import CodedSignal, LiveQuality, judged
+from vibrocast.host.playback import Member, actuator_model, member
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
 from vibrocast.simulated_device.device import Device

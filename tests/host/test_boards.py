@@ -11,7 +11,8 @@ import vibrocast
 from vibrocast import codec, textures
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import Stream
-from vibrocast.host import devices, end_to_end
+from vibrocast.host import devices
+from vibrocast.host import playback as end_to_end
 from vibrocast.host.controller import Controller
 from vibrocast.simulated_device.faulty_link import MemoryLink
 from vibrocast.simulated_device.serial_port import has_pseudo_terminals

@@ -17,7 +17,8 @@ from vibrocast.codec.stream import Stream, read_stream
 from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.device_protocol.messages import CodecDescription, Configure, Error, ErrorCode
 from vibrocast.device_protocol.transports import SerialTransport
-from vibrocast.host import end_to_end, limits
+from vibrocast.host import limits
+from vibrocast.host import playback as end_to_end
 from vibrocast.host.cli.command_line import main
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.limits import check_limits, fitted

@@ -9,7 +9,8 @@ from vibrocast import models, textures
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.live_format import live_format
 from vibrocast.device_protocol.messages import State
-from vibrocast.host import end_to_end, live, uploader
+from vibrocast.host import live, uploader
+from vibrocast.host import playback as end_to_end
 from vibrocast.host.controller import Controller
 from vibrocast.host.live import LiveStream
 from vibrocast.simulated_device.controller import Controller as SimulatedController

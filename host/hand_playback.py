@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import Position, State, Status, Tap
 from vibrocast.files import InputFileError
-from vibrocast.host import end_to_end
+from vibrocast.host import playback as end_to_end
 from vibrocast.host.controller import Controller, ControllerError
-from vibrocast.host.end_to_end import Member
 from vibrocast.host.limits import playable
 from vibrocast.host.picture import Trace
-from vibrocast.host.provenance import Provenance
-from vibrocast.host.report import SCHEMA, StrokeReport
+from vibrocast.host.playback import Member
+from vibrocast.host.report import SCHEMA, Provenance, StrokeReport
 from vibrocast.host.skin_quality import COMPARED_S, SkinQuality, compare_channels
 from vibrocast.host.stream_session import StreamSession, configure_steps, read_capture
 from vibrocast.output import profile as rendering

@@ -15,11 +15,13 @@ from scipy.fft import dct
 from tests.codec.signals import texture
 from tests.codec.test_dct_equations import B0_DB, PAPER_RULES, heights_um
 from vibrocast import codec, textures
+from vibrocast.codec import profiles
 from vibrocast.codec.stream import Stream, read_stream
 from vibrocast.codec.threshold import read_threshold, threshold_amplitude
 from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.files import InputFileError
-from vibrocast.host import end_to_end, position_playback, profiles
+from vibrocast.host import hand_playback as position_playback
+from vibrocast.host import playback as end_to_end
 from vibrocast.host.cli.command_line import main
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.limits import playable

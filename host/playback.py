@@ -22,8 +22,7 @@ from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.event_loop import run_all
 from vibrocast.host.limits import fitted
 from vibrocast.host.picture import Trace
-from vibrocast.host.provenance import Provenance
-from vibrocast.host.report import SCHEMA, ActuatorUse, DeviceDescription, Latency, Report, Touch
+from vibrocast.host.report import SCHEMA, ActuatorUse, DeviceDescription, Latency, Provenance, Report, Touch
 from vibrocast.host.skin_quality import compare_channels, limit_note
 from vibrocast.output.actuator import (
     ACTUATORS,

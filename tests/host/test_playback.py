@@ -14,10 +14,11 @@ from vibrocast.codec.stream import Stream
 from vibrocast.codec.threshold import over_threshold_db, read_threshold
 from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.device_protocol.messages import CaptureData, SlotState, Tap
-from vibrocast.host import devices, end_to_end
+from vibrocast.host import devices
+from vibrocast.host import playback as end_to_end
 from vibrocast.host.controller import Controller, ControllerError
-from vibrocast.host.end_to_end import Outcome, actuator_model
 from vibrocast.host.event_loop import Steps
+from vibrocast.host.playback import Outcome, actuator_model
 from vibrocast.host.stream_session import Capture
 from vibrocast.output.actuator import LRA, PIEZO_STACK, VOICE_COIL, Actuator
 from vibrocast.output.actuator_constants import constants
