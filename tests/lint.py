@@ -75,8 +75,9 @@ def text_findings(path: str, line: int, text: str, retired: bool = True) -> Iter
         if token.type != "inline":
             cell = token.tag in ("td", "th")
             continue
-        parts = {"text": str, "code_inline": lambda _: "…", "softbreak": lambda _: " "}
-        words = "".join(parts[each.type](each.content) for each in token.children or [] if each.type in parts)
+        replaced = {"text": "", "code_inline": "…", "softbreak": " "}  # "": by its content
+        parts = [each for each in token.children or [] if each.type in replaced]
+        words = "".join(replaced[each.type] or each.content for each in parts)
         where = f"{path}:{line + (token.map or [0])[0]}"
         for sentence in sentences(words) if not cell else ():
             if count_words(sentence) > LONGEST_SENTENCE:
@@ -153,16 +154,20 @@ def figure_findings(page: str, text: str, table: str, row: dict[str, str], colum
 
 def git(*arguments: str) -> list[str]:
     """Return the lines that git prints. Raises CalledProcessError outside a git checkout."""
-    command = ["git", "-c", "core.quotePath=false", *arguments]
-    return subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True).stdout.splitlines()
+    printed = subprocess.run(["git", *arguments], cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True)
+    return printed.stdout.splitlines()
+
+
+def tracked(*patterns: str) -> list[str]:
+    """Return the files that git knows or would add, relative to the checkout."""
+    listed = git("ls-files", "--cached", "--others", "--exclude-standard", *patterns)
+    return [path for path in listed if (ROOT / path).is_file()]
 
 
 def findings(files: list[str]) -> Iterator[str]:
     """Yield the findings of files, whose paths are relative to the checkout; of everything without files."""
-    patterns = ("*.md", "*.py", "firmware/*.[ch]", ":!firmware/src/monocypher")
-    for path in files or git("ls-files", "--cached", "--others", "--exclude-standard", *patterns):
-        if (ROOT / path).is_file():
-            yield from file_findings(path)
+    for path in files or tracked("*.md", "*.py", "firmware/*.[ch]", ":!firmware/src/monocypher"):
+        yield from file_findings(path)
     for page, quoted in tomllib.loads((ROOT / QUOTED).read_text(encoding="utf-8")).items():
         for each in quoted if page in files or not files else ():
             yield from figure_findings(page, **each)

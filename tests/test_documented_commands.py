@@ -180,9 +180,9 @@ def compare(shown: Sequence[str], printed: str, tolerance: float | None) -> None
     match = re.fullmatch(pattern, "".join(f"{line}\n" for line in lines))
     both = "shown:\n{}\nprinted:\n{}".format("\n".join(shown), printed)
     assert match, both
-    for wanted, found in zip(expected, match.groups(), strict=True) if tolerance is not None else ():
+    for wanted, found in zip(expected, match.groups(), strict=True) if tolerance else ():
         last_digit = 10.0 ** -len(wanted.partition(".")[2].partition("e")[0])
-        assert abs(float(wanted) - float(found)) <= tolerance * abs(float(wanted)) + last_digit, both
+        assert abs(float(wanted) - float(found)) <= (tolerance or 0) * abs(float(wanted)) + last_digit, both
 
 
 def look_up(text: str) -> None:
