@@ -187,15 +187,17 @@ def compare(shown: Sequence[str], printed: str, tolerance: float | None) -> None
 
 def look_up(text: str) -> None:
     """Raise AssertionError for a `vibrocast` command with a subcommand or an option that does not exist."""
-    for part in re.split(r"[|;&\n]+", text.replace("\\\n", " ")):
-        words = shlex.split(part, comments=True)
-        if words and words[0].endswith("vibrocast"):
+    tokens = shlex.shlex(text.replace("\\\n", " "), posix=True, punctuation_chars="|;&<>")
+    tokens.whitespace_split = True
+    for _, part in itertools.groupby(tokens, lambda token: set(token) <= set("|;&")):
+        words = list(part)
+        if words[0].endswith("vibrocast"):
             command: click.Command | None = main
             while isinstance(command, click.Group) and words[1:] and not words[1].startswith("-"):
                 command = command.get_command(click.Context(command), words.pop(1))
-            assert command is not None, part
+            assert command is not None, text
             known = {"--help", *(name for each in command.params for name in (*each.opts, *each.secondary_opts))}
-            assert {word.partition("=")[0] for word in words if word.startswith("--")} <= known, part
+            assert {word.partition("=")[0] for word in words if word.startswith("--")} <= known, text
 
 
 def commands(content: str) -> Iterator[tuple[str, list[str]]]:
