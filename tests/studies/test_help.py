@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests import words
+from tests import lint
 
 ROOT = Path(__file__).parents[2]
 
@@ -20,9 +20,7 @@ def is_run(path: Path) -> bool:
     )
 
 
-PROGRAMS = [
-    path for path in words.sources() if path.endswith(".py") and not path.startswith("tests/") and is_run(ROOT / path)
-]
+PROGRAMS = [path for path in lint.tracked("*.py", ":!tests") if is_run(ROOT / path)]
 
 
 def test_programs_are_found() -> None:
