@@ -23,16 +23,13 @@ from vibrocast.codec.plugins import BlockCodec, as_codec
 from vibrocast.codec.quality_meters import QualityMeter, SnrMeter, ThresholdMeter
 from vibrocast.codec.rate_control import (
     CappedRate,
-    ConstantQuality,
     ConstantRate,
-    Policy,
     RatePolicy,
     equal_error,
     rate_controlled_encoder,
     rate_controlled_framing,
     timed_framing,
 )
-from vibrocast.codec.rate_group import Group
 from vibrocast.codec.registry import (
     BUILT_IN,
     CODECS,
@@ -75,16 +72,13 @@ __all__ = [
     "Codec",
     "CodecError",
     "CodedSignal",
-    "ConstantQuality",
     "ConstantRate",
     "Decoded",
     "Decoder",
     "Encoder",
     "Framing",
-    "Group",
     "Model",
     "Parameter",
-    "Policy",
     "Progress",
     "QualityMeter",
     "RateControl",

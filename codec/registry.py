@@ -26,7 +26,7 @@ from vibrocast.codec.interface import (
     Signal,
     SignalFormat,
 )
-from vibrocast.codec.rate_control import Policy, rate_controlled_encoder
+from vibrocast.codec.rate_control import RatePolicy, rate_controlled_encoder
 from vibrocast.codec.threshold import PHYSICAL_UNITS
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
 
@@ -358,7 +358,7 @@ class Source:
         excerpt._progress = lambda part: None
         return excerpt
 
-    def encode_rate_controlled(self, setting: Setting, policy: Policy, framing: Framing) -> CodedSignal:
+    def encode_rate_controlled(self, setting: Setting, policy: RatePolicy, framing: Framing) -> CodedSignal:
         """Code in one pass, like a live stream, with a policy that controls the rate.
 
         Raises CodecError as `encode`, and for packets longer than 4000 bytes; TargetUnreachable as
