@@ -9,7 +9,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from vibrocast.codec import dct, eva, general_codecs, lapped, mdct, parametric, plugins, shaping, slp
+from vibrocast.codec import dct, eva, general_codecs, mdct, parametric, plugins, shaping, slp
 from vibrocast.codec.interface import (
     AUTO,
     Codec,
@@ -49,7 +49,7 @@ Progress: TypeAlias = Callable[[float], None]
 
 BUILT_IN: dict[str, Codec] = {
     codec.name: codec
-    for codec in (mdct.CODEC, dct.CODEC, slp.CODEC, eva.CODEC, *general_codecs.CODECS, parametric.CODEC, lapped.CODEC)
+    for codec in (mdct.CODEC, dct.CODEC, slp.CODEC, eva.CODEC, *general_codecs.CODECS, parametric.CODEC)
 }
 DEFAULT_CODEC = mdct.NAME
 

@@ -37,7 +37,7 @@ def coding_digests() -> dict[str, str]:
     methods: dict[str, tuple[str, codec.Model | None]] = {
         name: (name, None) for name in ("mdct", "dct", "slp", "parametric")
     }
-    for name in ("eva-16-2", "eva-16-7", "lapped-textures"):
+    for name in ("eva-16-2", "eva-16-7"):
         network = models.find(name)
         methods[name] = name.split("-")[0], codec.Model(network.tables, network.analysis)
     digests = {}

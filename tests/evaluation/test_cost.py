@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from tests.codec.eva_models import tiny_model
-from vibrocast import codec, models
+from vibrocast import codec
 from vibrocast.codec import Framing, SignalFormat
 from vibrocast.evaluation import cost, trained
 from vibrocast.models import Model
 
-MODELS = {"eva": tiny_model(), "lapped": models.find("lapped-textures")}
+MODELS = {"eva": tiny_model()}
 
 
 class Clock:
