@@ -95,8 +95,6 @@ def test_a_command_names_the_extra_that_it_needs(tmp_path: Path) -> None:
         ("firmware", ["play", oak, "--device", "cortex-m4"]),
         ("firmware", ["play", oak, "--device", "stm32f405"]),
         ("firmware", ["status", "--device", "host"]),
-        ("peers", ["play", oak, "--codec", "opus"]),
-        ("peers", ["encode", oak, f"{out}.vct", "--codec", "flac"]),
         ("learned", ["encode", oak, f"{out}.vct", "--codec", "eva"]),
         ("learned", ["live", "taps", "--model", "eva-16-4"]),
         ("plot", ["play", oak, "--plot", f"{out}.png"]),

@@ -51,7 +51,7 @@ def test_a_capped_rate_is_reported(tmp_path: Path) -> None:
         (["--spatial", "--packet-ms", "20"], "a profile has no time"),
         (["--equal-error"], "--equal-error is for rate control; add one of --constant-rate-bps"),
         (["--constant-rate-bps", "1000", "--packet-ms", "20"], "longer packets"),
-        (["--constant-rate-bps", "9000", "--codec", "opus"], "have one quality"),
+        (["--constant-rate-bps", "9000", "--codec", "parametric"], "have one quality"),
         (["--constant-rate-bps", "9000", "--codec", "slp", "--equal-error"], "choose another codec"),
     ],
 )
