@@ -28,7 +28,6 @@ class Style:
 CODECS: Mapping[str, Style] = {
     "mdct": Style(BLUE, width=2.8),
     "eva": Style(PURPLE),
-    "lapped": Style(SKY),
     "vcpwq": Style(ORANGE, (0, (5, 1.5))),
     "mpeg": Style(BROWN, (0, (1.5, 1))),
     "opus": Style(GREEN, (0, (6, 1.5, 1.5, 1.5))),
