@@ -50,7 +50,6 @@ DECODERS = (
     "slp",
     "eva-16",
     "eva-128",
-    "lapped-textures",
     "parametric",
 )
 """Codecs, and families of models that ship."""

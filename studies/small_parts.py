@@ -23,7 +23,7 @@ try:
 except ModuleNotFoundError as error:
     raise SystemExit(str(extras.explained(error) or error)) from error
 
-DECODERS = ("slp", "parametric", "dct", "mdct", "lapped-textures", "eva-16")
+DECODERS = ("slp", "parametric", "dct", "mdct", "eva-16")
 """Codecs, and the smallest family of models of those that need one."""
 CONTROLLERS = ("small-slp", "small-mdct")
 TABLE = "small_parts.csv"

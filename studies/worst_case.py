@@ -42,7 +42,6 @@ except ModuleNotFoundError as error:
 
 DECODERS = (
     "mdct",
-    "lapped-textures",
     "dct",
     "slp",
     "parametric",
@@ -73,7 +72,6 @@ _BETWEEN_STOPS_S = 0.0017
 _STEP_S = 0.002
 _SETTINGS: dict[str, list[Setting]] = {
     "mdct": [{"step": 1e-5, "noise_filling": 0.1}, {"step": 0.01}],
-    "lapped": [{"step": 1e-5, "noise_filling": 0.1}, {"step": 0.01}],
     "dct": [
         {"quantiser": quantiser, "levels": 65535, "entropy": entropy}
         for quantiser, entropy in product(("linear", "log"), ("huffman", "range"))

@@ -140,8 +140,6 @@ def describe_rate(target: rate_controlled.RateTarget, outcome: rate_controlled.O
     mean = f"{outcome.sent_bps:.0f} bit/s"
     if target.capped_rate_bps is not None and outcome.peak_bps is not None:
         return f"{mean} on average, at most {outcome.peak_bps:.0f} over 2 s; limit {target.capped_rate_bps:g}"
-    if target.rate_bps is None:
-        return mean
     off = "" if outcome.furthest is None else f", at most {100 * abs(outcome.furthest):.2f} % off over 2 s"
     return f"{mean} of {target.rate_bps:g}{off}"
 

@@ -151,7 +151,7 @@ class DelayOptions:
         click.option(
             "--snr-db",
             type=Number("dB"),
-            help="Set the signal-to-noise ratio of packets, for --capped-rate-bps and --constant-quality.",
+            help="Set the signal-to-noise ratio of packets, for --capped-rate-bps.",
         ),
         touch_option,
     ),

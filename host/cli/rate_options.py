@@ -13,11 +13,10 @@ from vibrocast.host.cli.sections import RATE_CONTROL, section
 
 @dataclass(frozen=True)
 class RateOptions:
-    """The target of a rate-controlled stream: one of the first three, and how it is held."""
+    """The target of a rate-controlled stream: one of the first two, and how it is held."""
 
     constant_rate_bps: float | None
     capped_rate_bps: float | None
-    constant_quality: bool
     error_db: float | None
     rate_buffer_s: float | None
     packet_ms: float | None
@@ -33,11 +32,7 @@ class RateOptions:
 
         `snr_db`, `rate_bps`: the options of these names, which another group has.
         """
-        kinds = {
-            "constant_rate_bps": self.constant_rate_bps,
-            "capped_rate_bps": self.capped_rate_bps,
-            "constant_quality": self.constant_quality or None,
-        }
+        kinds = {"constant_rate_bps": self.constant_rate_bps, "capped_rate_bps": self.capped_rate_bps}
         given = [option_of(name) for name, value in kinds.items() if value is not None]
         if not given:
             for name in ("error_db", "rate_buffer_s", "equal_error"):
@@ -55,8 +50,6 @@ class RateOptions:
             )
         if self.constant_rate_bps is None and qualities != 1:
             raise click.UsageError(f"{given[0]} needs a quality; give either --snr-db or --error-db")
-        if self.constant_quality and self.rate_buffer_s is not None:
-            raise click.UsageError("--rate-buffer-s is for a rate, and --constant-quality has none; drop one of them")
         return rate_controlled.RateTarget(
             constant_rate_bps=self.constant_rate_bps,
             capped_rate_bps=self.capped_rate_bps,
@@ -89,9 +82,6 @@ rate_controlled_options = section(
             help="Hold --snr-db or --error-db up to this rate, framing included.",
         ),
         click.option(
-            "--constant-quality", is_flag=True, help="Hold --snr-db or --error-db in every packet, at any rate."
-        ),
-        click.option(
             "--error-db", type=Number("dB"), help="Set the level of the error relative to the detection threshold."
         ),
         click.option(
@@ -103,7 +93,7 @@ rate_controlled_options = section(
         click.option(
             "--packet-ms",
             type=positive("ms"),
-            help="Set the duration of packets. Default: 60 bytes at the rate; 4 blocks without a rate; "
+            help="Set the duration of packets. Default: 60 bytes at the rate; "
             "without rate control, a file has the fewest bytes.",
         ),
         click.option("--equal-error", is_flag=True, help="Give all channels equal error, instead of equal SNR."),

@@ -1,4 +1,4 @@
-"""`vibrocast encode` with a policy: constant and capped rates, constant quality, and what cannot be asked for."""
+"""`vibrocast encode` with a policy: constant and capped rates, and what cannot be asked for."""
 
 import re
 from pathlib import Path
@@ -33,12 +33,11 @@ def test_a_constant_rate_is_reported_with_its_frames(tmp_path: Path) -> None:
     assert read_stream(out).seconds == pytest.approx(textures.load(OAK).seconds, abs=0.01)
 
 
-def test_a_capped_rate_and_a_constant_quality_are_reported(tmp_path: Path) -> None:
+def test_a_capped_rate_is_reported(tmp_path: Path) -> None:
     out = tmp_path / "oak.vct"
     peak = re.search(r"at most (\d+) over 2 s; limit 4000", encode(out, "--capped-rate-bps", "4000", "--snr-db", "12"))
     assert peak is not None and 3000 < int(peak[1]) <= 4000
-    assert "SNR 12." in encode(out, "--constant-quality", "--snr-db", "12")
-    assert " ms each, SNR" in encode(out, "--constant-quality", "--error-db", "6", "--packet-ms", "50")
+    assert " ms each, SNR" in encode(out, "--capped-rate-bps", "9000", "--error-db", "6", "--packet-ms", "50")
 
 
 @pytest.mark.parametrize(
@@ -46,14 +45,13 @@ def test_a_capped_rate_and_a_constant_quality_are_reported(tmp_path: Path) -> No
     [
         (["--constant-rate-bps", "1000", "--snr-db", "4"], "a constant rate sets the quality itself"),
         (["--constant-rate-bps", "1000", "--rate-bps", "4"], "exclude each other"),
-        (["--capped-rate-bps", "1000", "--constant-quality"], "exclude each other"),
+        (["--capped-rate-bps", "1000", "--constant-rate-bps", "1000"], "exclude each other"),
         (["--capped-rate-bps", "1000"], "--capped-rate-bps needs a quality; give either --snr-db or --error-db"),
-        (["--constant-quality", "--snr-db", "4", "--error-db", "0"], "give either --snr-db or --error-db"),
-        (["--constant-quality", "--snr-db", "4", "--rate-buffer-s", "1"], "--rate-buffer-s is for a rate"),
+        (["--capped-rate-bps", "1000", "--snr-db", "4", "--error-db", "0"], "give either --snr-db or --error-db"),
         (["--spatial", "--packet-ms", "20"], "a profile has no time"),
         (["--equal-error"], "--equal-error is for rate control; add one of --constant-rate-bps"),
         (["--constant-rate-bps", "1000", "--packet-ms", "20"], "longer packets"),
-        (["--constant-rate-bps", "9000", "--codec", "opus"], "have one quality"),
+        (["--constant-rate-bps", "9000", "--codec", "parametric"], "have one quality"),
         (["--constant-rate-bps", "9000", "--codec", "slp", "--equal-error"], "choose another codec"),
     ],
 )

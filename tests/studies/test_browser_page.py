@@ -19,7 +19,6 @@ import numpy as np
 import pytest
 
 import vibrocast
-from tests.codec.core_digests import FOREIGN
 from tests.device_protocol.test_messages import GOLDEN
 from tests.study.stub_run import chromium
 from vibrocast.codec.stream import Stream
@@ -46,7 +45,7 @@ ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "tutorials" / "browser.md"
 SCRIPTS = ROOT / "docs" / "javascripts"
 # Only hosts decode these.
-OTHERS = (*FOREIGN, "dct_whole")
+OTHERS = ("dct_whole",)
 GOLDEN_STREAMS = sorted(
     path for path in (ROOT / "tests" / "codec").glob("golden_*.vct") if path.stem.removeprefix("golden_") not in OTHERS
 )
@@ -311,7 +310,7 @@ def test_files_of_the_reader(browser: Browser, site: Path) -> None:
         expect(problem).to_have_text(re.compile("This is no coded stream: .* Choose a .vct file"))
         choose(page, ("cut.vct", mdct.read_bytes()[:-3]))
         expect(problem).to_have_text(re.compile("The file is damaged: .* Copy it again."))
-        opus = mdct.with_name("golden_opus.vct")
+        opus = ROOT / "tests" / "evaluation" / "golden_opus.vct"
         choose(page, ("opus.vct", opus.read_bytes()))
         expect(problem).to_have_text(re.compile("lacks the stream's codec. Use vibrocast decode"))
         choose(page, ("two.vct", b""), ("three.vct", b""))

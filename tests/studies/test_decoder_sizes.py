@@ -11,13 +11,14 @@ from click.testing import CliRunner
 from studies import decoder_sizes
 from vibrocast import codec
 from vibrocast.evaluation import cost
+from vibrocast.evaluation.peers import measured_codecs
 
 needs_ziglang = pytest.mark.skipif(find_spec("ziglang") is None, reason="no compiler")
 
 
 def test_every_codec_has_its_line_in_the_shipped_sizes() -> None:
     shipped = json.loads(cost.DECODER_SIZES.read_text(encoding="utf-8"))
-    assert list(shipped) == list(codec.CODECS), "run python -m studies.decoder_sizes"
+    assert list(shipped) == list(measured_codecs()), "run python -m studies.decoder_sizes"
     assert all(size["note"] for size in shipped.values())
 
 
@@ -66,6 +67,6 @@ def test_codecs_outside_the_core() -> None:
 def test_the_command_writes_the_file_or_says_why_not(tmp_path: Path) -> None:
     done = CliRunner().invoke(decoder_sizes.main, ["--out", str(tmp_path / "sizes.json")])
     assert done.exit_code == 0, done.output
-    assert set(json.loads((tmp_path / "sizes.json").read_text())) == set(codec.CODECS)
+    assert set(json.loads((tmp_path / "sizes.json").read_text())) == set(measured_codecs())
     done = CliRunner().invoke(decoder_sizes.main, ["--out", str(tmp_path / "missing" / "sizes.json")])
     assert done.exit_code == 1 and "cannot be written" in done.output

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from studies import emulated_core, firmware
 from studies.emulated_core import CORES, EmulatedCore, compile_core
 from tests.codec.eva_models import random_image, with_extreme_weights
-from vibrocast import codec, models, pages
+from vibrocast import codec, pages
 from vibrocast.codec import CodedSignal, eva
 from vibrocast.device_protocol.coded_stream import unpack_file
 from vibrocast.device_protocol.model_image import ModelImage
@@ -37,7 +37,7 @@ BUILDS = [
 ]
 FUNCTIONS = [
     f"vc_{name}_{function}"
-    for name in ("mdct", "dct", "slp", "parametric", "eva", "lapped")
+    for name in ("mdct", "dct", "slp", "parametric", "eva")
     for function in ("decoder_size", "decoder_init", "decoder_packet_samples", "decode")
 ]
 KERNELS = ["vc_dot_products", *(f"vc_eva_{name}" for name in ("products", "squares", "normalise", "scale"))]
@@ -75,14 +75,12 @@ def golden(name: str) -> CodedSignal:
 
 
 def image(name: str) -> bytes:
-    if name == "lapped":
-        return models.find("lapped-textures").tables
     return ModelImage.unpack((STREAMS / f"golden_{name.removesuffix('_steered')}.vcmi").read_bytes()).payload
 
 
 @pytest.mark.parametrize("build", BUILDS, ids=str)
 @pytest.mark.parametrize(
-    "name", ["mdct", "dct_huffman", "dct_range", "slp", "parametric", "lapped", "eva_adaptive", "eva_static_steered"]
+    "name", ["mdct", "dct_huffman", "dct_range", "slp", "parametric", "eva_adaptive", "eva_static_steered"]
 )
 def test_golden_streams_decode_to_the_hosts_samples(name: str, build: tuple[str, int], programs: Programs) -> None:
     coded = golden(name)

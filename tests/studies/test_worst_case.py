@@ -26,7 +26,7 @@ def processor(tmp_path_factory: pytest.TempPathFactory) -> EmulatedCore:
 
 @pytest.mark.parametrize(
     ("decoder", "block"),
-    [("mdct", "128"), ("lapped-textures", "128"), ("dct", "1024"), ("slp", "32"), ("parametric", "16"), ("eva-16", "")],
+    [("mdct", "128"), ("dct", "1024"), ("slp", "32"), ("parametric", "16"), ("eva-16", "")],
 )
 def test_noise_costs_no_more_than_the_firmware_states(decoder: str, block: str, processor: EmulatedCore) -> None:
     noise_cycles, stated_cycles = worst_case.noise(processor, decoder, block, channels=1)
