@@ -12,8 +12,8 @@ from pathlib import Path
 import click
 import numpy as np
 
+from studies import page
 from studies.latency import PARTS
-from studies.page import OUT, errors_in_one_line, render, results_folder, write, write_rows
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.live_format import recording_format
 from vibrocast.codec.stream import Stream
@@ -33,7 +33,6 @@ KINDS = {
     "null": "packet counters",
 }
 RATE_HZ = 2800
-PAGE = "many_controllers.md"
 TABLE = "many_controllers.csv"
 LIVE_TABLE = "many_live_streams.csv"
 LIVE_STREAMS = (1, 10, 100)
@@ -69,13 +68,6 @@ class Measured:
     underruns: int
     lost_packets: int
     failed: int
-
-    def __str__(self) -> str:
-        return (
-            f"{self.controllers} controllers ({self.kind}) of {self.channels} channels: the host takes "
-            f"{self.host_share:.3f} of a core, the controllers {self.controllers_share:.3f}; underruns "
-            f"{self.underruns}, lost packets {self.lost_packets}, failed {self.failed}"
-        )
 
 
 @dataclass(frozen=True)
@@ -216,9 +208,9 @@ def measure_live(count: int, seconds: float) -> LiveMeasured:
     return LiveMeasured(count, restarts, *(round(float(each), 3) for each in figures))
 
 
-def page(rows: Sequence[Measured], live: Sequence[LiveMeasured], seconds: float, buffer_s: float) -> str:
+def rendered(rows: Sequence[Measured], live: Sequence[LiveMeasured], seconds: float, buffer_s: float) -> str:
     """Return the page with the table."""
-    return render(
+    return page.render(
         "many_controllers",
         rows=rows,
         live=live,
@@ -233,7 +225,7 @@ def page(rows: Sequence[Measured], live: Sequence[LiveMeasured], seconds: float,
     )
 
 
-@click.command()
+@page.study
 @click.option(
     "--controllers",
     "counts",
@@ -259,24 +251,14 @@ def page(rows: Sequence[Measured], live: Sequence[LiveMeasured], seconds: float,
     show_default=True,
     help="Choose the kind of controllers; may be repeated.",
 )
-@OUT
 def main(
     counts: tuple[int, ...], channels: int, seconds: float, buffer_s: float, kinds: tuple[str, ...], out: Path
 ) -> None:
     """Measure hosts with many controllers, and write the page many_controllers.md."""
-    with errors_in_one_line():
-        rows = []
-        for kind in kinds:
-            for count in counts:
-                rows.append(measure(kind, count, channels, seconds, buffer_s))
-                click.echo(rows[-1])
-        live = []
-        for count in LIVE_STREAMS:
-            live.append(measure_live(count, seconds))
-            click.echo(live[-1])
-        write_rows(results_folder(out) / TABLE, rows, Measured)
-        write_rows(results_folder(out) / LIVE_TABLE, live, LiveMeasured)
-        write(out / PAGE, page(rows, live, seconds, buffer_s))
+    rows = [measure(kind, count, channels, seconds, buffer_s) for kind in kinds for count in counts]
+    live = [measure_live(count, seconds) for count in LIVE_STREAMS]
+    tables = ((TABLE, rows, Measured), (LIVE_TABLE, live, LiveMeasured))
+    page.publish(out, "many_controllers", rendered(rows, live, seconds, buffer_s), tables)
 
 
 if __name__ == "__main__":
