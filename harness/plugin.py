@@ -16,7 +16,7 @@ import pytest
 
 if TYPE_CHECKING:
     from vibrocast.device_protocol.messages import ImageDescription
-    from vibrocast.harness.faulty_transport import FaultyTransport
+    from vibrocast.harness.faulty_transport import TimedTransport
     from vibrocast.harness.latency import Latency
     from vibrocast.harness.live_run import LiveRun
     from vibrocast.host.bench_file import Bench
@@ -175,13 +175,13 @@ def _vibrocast_kept(request: pytest.FixtureRequest) -> _Kept:
 @pytest.fixture
 def vibrocast_wire(
     pytestconfig: pytest.Config, vibrocast_bench: Bench, _vibrocast_kept: _Kept
-) -> Iterator[FaultyTransport]:
+) -> Iterator[TimedTransport]:
     """The way to the controller under test; `damage` and `pull_cable` break it."""
     import contextlib
     import time
 
     from vibrocast.device_protocol.transports import TransportError
-    from vibrocast.harness.faulty_transport import FaultyTransport
+    from vibrocast.harness.faulty_transport import TimedTransport
     from vibrocast.host import devices
     from vibrocast.host.tracing import tracer
 
@@ -192,7 +192,7 @@ def vibrocast_wire(
         while True:
             try:
                 way = devices.reach(first.address, actuator=vibrocast_bench.actuator(first.name))
-                transport = FaultyTransport(stack.enter_context(way))
+                transport = TimedTransport(stack.enter_context(way))
                 break
             except TransportError as error:
                 if time.monotonic() >= until_s:
@@ -207,7 +207,7 @@ def vibrocast_wire(
 
 
 @pytest.fixture
-def vibrocast_device(vibrocast_bench: Bench, vibrocast_wire: FaultyTransport) -> Iterator[Controller]:
+def vibrocast_device(vibrocast_bench: Bench, vibrocast_wire: TimedTransport) -> Iterator[Controller]:
     """A session with the controller under test. Its output is brought to rest after the test."""
     import contextlib
 

@@ -14,7 +14,7 @@ import torch
 from msgspec.structs import replace
 from torch import Tensor, nn
 
-from studies.page import FOLDER, OUT, errors_in_one_line, results_folder, write_rows
+from studies import page
 from studies.papers import ABLATION, Ablation
 from vibrocast import progress, workers
 from vibrocast.codec.eva import LatentEncoder, configuration
@@ -145,25 +145,20 @@ class Measured:
     living: int
 
 
-@click.command()
-@FOLDER
-@OUT
+@page.study
+@page.FOLDER
 def main(folder: Path, out: Path) -> None:
     """Train every variant on FOLDER, which holds the archives of examples/eva.toml, and write a table."""
     tasks = iter([(number, partial(_measured, variant, folder)) for number, variant in enumerate(VARIANTS)])
     measured: dict[int, Measured] = {}
-    with (
-        errors_in_one_line(),
-        progress.bar("training") as update,
-        closing(workers.on_cores(tasks, processes=workers.cores())) as outcomes,
-    ):
+    with progress.bar("training") as update, closing(workers.on_cores(tasks, processes=workers.cores())) as outcomes:
         for number, outcome in outcomes:
             if isinstance(outcome, Exception):
                 raise click.ClickException(f"{VARIANTS[number].name}: {outcome}")
             measured[number] = outcome
             update(len(measured) / len(VARIANTS), VARIANTS[number].name)
     rows = rows_of([measured[number] for number in range(len(VARIANTS))])
-    write_rows(results_folder(out) / ABLATION, rows, Ablation)
+    page.write_rows(page.results_folder(out) / ABLATION, rows, Ablation)
 
 
 def rows_of(measured: Sequence[Measured]) -> list[Ablation]:

@@ -28,7 +28,8 @@ from vibrocast.host.limits import playable
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
-from vibrocast.simulated_device.faulty_link import FaultyDirection, MemoryLink
+from vibrocast.simulated_device.faulty_link import MemoryLink
+from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
 
 PROFILE = Path(__file__).parents[2] / "examples" / "leather_profile.csv"
 
@@ -164,7 +165,7 @@ def test_the_played_samples_are_the_computed_ones_also_over_a_link_that_loses_fr
     """Lost packets are sent again; where positions are lost as well, only they make a difference."""
     movement = position_playback.back_and_forth(10.0, 120.0, 1)
     for lost, alike in ((0.0, True), (0.2, False)):
-        link = MemoryLink(SimulatedController(), FaultyDirection(seed=5, lost=lost))
+        link = MemoryLink(FaultyWire(SimulatedController(), [Fault(lost=lost, direction="to_controller")], seed=2))
         with Controller(link, link.clock, link.sleep) as controller:
             played = position_playback.play(controller, stream, movement)
         expected = position_playback.computed(stream, played, PIEZO_STACK)
