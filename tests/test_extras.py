@@ -99,6 +99,8 @@ def test_a_command_names_the_extra_that_it_needs(tmp_path: Path) -> None:
         ("peers", ["encode", oak, f"{out}.vct", "--codec", "flac"]),
         ("learned", ["encode", oak, f"{out}.vct", "--codec", "eva"]),
         ("learned", ["live", "taps", "--model", "eva-16-4"]),
+        ("keys", ["keys", "new", f"{out}.pem"]),
+        ("keys", ["simulate", "--public-key", oak]),
         ("plot", ["play", oak, "--plot", f"{out}.png"]),
     ]
     for (extra, command), (code, errors) in zip(cases, run_without_extras(*(case[1] for case in cases)), strict=True):

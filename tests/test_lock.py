@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[1]
 LOCK = (ROOT / "requirements-dev.txt").read_text(encoding="utf-8")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 # Every extra but train; the file says why.
-EXTRAS = ("audio", "bench", "docs", "firmware", "learned", "peers", "plot", "study", "test")
+EXTRAS = ("audio", "bench", "docs", "firmware", "keys", "learned", "peers", "plot", "study", "test")
 # A package may have several versions, each for some Pythons or systems.
 PINS = re.findall(r"^([\w.-]+)==(\S+)((?: ;[^\\\n]*)?(?: \\\n    --hash=sha256:[0-9a-f]{64})+)$", LOCK, re.MULTILINE)
 

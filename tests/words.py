@@ -521,11 +521,8 @@ def _git(*arguments: str) -> list[str]:
 
 
 def sources() -> list[str]:
-    """Return the paths of the Python and C sources that git knows or would add, relative to the checkout.
-
-    Monocypher's are not among them: others wrote those.
-    """
-    own = "*.py", "firmware/*.c", "firmware/*.h", ":!firmware/src/monocypher"
+    """Return the paths of the Python and C sources that git knows or would add, relative to the checkout."""
+    own = "*.py", "firmware/*.c", "firmware/*.h"
     listed = _git("ls-files", "--cached", "--others", "--exclude-standard", *own)
     return sorted({path for path in listed if (ROOT / path).is_file()})
 

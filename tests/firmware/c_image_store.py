@@ -8,6 +8,7 @@ from vibrocast.codec import CodecError
 from vibrocast.device_protocol.messages import ErrorCode, FlashStatus, ImageDescription, SlotState
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.simulated_device.callbacks import Callbacks
+from vibrocast.simulated_device.controller import signature_verifier
 from vibrocast.simulated_device.flash import SLOTS, FlashMemory, FlashPort
 
 
@@ -29,11 +30,14 @@ class CImageStore:
         self._callbacks = Callbacks(ffi)
         self._flash = FlashPort(ffi, flash, self._callbacks)
         self._check = self._callbacks.make("vc_payload_check", self._on_check, -1)
-        self._hardware = ffi.new("char[]", hardware.encode())
         self._store, self._rejection = ffi.new("vc_image_store *"), ffi.new("vc_rejection *")
         self._report = ffi.new("vc_flash_status *")
-        self._key = ffi.new("uint8_t[]", public_key) if public_key else ffi.NULL
-        native.vc_image_store_init(self._store, self._flash.pointer, self._hardware, self._key, self._check, ffi.NULL)
+        fields = {"hardware": ffi.new("char[]", hardware.encode())}
+        if public_key:
+            fields["public_key"] = ffi.new("uint8_t[]", public_key)
+            fields["verify_signature"] = signature_verifier(ffi, self._callbacks)
+        self._settings = ffi.new("vc_controller_settings *", fields), fields
+        native.vc_image_store_init(self._store, self._flash.pointer, self._settings[0], self._check, ffi.NULL)
         self._callbacks.pass_on()
 
     def boot_again(self) -> None:

@@ -27,7 +27,7 @@ CODECS = ("mdct", "dct", "slp", "eva", "lapped", "parametric")
 HEADERS = sorted((ROOT / "include" / "vibrocast").glob("*.h"))
 CORE = [path for path in sorted((ROOT / "src" / "core").glob("*.c")) if not path.stem.endswith("_encoder")]
 CONTROLLER = [
-    *(path for folder in ("controller", "monocypher") for path in sorted((ROOT / "src" / folder).glob("*.c"))),
+    *sorted((ROOT / "src" / "controller").glob("*.c")),
     ROOT / "ports" / "loop.c",
 ]
 
@@ -241,7 +241,7 @@ def test_names_begin_with_vc_and_a_shared_library_exports_those_of_the_headers(t
     objects = sorted(tmp_path.glob("*.o"))
     names = {name for path in objects for name in symbols(path, ".symtab")}
     assert {name for name in names if not name.startswith("vc_")} == set()
-    assert {"vc_crypto_wipe", "vc_mdct_feed"} <= names
+    assert "vc_mdct_feed" in names
     done = run(*ZIG, "cc", *flags[:2], "-shared", *objects, "-o", tmp_path / "library.so")
     assert done.returncode == 0, done.stderr
     assert symbols(tmp_path / "library.so", ".dynsym") == declared()

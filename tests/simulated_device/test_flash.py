@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import pytest
 
 from tests.firmware.c_image_store import CImageStore, RequestError
-from tests.firmware.test_signatures import public_key, sign
 from tests.simulated_device.bench import Bench, stream
 from vibrocast.codec import CodecError
 from vibrocast.device_protocol.messages import (
@@ -25,6 +24,7 @@ from vibrocast.device_protocol.messages import (
 )
 from vibrocast.device_protocol.model_image import ModelImage, sha256, signed_message, with_signature
 from vibrocast.firmware import native_core
+from vibrocast.firmware.keys import public_key, sign
 from vibrocast.simulated_device import controller
 from vibrocast.simulated_device.flash import FlashMemory, PowerCut
 
