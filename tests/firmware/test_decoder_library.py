@@ -14,8 +14,8 @@ from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import SymbolTableSection
 from numpy.typing import NDArray
 
+from tests.firmware.boards import MODELS, coded
 from tests.firmware.native import ffi, native
-from tests.firmware.test_emulated import MODELS, coded
 from vibrocast import codec, models
 from vibrocast.codec.stream import Stream, read_stream
 from vibrocast.firmware.build import FLAGS, ROOT, SHARED

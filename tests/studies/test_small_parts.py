@@ -8,7 +8,7 @@ import pytest
 from studies import small_parts
 from studies.emulated_core import Core, EmulatedCore
 from studies.small_parts import PROCESSORS, Cost
-from tests.firmware.test_small import coded
+from tests.firmware.boards import coded
 from vibrocast.evaluation import points
 
 PAGE = Path(__file__).parents[2] / "docs" / "benchmarks"
@@ -18,7 +18,7 @@ ROWS = points.read_rows(PAGE / "results" / small_parts.TABLE, Cost)
 @pytest.mark.slow
 @pytest.mark.parametrize("processor", PROCESSORS, ids=lambda processor: processor.title)
 def test_each_processor_decodes_to_the_same_bits(tmp_path: Path, processor: Core) -> None:
-    stream = coded("slp")
+    stream = coded("slp", 0.2, channels=1)
     core = EmulatedCore(small_parts.compile_decoder(tmp_path / "slp.elf", processor, "slp"), processor)
     ram, per_sample = small_parts.run(core, processor, bytes(stream), None)
     (row,) = (row for row in ROWS if (row.processor, row.decoder) == (processor.title, "slp"))
