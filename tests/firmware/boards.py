@@ -9,6 +9,7 @@ import numpy as np
 from vibrocast import codec, models, textures
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import Stream
+from vibrocast.device_protocol import messages
 from vibrocast.device_protocol.messages import State
 from vibrocast.host.controller import Controller as Host
 from vibrocast.host.player import play
@@ -52,6 +53,13 @@ def session(device: AnyBoard) -> tuple[MemoryLink, Host]:
 
 def flash_of(name: str) -> FlashMemory:
     return FlashMemory(FLASH_BYTES.get(name, cortex_m.FLASH_BYTES))
+
+
+def begin(host: Host, stream: Stream, start_us: int = 0) -> None:
+    """Configure a stream, send its first packets, and start it at a time of the controller."""
+    host.request(messages.Configure(1, stream.header.pack(), 280, packets=len(stream.packets)), messages.Status)
+    host.send(messages.StreamData(1, 0, stream.packets[:12]))
+    host.request(messages.Start(start_us), messages.Status)
 
 
 def between_rests(codes: Codes) -> Codes:

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import SymbolTableSection
 from numpy.typing import NDArray
@@ -17,9 +16,8 @@ from numpy.typing import NDArray
 from tests.firmware.boards import MODELS, coded
 from tests.firmware.native import ffi, native
 from vibrocast import codec, models
-from vibrocast.codec.stream import Stream, read_stream
+from vibrocast.codec.stream import Stream
 from vibrocast.firmware.build import FLAGS, ROOT, SHARED
-from vibrocast.host.cli.command_line import main
 
 ZIG = [sys.executable, "-m", "ziglang"]
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "use_the_decoder.md"
@@ -67,17 +65,6 @@ def test_example_decodes_each_codec_to_the_same_bits(program: Path, tmp_path: Pa
     status, said, samples = decoded(program, bytes(stream), tmp_path, *image)
     assert (status, said) == (0, "")
     np.testing.assert_array_equal(samples.reshape(-1, 2), expected(stream))
-
-
-def test_example_agrees_with_vibrocast_decode(program: Path, tmp_path: Path) -> None:
-    oak = PAGE.parents[2] / "examples" / "oak.wav"
-    coded_file, npy, pcm = tmp_path / "oak.vct", tmp_path / "oak.npy", tmp_path / "oak.pcm"
-    for arguments in (("encode", oak, coded_file, "--snr-db", "15"), ("decode", coded_file, npy)):
-        done = CliRunner().invoke(main, [str(argument) for argument in arguments])
-        assert done.exit_code == 0, done.output
-    assert run(program, coded_file, pcm).returncode == 0
-    (gain,) = read_stream(coded_file).header.gains
-    np.testing.assert_array_equal(np.fromfile(pcm, "<i2") * (gain / 32768), np.load(npy).ravel())
 
 
 def test_each_cut_and_damaged_file_is_rejected(program: Path, tmp_path: Path) -> None:

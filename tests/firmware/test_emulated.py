@@ -14,6 +14,7 @@ from tests.firmware.boards import (
     LEARNED,
     MODELS,
     PIEZO_12_BITS,
+    begin,
     between_rests,
     board,
     coded,
@@ -24,21 +25,8 @@ from tests.firmware.boards import (
 from vibrocast import codec, models
 from vibrocast.codec import Choice, SignalFormat
 from vibrocast.codec.stream import Stream
+from vibrocast.device_protocol import messages
 from vibrocast.device_protocol.frames import write_frame
-from vibrocast.device_protocol.messages import (
-    CaptureData,
-    CaptureRead,
-    Configure,
-    Hello,
-    Pause,
-    Resume,
-    Start,
-    Status,
-    Stop,
-    StreamData,
-    Tap,
-    pack,
-)
 from vibrocast.firmware.build import build
 from vibrocast.firmware.elf import Elf
 from vibrocast.host import uploader
@@ -163,18 +151,16 @@ def played_by_board(
     slow_down(device, "vc_message_read", stalls)
     link, host = session(device)
     stream = coded("mdct", seconds=0.6)
-    host.request(Configure(1, stream.header.pack(), 280, packets=len(stream.packets)), Status)
-    host.send(StreamData(1, 0, stream.packets[:12]))
-    host.request(Start(START_US), Status)
+    begin(host, stream, START_US)
     link.sleep((START_US - link.now_us) / 1e6 + 0.1)
-    host.send(StreamData(1, 0, stream.packets[12:]))
+    host.send(messages.StreamData(1, 0, stream.packets[12:]))
     stalls[:] = [*(stall_ms or []), 0]
     meanwhile(host, link)
     link.sleep(1.0)
     expected, _ = render(stream.header, stream.decode_integers(), stream.decoder().delay_samples, PIEZO_12_BITS)
     pieces, end = [b""], 1
     while (offset := sum(map(len, pieces)) // 4) < end:
-        captured = host.request(CaptureRead(Tap.DAC, offset, 500), CaptureData)
+        captured = host.request(messages.CaptureRead(messages.Tap.DAC, offset, 500), messages.CaptureData)
         pieces, end = [*pieces, captured.data], captured.end
     played = np.concatenate(codes)[1 + START_US * BOARD_DAC_HZ // 1_000_000 :]
     return expected, played, np.frombuffer(b"".join(pieces), "<i2").reshape(-1, 2)
@@ -223,9 +209,9 @@ def test_the_board_gets_used_to_short_stalls() -> None:
 
 def test_the_board_goes_on_after_a_pause_with_the_lag_that_it_needs() -> None:
     def pause(host: Host, link: MemoryLink) -> None:
-        host.request(Pause(), Status)
+        host.request(messages.Pause(), messages.Status)
         link.sleep(0.2)
-        host.request(Resume(), Status)
+        host.request(messages.Resume(), messages.Status)
 
     _, played, captured = played_by_board([5], pause)
     np.testing.assert_array_equal(played[played.any(axis=1)], captured[captured.any(axis=1)])
@@ -237,7 +223,7 @@ def test_a_stop_reaches_the_register_within_30_ms_and_the_output_rests_soon(deco
 
     def stop(host: Host, link: MemoryLink) -> None:
         stopped_us.append(link.now_us - START_US)
-        host.request(Stop(), Status)
+        host.request(messages.Stop(), messages.Status)
 
     expected, played, captured = played_by_board([decoding_ms], stop)
     lag = np.flatnonzero(played.any(axis=1))[0] - np.flatnonzero(expected.any(axis=1))[0]
@@ -259,9 +245,7 @@ def test_the_board_comes_to_rest_when_its_loop_stands_still(name: str, interrupt
     assert isinstance(device, Stm32F405 | Rp2040)
     link, host = session(device)
     stream = coded("mdct", seconds=1.0)
-    host.request(Configure(1, stream.header.pack(), 280, packets=len(stream.packets)), Status)
-    host.send(StreamData(1, 0, stream.packets[:12]))
-    host.request(Start(), Status)
+    begin(host, stream)
     link.sleep(0.35)
     before = len(np.concatenate(codes))
     for _ in range(1500):
@@ -277,8 +261,7 @@ def test_the_board_comes_to_rest_when_its_loop_stands_still(name: str, interrupt
 
 def test_what_a_host_does_not_read_stays_bounded() -> None:
     device = CortexM("cortex-m4")
-    asked = write_frame(pack(Hello(), 5)) + b"".join(write_frame(pack(Hello(), n)) for n in range(6, 2000))
-    device.receive(asked, 0)
+    device.receive(b"".join(write_frame(messages.pack(messages.Hello(), n)) for n in range(5, 2000)), 0)
     assert 0 < len(device.transmit()) < 100_000
 
 
