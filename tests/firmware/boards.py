@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from vibrocast import codec, models, textures
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol import messages
+from vibrocast.device_protocol.coded_stream import unpack_file
 from vibrocast.device_protocol.messages import State
 from vibrocast.host.controller import Controller as Host
 from vibrocast.host.player import play
@@ -27,6 +29,7 @@ MODELS = {"eva": LEARNED, "lapped": "lapped-textures"}
 PIEZO_12_BITS = replace(PIEZO_STACK, dac_bits=12)
 FLASH_BYTES = {"stm32f405": stm32f405.FLASH_BYTES, "rp2040": rp2040.FLASH_BYTES}
 BOARDS = {"stm32f405": Stm32F405, "rp2040": Rp2040}
+GOLDEN = Path(__file__).parents[1] / "codec"
 AnyBoard = CortexM | Stm32F405 | Rp2040
 
 
@@ -40,6 +43,14 @@ def coded(codec_name: str, seconds: float = 0.3, channels: int = 2) -> Stream:
     return encode_recording(
         recording, codec_name=codec_name, snr_db=snr_db, model=model, live=True, runtime="core"
     ).stream
+
+
+def rate_controlled(codec_name: str) -> Stream:
+    """Return a golden stream of mdct, dct, slp or eva whose packets differ in their quality, with its model image."""
+    path = GOLDEN / f"golden_{'eva_static' if codec_name == 'eva' else codec_name}_steered.vct"
+    header, packets = unpack_file(path.read_bytes())
+    image = (GOLDEN / "golden_eva_static.vcmi").read_bytes() if codec_name == "eva" else None
+    return Stream(header, tuple(packets), image, "core" if image else None)
 
 
 def board(name: str, flash: FlashMemory | None = None, on_dac: Callable[[Codes], None] | None = None) -> AnyBoard:

@@ -154,27 +154,11 @@ def header_of(stream: Stream) -> tuple[int, bytes]:
     return stream.header.codec_identifier, stream.header.configuration
 
 
-def test_any_bytes_are_safe() -> None:
-    generator = np.random.default_rng(2)
-    sources = [bytes(coded(name, 0.1)) for name in ("mdct", "dct", "slp", "parametric")]
-    samples = ffi.new("int16_t[]", 1 << 20)
-    statuses = set()
-    for trial in range(400):
-        data = bytearray(sources[trial % 4])
-        for _ in range(int(generator.integers(1, 4))):
-            data[int(generator.integers(min(len(data), 40 if trial % 2 else 1 << 20)))] = int(generator.integers(256))
-        stream, status, kept = opened(bytes(data[: int(generator.integers(1, len(data) + 1))]))
-        assert kept
-        if status == native.VC_OK and stream.packet_samples * stream.channels > len(samples):
-            continue
-        while status == native.VC_OK:
-            status = native.vc_stream_next(stream)
-            while status == native.VC_OK and native.vc_stream_poll(stream, samples) < stream.packet_samples:
-                pass
-            assert stream.first <= stream.last <= stream.packet_samples
-        statuses.add(status)
-        assert ffi.string(native.vc_status_text(status)) != b"unknown status"
-    assert {native.VC_BAD_HEADER, native.VC_BAD_CHECKSUM, native.VC_CUT} <= statuses
+def test_every_status_has_a_sentence() -> None:
+    text = (ROOT / "include" / "vibrocast" / "status.h").read_text(encoding="utf-8")
+    names = re.findall(r"^    (VC_\w+) = ", text, re.MULTILINE)
+    sentences = {ffi.string(native.vc_status_text(getattr(native, name))) for name in names}
+    assert len(sentences) == len(names) > 10 and b"unknown status" not in sentences
 
 
 @pytest.mark.parametrize("language", ["c", "c++"])
