@@ -1,6 +1,8 @@
 """Keys and signatures of Ed25519 (RFC 8032) by the package cryptography, and key files in PEM (RFC 8410)."""
 
+import base64
 import os
+import re
 import secrets
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,12 +11,18 @@ from vibrocast import extras
 from vibrocast.files import InputFileError, atomic_write, read_input
 
 if TYPE_CHECKING:
-    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 KEY_BYTES = 32
 SIGNATURE_BYTES = 64
 
 _MAX_FILE_BYTES = 1000
+# DER before the key itself: RFC 8410, sections 4 and 7.
+_DER = {
+    "PRIVATE": bytes.fromhex("302e020100300506032b657004220420"),
+    "PUBLIC": bytes.fromhex("302a300506032b6570032100"),
+}
+_PEM = re.compile(r"-----BEGIN (PRIVATE|PUBLIC) KEY-----\s([A-Za-z0-9+/=\s]+)-----END \1 KEY-----\s*", re.ASCII)
 _PRIME = 2**255 - 19
 # y of the points of small order (RFC 8032, section 5.1): for such a key, anyone finds a signature of any message.
 _ORDER_8_Y = 0x05FC536D880238B13933C6D305ACDFD5F098EFF289F4C345B027B2C28F95E826
@@ -28,14 +36,20 @@ def new_private_key() -> bytes:
 
 def public_key(private_key: bytes) -> bytes:
     """Return the public key of a private one, 32 bytes. Raises MissingExtraError."""
-    private, _ = _kinds()
-    return private.from_private_bytes(private_key).public_key().public_bytes_raw()
+    return _loaded(private_key).public_key().public_bytes_raw()
 
 
 def sign(private_key: bytes, message: bytes) -> bytes:
     """Return the signature of a message, 64 bytes. Raises MissingExtraError."""
-    private, _ = _kinds()
-    return private.from_private_bytes(private_key).sign(message)
+    return _loaded(private_key).sign(message)
+
+
+def _loaded(private_key: bytes) -> "Ed25519PrivateKey":
+    """Return a private key as the package has it, which loads slowly and which few commands need."""
+    extras.require("keys", "cryptography")
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+    return Ed25519PrivateKey.from_private_bytes(private_key)
 
 
 def is_signed(signature: bytes, public_key: bytes, message: bytes) -> bool:
@@ -43,88 +57,64 @@ def is_signed(signature: bytes, public_key: bytes, message: bytes) -> bool:
 
     Raises MissingExtraError.
     """
-    _, public = _kinds()
+    extras.require("keys", "cryptography")
     from cryptography.exceptions import InvalidSignature
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
     try:
-        public.from_public_bytes(public_key).verify(signature, message)
+        Ed25519PublicKey.from_public_bytes(public_key).verify(signature, message)
     except InvalidSignature:
         return False
     return True
 
 
 def write_private_key(path: Path, private_key: bytes) -> None:
-    """Write a private key to a new file that only its owner can read.
-
-    Raises OSError, also where the file exists, and MissingExtraError.
-    """
-    private, _ = _kinds()
-    content = _pem(private.from_private_bytes(private_key))
+    """Write a private key to a new file that only its owner can read. Raises OSError, also where the file exists."""
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    with open(descriptor, "wb") as file:
-        file.write(content)
+    with open(descriptor, "w", encoding="ascii") as file:
+        file.write(_pem("PRIVATE", private_key))
 
 
 def write_public_key(path: Path, public_key: bytes) -> None:
-    """Write a public key. Raises OSError and MissingExtraError."""
-    _, public = _kinds()
-    content = _pem(public.from_public_bytes(public_key))
+    """Write a public key. Raises OSError."""
     with atomic_write(path) as partial:
-        partial.write_bytes(content)
+        partial.write_text(_pem("PUBLIC", public_key), encoding="ascii")
 
 
 def read_private_key(path: Path) -> bytes:
-    """Return the key in a file of a private key. Raises InputFileError for another file, OSError, MissingExtraError."""
-    key = _read(path)
-    private, _ = _kinds()
-    if not isinstance(key, private):
+    """Return the key in a file of a private key. Raises InputFileError for another file, OSError."""
+    kind, key = _read(path)
+    if kind != "PRIVATE":
         raise InputFileError(f"{path}: a public key, which signs nothing; give the private key")
-    return key.private_bytes_raw()
+    return key
 
 
 def read_public_key(path: Path) -> bytes:
-    """Return the public key in a file of a public or of a private key.
+    """Return the public key in a file of a public or of a private key. Raises InputFileError for another file, OSError.
 
-    Raises InputFileError for another file and for the few keys for which anyone can sign, such as zeros; OSError,
-    MissingExtraError.
+    Rejects the few keys for which anyone can sign, such as zeros. Raises MissingExtraError for a private key.
     """
-    key = _read(path)
-    _, public = _kinds()
-    found = (key if isinstance(key, public) else key.public_key()).public_bytes_raw()
+    kind, key = _read(path)
+    found = public_key(key) if kind == "PRIVATE" else key
     if int.from_bytes(found, "little") % 2**255 % _PRIME in _SMALL_ORDER_Y:
         raise InputFileError(f"{path}: anyone can sign for this key; make another with `vibrocast keys new`")
     return found
 
 
-def _kinds() -> "tuple[type[Ed25519PrivateKey], type[Ed25519PublicKey]]":
-    """Return the classes of a private and of a public key; their package loads slowly, and few commands need it."""
-    extras.require("keys", "cryptography")
-    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
-
-    return Ed25519PrivateKey, Ed25519PublicKey
+def _pem(kind: str, key: bytes) -> str:
+    return f"-----BEGIN {kind} KEY-----\n{base64.b64encode(_DER[kind] + key).decode()}\n-----END {kind} KEY-----\n"
 
 
-def _pem(key: "Ed25519PrivateKey | Ed25519PublicKey") -> bytes:
-    """Return the content of a key's file."""
-    from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
-
-    private, _ = _kinds()
-    if isinstance(key, private):
-        return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
-    return key.public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
-
-
-def _read(path: Path) -> "Ed25519PrivateKey | Ed25519PublicKey":
-    """Return the key in a file that holds nothing else."""
-    kinds = _kinds()
-    from cryptography.exceptions import UnsupportedAlgorithm
-    from cryptography.hazmat.primitives.serialization import load_pem_private_key, load_pem_public_key
-
+def _read(path: Path) -> tuple[str, bytes]:
+    """Return "PRIVATE" or "PUBLIC", and the key."""
     data = read_input(path, "key in PEM", b"-----BEGIN ", _MAX_FILE_BYTES)
-    try:
-        key = load_pem_private_key(data, None) if b" PRIVATE " in data else load_pem_public_key(data)
-    except (ValueError, TypeError, UnsupportedAlgorithm):  # TypeError: it has a password
-        key = None
-    if isinstance(key, kinds) and _pem(key).split() == data.split():
-        return key
+    match = _PEM.fullmatch(data.decode("latin-1"))
+    if match is not None:
+        kind = match[1]
+        try:
+            der = base64.b64decode("".join(match[2].split()), validate=True)
+        except ValueError:
+            der = b""
+        if der.startswith(_DER[kind]) and len(der) == len(_DER[kind]) + KEY_BYTES:
+            return kind, der[-KEY_BYTES:]
     raise InputFileError(f"{path}: no key of Ed25519 without a password; make one with `vibrocast keys new`")

@@ -13,6 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 from vibrocast import extras
+from vibrocast.firmware import keys
 from vibrocast.host.cli.command_line import main
 
 ROOT = Path(__file__).parents[1]
@@ -84,6 +85,7 @@ def test_the_base_simulates() -> None:
 
 def test_a_command_names_the_extra_that_it_needs(tmp_path: Path) -> None:
     oak, out = "examples/oak.wav", str(tmp_path / "out")
+    keys.write_public_key(tmp_path / "vendor.pub.pem", b"\x02" * 32)
     cases = [
         ("bench", ["bench", "examples", "--out", out]),
         ("bench", ["stability", "--out", out]),
@@ -100,7 +102,7 @@ def test_a_command_names_the_extra_that_it_needs(tmp_path: Path) -> None:
         ("learned", ["encode", oak, f"{out}.vct", "--codec", "eva"]),
         ("learned", ["live", "taps", "--model", "eva-16-4"]),
         ("keys", ["keys", "new", f"{out}.pem"]),
-        ("keys", ["simulate", "--public-key", oak]),
+        ("keys", ["simulate", "--public-key", str(tmp_path / "vendor.pub.pem")]),
         ("plot", ["play", oak, "--plot", f"{out}.png"]),
     ]
     for (extra, command), (code, errors) in zip(cases, run_without_extras(*(case[1] for case in cases)), strict=True):
