@@ -358,7 +358,7 @@ def at_the_skin(stream: Stream, actuator: Actuator, loops: int = 1) -> Recording
     stream, StreamError for a height profile.
     """
     if stream.header.spatial:
-        raise StreamError("a height profile moves the skin only under a hand; play it with --positions or --stroke-mm")
+        raise StreamError("a height profile moves the skin only under a hand; play it with --hand")
     decoder = stream.decoder()
     late_s = decoder.delay_samples / stream.header.rate_hz + output_delay_s(stream.header, actuator)
     codes, _ = render(stream.header, stream.decode_integers(), decoder.delay_samples, actuator, loops=loops)
