@@ -56,14 +56,18 @@ def failure(exit_code: int, *arguments: object, data: bytes = b"") -> Any:
     return told
 
 
-def started(*arguments: object, folder: Path = ROOT) -> subprocess.Popen[str]:
-    """Start the command as a process of its own, which Ctrl-C interrupts even where the tests run in the background."""
+def started(*arguments: object, folder: Path = ROOT, session: bool = False) -> subprocess.Popen[str]:
+    """Start the command as a process of its own, which Ctrl-C interrupts even where the tests run in the background.
+
+    `session`: with its own processes, which a signal then reaches together.
+    """
     return subprocess.Popen(
         [sys.executable, "-c", STARTED, *map(str, arguments)],
         cwd=folder,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        start_new_session=session,
     )
 
 

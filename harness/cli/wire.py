@@ -73,7 +73,7 @@ def monitor(address: str, link: Path | None, web: bool) -> None:
     from vibrocast.harness.wire_view import WireView
 
     view = WireView()
-    with wire_page(view.document, 0) as page:
+    with wire_page(view.document) as page:
         click.echo(f"page: {page}", err=True)
         serve(address, link, (), view.note)
 

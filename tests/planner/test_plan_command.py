@@ -4,17 +4,15 @@ import csv
 import json
 import re
 import tomllib
+from functools import partial
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
 
+from tests import command
 from tests.planner.scenes import CONTROLLER, TEXTURE, written
-from vibrocast.host.cli.command_line import main
 
-
-def run(*arguments: object) -> Result:
-    return CliRunner().invoke(main, ["plan", *map(str, arguments)])
+run = partial(command.run, "plan")
 
 
 def test_a_plan_a_picture_tables_and_reasons(tmp_path: Path) -> None:
