@@ -267,7 +267,7 @@ def simulated_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let every address be a simulated controller in simulated time, where no position is late."""
 
     @contextlib.contextmanager
-    def connect(*_: object) -> Iterator[Controller]:
+    def connect(*_: object, **__: object) -> Iterator[Controller]:
         link = MemoryLink(SimulatedController())
         with Controller(link, link.clock, link.sleep) as controller:
             yield controller
