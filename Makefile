@@ -39,6 +39,7 @@ lint: .venv/installed-for-tests
 	$(BIN)/ruff format --check
 	$(BIN)/ruff check
 	$(BIN)/codespell
+	$(BIN)/python -m tests.lint
 	$(BIN)/mypy
 	$(BIN)/clang-format --dry-run --Werror $(C_SOURCES)
 
@@ -76,12 +77,11 @@ firmware: .venv/installed-for-tests
 	$(BIN)/python -m vibrocast.firmware.build
 	$(BIN)/python -m vibrocast.firmware.build --sizes
 
-# All but the largest images of eva hold the ONNX graph as well, so that a controller can choose.
+# Images hold the integer network and the ONNX graph, so that a controller can choose.
 models: .venv/installed-for-tests
 	set -e; for trained in $(CHECKPOINTS)/*/checkpoint.pt; do \
 	    name=$$(basename $$(dirname $$trained)); \
-	    case $$name in lapped-*) holds=core;; *) holds=both;; esac; \
-	    case $$name in eva-16-perceptual-*) examples=eva-16-perceptual;; lapped-*) examples=lapped;; *) examples=eva;; esac; \
-	    $(BIN)/vibrocast export $$trained --name $$name --out models/$$name --data $(DATA) --runtime $$holds \
+	    case $$name in eva-16-perceptual-*) examples=eva-16-perceptual;; *) examples=eva;; esac; \
+	    $(BIN)/vibrocast export $$trained --name $$name --out models/$$name --data $(DATA) --runtime both \
 	        --training-command "vibrocast train examples/$$examples.toml --data $(DATA)"; \
 	done

@@ -131,8 +131,8 @@ def _stm32f405(summary: str, script: str) -> Target:
     return cortex_m(summary, M4F, script, ("ports/stm32f405",), VC_HARDWARE="feather-stm32f405", **LARGE_BOARD)
 
 
-# The longest packets are those of files that no host can split: 4096 samples, and the overlap of `lapped` at a hop of
-# 128 beyond that of one such block, in whole blocks.
+# The longest packets are those of files that no host can split: 4096 samples, and room for a codec's delay in whole
+# blocks.
 LARGE_BOARD: Mapping[str, int] = {
     "VC_CHANNELS": 2,
     "VC_MAX_CHANNELS": 2,
@@ -162,7 +162,7 @@ SMALL_BOARD: Mapping[str, int] = {
 }
 """Sizes for a board with 32 KiB of RAM: one channel, buffered for 0.3 s at 2800 Hz, in packets of at most 128
 samples."""
-_CODECS = ("MDCT", "DCT", "SLP", "EVA", "LAPPED", "PARAMETRIC")
+_CODECS = ("MDCT", "DCT", "SLP", "EVA", "PARAMETRIC")
 
 
 def only(codec: str) -> dict[str, int]:

@@ -9,7 +9,7 @@ import numpy as np
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, encode_recording
 from vibrocast.harness.latency import AROUND_S
 from vibrocast.harness.sensors import Recorder
-from vibrocast.host import end_to_end
+from vibrocast.host import playback as end_to_end
 from vibrocast.host.controller import Controller
 from vibrocast.host.picture import third_octave_levels
 from vibrocast.host.skin_quality import compare_skin, displacement_above_20_hz, high_passed

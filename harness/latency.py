@@ -12,11 +12,10 @@ from vibrocast.codec.live_format import live_format
 from vibrocast.device_protocol.messages import State, Tap
 from vibrocast.harness.sensors import Recorder, TimedRecording
 from vibrocast.host import live
-from vibrocast.host.alignment import align
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.device_clock import ClockFit, DeviceClock
-from vibrocast.host.end_to_end import displacement_um
-from vibrocast.host.skin_quality import displacement_above_20_hz, high_passed
+from vibrocast.host.playback import displacement_um
+from vibrocast.host.skin_quality import align, displacement_above_20_hz, high_passed
 from vibrocast.host.stream_session import read_capture, stopped_on_error
 from vibrocast.output.actuator import Actuator
 from vibrocast.output.rendering import Drive

@@ -9,9 +9,8 @@ from vibrocast.codec.live_format import live_format
 from vibrocast.device_protocol.messages import Status
 from vibrocast.harness.latency import looped
 from vibrocast.host import live
-from vibrocast.host.end_to_end import Member
-from vibrocast.host.live_quality import CodedSignal, LiveQuality
-from vibrocast.host.live_watch import Minute, Timing, Watch
+from vibrocast.host.live_watch import CodedSignal, LiveQuality, Minute, Timing, Watch
+from vibrocast.host.playback import Member
 from vibrocast.textures import Recording
 
 

@@ -16,14 +16,14 @@ import pytest
 
 if TYPE_CHECKING:
     from vibrocast.device_protocol.messages import ImageDescription
-    from vibrocast.harness.faulty_transport import FaultyTransport
+    from vibrocast.harness.faulty_transport import TimedTransport
     from vibrocast.harness.latency import Latency
     from vibrocast.harness.live_run import LiveRun
     from vibrocast.host.bench_file import Bench
     from vibrocast.host.bench_limits import Judged
     from vibrocast.host.controller import Controller
-    from vibrocast.host.end_to_end import Member, Outcome
-    from vibrocast.host.position_playback import Stroke
+    from vibrocast.host.hand_playback import Stroke
+    from vibrocast.host.playback import Member, Outcome
     from vibrocast.textures import Recording
 
 
@@ -174,13 +174,13 @@ def _vibrocast_kept(request: pytest.FixtureRequest) -> _Kept:
 @pytest.fixture
 def vibrocast_wire(
     pytestconfig: pytest.Config, vibrocast_bench: Bench, _vibrocast_kept: _Kept
-) -> Iterator[FaultyTransport]:
+) -> Iterator[TimedTransport]:
     """The way to the controller under test; `damage` and `pull_cable` break it."""
     import contextlib
     import time
 
     from vibrocast.device_protocol.transports import TransportError
-    from vibrocast.harness.faulty_transport import FaultyTransport
+    from vibrocast.harness.faulty_transport import TimedTransport
     from vibrocast.host import devices
     from vibrocast.host.tracing import tracer
 
@@ -191,7 +191,7 @@ def vibrocast_wire(
         while True:
             try:
                 way = devices.reach(first.address, actuator=vibrocast_bench.actuator(first.name))
-                transport = FaultyTransport(stack.enter_context(way))
+                transport = TimedTransport(stack.enter_context(way))
                 break
             except TransportError as error:
                 if time.monotonic() >= until_s:
@@ -206,7 +206,7 @@ def vibrocast_wire(
 
 
 @pytest.fixture
-def vibrocast_device(vibrocast_bench: Bench, vibrocast_wire: FaultyTransport) -> Iterator[Controller]:
+def vibrocast_device(vibrocast_bench: Bench, vibrocast_wire: TimedTransport) -> Iterator[Controller]:
     """A session with the controller under test. Its output is brought to rest after the test."""
     import contextlib
 
@@ -269,7 +269,7 @@ def vibrocast_power_cycle(vibrocast_bench: Bench, vibrocast_device: Controller) 
 def _vibrocast_member(vibrocast_bench: Bench, vibrocast_device: Controller) -> Member:
     """The controller under test, with the models of its actuator: from the bench file, or from the controller."""
     from vibrocast.host.bench_file import actuator_of, driven_actuator
-    from vibrocast.host.end_to_end import Member
+    from vibrocast.host.playback import Member
 
     first, described = vibrocast_bench.first, vibrocast_device.description.actuator
     driven = driven_actuator(vibrocast_bench, first, described)
@@ -285,7 +285,7 @@ def vibrocast_play(vibrocast_bench: Bench, _vibrocast_member: Member, _vibrocast
     than was sent though nothing was lost.
     """
     from vibrocast.codec.encoding import encode_recording
-    from vibrocast.host import end_to_end
+    from vibrocast.host import playback as end_to_end
 
     member = _vibrocast_member
 
@@ -378,10 +378,11 @@ def vibrocast_stroke(vibrocast_bench: Bench, _vibrocast_member: Member) -> Calla
     """A function that plays a height profile under a hand that strokes there and back.
 
     `vibrocast_stroke(profile, stroke_mm=10.0, hand_speed_mm_s=50.0, strokes=1, **options)`; the options are those of
-    `vibrocast.host.profiles.encode`. It returns a `vibrocast.host.position_playback.Stroke`. The test fails where the
+    `vibrocast.codec.profiles.encode`. It returns a `vibrocast.host.hand_playback.Stroke`. The test fails where the
     playback misses limits of the bench file.
     """
-    from vibrocast.host import position_playback, profiles
+    from vibrocast.codec import profiles
+    from vibrocast.host import hand_playback as position_playback
 
     def stroke(
         profile: Recording,

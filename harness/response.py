@@ -11,8 +11,8 @@ from vibrocast import codec, textures
 from vibrocast.codec.stream import as_stream
 from vibrocast.harness.sensors import Recorder
 from vibrocast.host import player
-from vibrocast.host.alignment import AlignmentError
 from vibrocast.host.controller import Controller, ControllerError
+from vibrocast.host.skin_quality import AlignmentError
 from vibrocast.output.actuator import Actuator
 from vibrocast.textures import Recording
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from vibrocast.files import InputFileError, atomic_write
 from vibrocast.host.bench_limits import Judged, lost_percent
-from vibrocast.host.provenance import Provenance
+from vibrocast.host.report import Provenance
 
 NAMES = ("latency", "smallest", "throughput", "load", "gap", "fidelity", "response", "together")
 """The measurements, in the order of a run."""

@@ -17,11 +17,11 @@ from vibrocast.harness.latency import Latency
 from vibrocast.harness.results import ACTUATOR, JSON, NAMES, PAGE, Results, compare, judged
 from vibrocast.harness.sensors import SensorError
 from vibrocast.host import bench_file
-from vibrocast.host.alignment import AlignmentError
 from vibrocast.host.bench_file import Bench
 from vibrocast.host.bench_limits import missed
 from vibrocast.host.controller import ConnectionLost, Controller, ControllerError
-from vibrocast.host.provenance import Provenance
+from vibrocast.host.report import Provenance
+from vibrocast.host.skin_quality import AlignmentError
 
 # Measured again where they have become worse: the computer may have been busy with something else.
 _TIMED = NAMES[:5]

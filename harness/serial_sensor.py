@@ -12,7 +12,7 @@ import numpy as np
 
 from vibrocast.device_protocol.frames import FrameReader
 from vibrocast.device_protocol.transports import BAUD, Closing, SerialTransport, Transport, TransportError
-from vibrocast.host.printable import plain
+from vibrocast.files import plain
 from vibrocast.textures import INPUT_UNITS, TextureError, sidecar
 from vibrocast.textures.recording import Signal
 from vibrocast.textures.sensitivity import Sensitivity

@@ -30,8 +30,8 @@ from vibrocast.device_protocol.messages import (
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.device_protocol.trace import TracedFrame
 from vibrocast.host.controller import MAX_DAC_RATE_HZ, ControllerError
-from vibrocast.host.end_to_end import DECODED_FULL_SCALE, actuator_model, displacement_um
 from vibrocast.host.picture import third_octave_levels
+from vibrocast.host.playback import DECODED_FULL_SCALE, actuator_model, displacement_um
 from vibrocast.output.actuator import SKIN_OVERSAMPLING, Actuator
 
 Integers = NDArray[np.int16]

@@ -19,7 +19,7 @@ from vibrocast.files import InputFileError
 from vibrocast.host import devices
 from vibrocast.host.bench_limits import BenchLimits
 from vibrocast.host.controller import Controller
-from vibrocast.host.end_to_end import actuator_model
+from vibrocast.host.playback import actuator_model
 from vibrocast.output.actuator import Actuator
 from vibrocast.output.actuator_files import ActuatorTable
 from vibrocast.textures import Recording, sensitivity

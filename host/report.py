@@ -1,17 +1,44 @@
 """The report of a playback: figures of stream, device and comparison with the offline decoder, as JSON."""
 
+import datetime
 import json
+import platform
+import uuid
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from vibrocast.codec.threshold import FeltError
 from vibrocast.files import atomic_write
 from vibrocast.host.bench_limits import Judged, lost_percent
-from vibrocast.host.provenance import Provenance
 from vibrocast.host.skin_quality import SkinQuality, judged_skin
 from vibrocast.output.sound_card import CardUse
+
+
+def _versions() -> dict[str, str]:
+    return {
+        "vibrocast": version("vibrocast"),
+        "numpy": version("numpy"),
+        "python": platform.python_version(),
+        "system": f"{platform.system()} {platform.machine()}",
+    }
+
+
+def _now() -> str:
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """The origin of a report. `date`: ISO 8601, UTC. `bench_sha256`: of the bench file, hexadecimal; None = no file."""
+
+    bench_sha256: str | None = None
+    run_id: str = field(default_factory=lambda: str(uuid.uuid4()))
+    date: str = field(default_factory=_now)
+    versions: dict[str, str] = field(default_factory=_versions)
+
 
 SCHEMA = 3
 """Of the JSON of playbacks and live streams."""

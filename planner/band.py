@@ -10,7 +10,7 @@ from vibrocast import textures
 from vibrocast.codec.stream import Stream
 from vibrocast.codec.threshold import MAX_HZ, over_threshold_db, threshold_amplitude
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
-from vibrocast.host.end_to_end import displacement_um
+from vibrocast.host.playback import displacement_um
 from vibrocast.output.actuator import SKIN_OVERSAMPLING, Actuator, Codes, followed_gain
 from vibrocast.output.rendering import Drive, render
 from vibrocast.textures import Profile, Recording

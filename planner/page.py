@@ -12,8 +12,7 @@ from msgspec import structs
 from vibrocast import pages
 from vibrocast.codec.rate_controlled import RateTarget
 from vibrocast.evaluation.points import write_rows
-from vibrocast.files import atomic_write
-from vibrocast.host.printable import plain
+from vibrocast.files import atomic_write, plain
 from vibrocast.planner.band import MARGIN_DB
 from vibrocast.planner.candidates import Candidate
 from vibrocast.planner.choose import TextureChoice

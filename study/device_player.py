@@ -10,14 +10,16 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
+from vibrocast.codec import profiles
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.device_protocol.messages import State, Status
 from vibrocast.device_protocol.transports import TransportError
-from vibrocast.host import player, position_playback, profiles
+from vibrocast.host import hand_playback as position_playback
+from vibrocast.host import player
 from vibrocast.host.controller import Controller, ControllerError
+from vibrocast.host.hand_playback import Movement, back_and_forth
 from vibrocast.host.limits import carried, check_limits, fitted
-from vibrocast.host.position_playback import Movement, back_and_forth
 from vibrocast.host.stream_session import configure_steps
 from vibrocast.output.actuator import Actuator, Codes
 from vibrocast.output.rendering import render

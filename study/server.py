@@ -27,8 +27,8 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
+from vibrocast.files import plain
 from vibrocast.host.controller import ControllerError
-from vibrocast.host.printable import plain
 from vibrocast.study.trials import Break, Message, Paused, Question, Rejected, Run, Screen, StudyError, Trial
 
 DEFAULT_HOST = "127.0.0.1"

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from vibrocast.host.end_to_end import at_the_skin
+from vibrocast.host.playback import at_the_skin
 from vibrocast.output.actuator import Actuator
 from vibrocast.study.device_player import SilentPlayer
 from vibrocast.study.observer import Observer, ObserverSettings, Skin

@@ -18,7 +18,7 @@ from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import Stream, read_stream
 from vibrocast.codec.threshold import MAX_HZ, MIN_HZ, read_threshold, threshold_amplitude
 from vibrocast.files import atomic_folder
-from vibrocast.host.end_to_end import check_unit
+from vibrocast.host.playback import check_unit
 from vibrocast.output.actuator import SKIN_OVERSAMPLING, Actuator, Codes
 from vibrocast.output.rendering import LimitCounts, render
 from vibrocast.study.study_file import REFERENCE, Condition, Study

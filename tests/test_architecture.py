@@ -127,6 +127,18 @@ def tracked(*patterns: str) -> list[str]:
     return listed.stdout.split()
 
 
+def test_the_code_overview_names_what_there_is() -> None:
+    page = (ROOT / "docs" / "explanation" / "code_overview.md").read_text()
+    files = set(re.findall(r"`([\w/]+\.(?:py|c|h|toml))`", page))
+    paths = [f"/{name}" for name in tracked()]
+    assert [name for name in files if not any(path.endswith(f"/{name}") for path in paths)] == [
+        name for name in files if "NAME" in name or "BOARD" in name
+    ]
+    sources = "".join((ROOT / name).read_text() for name in tracked("*.py", "*.c", "*.h"))
+    functions = set(re.findall(r"`(?:\w+\.)?([a-z_]\w*[a-z])`", page))
+    assert [name for name in functions if not re.search(rf"\b{name}\b", sources)] == []
+
+
 def test_every_file_opens_with_its_purpose() -> None:
     silent = [name for name in tracked("*.py") if ast.get_docstring(ast.parse((ROOT / name).read_text())) is None]
     in_c = [name for name in tracked("*.c", "*.h") if not name.startswith("firmware/src/monocypher/")]  # of others

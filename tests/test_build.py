@@ -6,6 +6,7 @@ import subprocess
 import sys
 import sysconfig
 import tarfile
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -14,18 +15,8 @@ import pytest
 import hatch_build
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = (
-    "codec",
-    "device_protocol",
-    "evaluation",
-    "export",
-    "firmware",
-    "host",
-    "models",
-    "output",
-    "simulated_device",
-    "textures",
-)
+HATCH = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["hatch"]["build"]
+PACKAGES = [name for name in HATCH["only-include"] if name != "vibrocast"]
 COMPILED = ("vibrocast_core.cdef", *(f"vibrocast_core.{name}{hatch_build.SUFFIX}" for name in hatch_build.PROCESSORS))
 
 
@@ -50,6 +41,7 @@ def test_an_editable_install_of_a_checkout_without_links_says_how_to_clone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     hatch_build.check_links()
+    assert {path.name for path in (ROOT / "vibrocast").iterdir() if path.is_symlink()} == set(PACKAGES)
     (tmp_path / "vibrocast").mkdir()
     (tmp_path / "vibrocast" / "codec").write_text("../codec")  # as git writes a link where it makes none
     monkeypatch.setattr(hatch_build, "ROOT", tmp_path)

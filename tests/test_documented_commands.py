@@ -1,106 +1,276 @@
-"""Every command block of every page runs and prints what the page shows; how is in `documented_commands.py`."""
+"""Every command block of every page runs and prints what the page shows.
 
+A ```console block holds commands, each after `$ `; a `\\` at the end continues a line, and the lines below a command
+are its output. A ```python block is code, and a ```text block directly below is its output. All blocks of a page share
+one folder and one namespace. The titles in MARKS name blocks that cannot run here: only the options of their
+`vibrocast` commands are looked up.
+
+- `COMMAND &` runs until `kill %1` or the end of the page. Its first line of output is awaited. Where the page shows
+  that line, such as an address, later commands get the real one in its place.
+- `make` must have the target, and `pip` the extra. `pip install ./FOLDER` installs for this page alone. `pytest`
+  collects the tests and runs none. The commands in ACCEPTED do not run: the folder is prepared.
+- A command fails if, and only if, the page shows a line that begins with `error:`, and that line must be the same.
+- Where the page shows output, all of it must be there, word by word. `...` stands for any text, on a line by itself
+  for any lines. Numbers may differ, except in the output of commands that compute the same everywhere, where 5 % may.
+"""
+
+import contextlib
+import io
+import itertools
+import os
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
+import click
 import pytest
+from markdown_it import MarkdownIt
 
-from tests import documented_commands
-from tests.documented_commands import ROOT, PageError
+from vibrocast.host.cli.command_line import main
 
+pytestmark = pytest.mark.slow
+
+ROOT = Path(__file__).parents[1]
 PAGES = sorted(
     str(path.relative_to(ROOT))
     for pattern in ("README.md", "CONTRIBUTING.md", "SECURITY.md", "docs/**/*.md", "*/README.md")
     for path in ROOT.glob(pattern)
     if path.parent != ROOT / "docs/benchmarks/results"  # parts of generated pages
 )
-SLOW = {
-    "docs/how-to/benchmark.md",
-    "docs/how-to/choose_a_codec.md",
-    "docs/how-to/hold_a_rate.md",
-    "docs/how-to/load_recordings.md",
-    "docs/how-to/measure_a_bench.md",
-    "docs/how-to/plan.md",
-    "docs/tutorials/first_texture.md",
-    "docs/tutorials/train_a_codec.md",
-    "docs/tutorials/upload_a_model.md",
-}
-"""Pages that take more than ten seconds, most of them because they play in real time."""
+MARKS = tuple(f'title="needs {thing}"' for thing in ("data", "hardware", "other programs"))
+ACCEPTED = re.compile(r"(cd|git clone|source|python3? -m venv)\b")
+TIMEOUT_S = 300
+"""Of one command."""
+DETERMINISTIC = ("codecs", "decode", "encode", "generate", "info", "models")
+TOLERANCE = 0.05
+NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+ON_STDERR = ("error:", "warning:", "note:")
 
 
-def marked(page: str) -> object:
-    """Return a page with the marks of its test."""
-    marks = [pytest.mark.slow] if page in SLOW else []
-    return pytest.param(page, marks=marks)
+class Session:
+    """The folder, the background commands and the Python names of a page."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._background: dict[str, subprocess.Popen[str]] = {}
+        self._printed: dict[str, str] = {}  # the line that the page shows: the line printed here
+        self._trained = False  # the weights of a training, and all that they code, differ by processor
+        self._names: dict[str, Any] = {"__name__": "__main__"}
+        shutil.copytree(ROOT / "examples", folder / "examples")
+        for name in ("firmware", "models", "tests"):
+            (folder / name).symlink_to(ROOT / name)
+        (folder / ".venv").symlink_to(sys.prefix)
+        packages = str(folder / "packages")
+        pip = {"TARGET": packages, "NO_BUILD_ISOLATION": "0", "NO_DEPS": "1", "NO_INDEX": "1"}
+        self._environment = {
+            **os.environ,
+            **{f"PIP_{name}": value for name, value in pip.items()},
+            "COLUMNS": "120",
+            "MPLBACKEND": "Agg",
+            "NO_COLOR": "1",
+            "PATH": os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]),
+            "PYTHONPATH": os.pathsep.join([str(ROOT), packages]),
+        }
+
+    def close(self) -> None:
+        """End the commands in the background."""
+        for process in self._background.values():
+            end(process)
+
+    def command(self, text: str, shown: Sequence[str]) -> None:
+        """Run a command, and compare what it prints with the lines that the page shows."""
+        text, shown = self._as_printed(text), [self._as_printed(line) for line in shown]
+        words = shlex.split(text.replace("\\\n", " "), comments=True)
+        if words[0] == "kill":
+            end(self._background.pop(words[1]))
+        elif words[-1] == "&":
+            self._start(text.rstrip(" &"), shown)
+        elif words[0] == "make":
+            targets = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+            assert {word for word in words[1:] if "=" not in word} <= set(targets), text
+        elif "install" in words and re.search(r"\bpipx?$", words[words.index("install") - 1]):
+            extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+            named = re.fullmatch(r"\.\[([\w,]+)\]", words[-1])
+            assert named is None or set(named[1].split(",")) <= set(extras), text
+            if words[-1].startswith("./"):
+                self._run(f"python -m pip install --quiet {words[-1]}", [])
+        elif any(word.endswith("pytest") for word in words):
+            self._run(f"{shlex.join([*words, '--collect-only', '-q'])} || test $? = 5", [])  # 5: there are no tests
+        elif not ACCEPTED.match(text):
+            self._run(text, shown)
+
+    def python(self, code: str, shown: Sequence[str]) -> None:
+        """Run a block of Python in this process, and compare what it prints with the lines below it."""
+        printed = io.StringIO()
+        with contextlib.chdir(self._folder), contextlib.redirect_stdout(printed):
+            exec(compile(self._as_printed(code), "a block of the page", "exec"), self._names)
+        if shown:
+            compare(shown, printed.getvalue(), None)
+
+    def _as_printed(self, text: str) -> str:
+        for shown, printed in self._printed.items():
+            text = text.replace(shown, printed)
+        return text
+
+    def _start(self, text: str, shown: Sequence[str]) -> None:
+        process = self._open(f"exec {text}", stderr=subprocess.DEVNULL)
+        self._background[f"%{len(self._background) + 1}"] = process
+        assert process.stdout is not None
+        printed = process.stdout.readline().rstrip("\n")
+        assert printed, f"{text}: ended without a line of output"
+        if shown:
+            assert printed.partition(":")[0] == shown[0].partition(":")[0], f"{text}: printed {printed}"
+            self._printed[shown[0]] = printed
+
+    def _run(self, text: str, shown: Sequence[str]) -> None:
+        process = self._open(f"set -o pipefail\n{text}", stderr=subprocess.PIPE)
+        printed, errors = process.communicate()
+        must_fail = any(line.startswith("error:") for line in shown)
+        code = process.returncode
+        assert must_fail == (code != 0), f"{text}: exit code {code}\n{printed}{errors}"
+        for line in shown:
+            assert not line.startswith(ON_STDERR) or line in errors.splitlines(), f"{text}: shown {line}\n{errors}"
+        words = text.split()
+        subcommand = words[1] if words[0].endswith("vibrocast") and words[1:] else ""
+        exact = subcommand in DETERMINISTIC and not self._trained
+        self._trained |= subcommand == "train"
+        shown = [line for line in shown if line.strip() and not line.startswith(ON_STDERR)]
+        if shown:
+            compare(shown, printed, TOLERANCE if exact else None)
+
+    def _open(self, script: str, stderr: int) -> subprocess.Popen[str]:
+        return subprocess.Popen(
+            ["timeout", str(TIMEOUT_S), "bash", "-c", script],
+            cwd=self._folder,
+            env=self._environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=stderr,
+            text=True,
+        )
 
 
-@pytest.mark.parametrize("page", [marked(page) for page in PAGES])
+def end(process: subprocess.Popen[str]) -> None:
+    """End a process in the background as Ctrl-C does; `timeout` passes the signal on."""
+    process.send_signal(signal.SIGINT)
+    process.wait(10)
+    assert process.stdout is not None
+    process.stdout.close()
+
+
+def compare(shown: Sequence[str], printed: str, tolerance: float | None) -> None:
+    """Raise AssertionError if a printed text differs from a page. `tolerance`: of numbers; None = any number."""
+    pattern, expected = "", []
+    for line in filter(str.strip, shown):
+        if line.strip() == "...":
+            pattern += r"(?:[^\n]*\n)*?"
+            continue
+        words = " ".join(line.split())
+        expected += NUMBER.findall(words)
+        parts = [re.escape(part).replace(r"\.\.\.", r"[^\n]*") for part in NUMBER.split(words)]
+        pattern += f"({NUMBER.pattern})".join(parts) + "\n"
+    lines = [" ".join(line.split()) for line in printed.splitlines() if line.strip()]
+    match = re.fullmatch(pattern, "".join(f"{line}\n" for line in lines))
+    both = "shown:\n{}\nprinted:\n{}".format("\n".join(shown), printed)
+    assert match, both
+    for wanted, found in zip(expected, match.groups(), strict=True) if tolerance else ():
+        last_digit = 10.0 ** -len(wanted.partition(".")[2].partition("e")[0])
+        assert abs(float(wanted) - float(found)) <= (tolerance or 0) * abs(float(wanted)) + last_digit, both
+
+
+def look_up(text: str) -> None:
+    """Raise AssertionError for a `vibrocast` command with a subcommand or an option that does not exist."""
+    tokens = shlex.shlex(text.replace("\\\n", " "), posix=True, punctuation_chars="|;&<>")
+    tokens.whitespace_split = True
+    for _, part in itertools.groupby(tokens, lambda token: set(token) <= set("|;&")):
+        words = list(part)
+        if words[0].endswith("vibrocast"):
+            command: click.Command | None = main
+            while isinstance(command, click.Group) and words[1:] and not words[1].startswith("-"):
+                command = command.get_command(click.Context(command), words.pop(1))
+            assert command is not None, text
+            known = {"--help", *(name for each in command.params for name in (*each.opts, *each.secondary_opts))}
+            assert {word.partition("=")[0] for word in words if word.startswith("--")} <= known, text
+
+
+def commands(content: str) -> Iterator[tuple[str, list[str]]]:
+    """Yield the commands of a console block, and the lines of output that the page shows."""
+    before, *parts = re.split(r"^\$ ", content, flags=re.MULTILINE)
+    assert parts and not before, "a console block begins with a command after `$ `"
+    for part in parts:
+        text = re.match(r"(?:.*\\\n)*.*", part)[0]  # type: ignore[index]
+        yield text, part[len(text) + 1 :].splitlines()
+
+
+def run(page: Path, folder: Path) -> None:
+    """Run the blocks of a page in a folder. Raises AssertionError for the first that does not do what the page says."""
+    tokens = MarkdownIt("commonmark").disable("code").parse(page.read_text(encoding="utf-8"))
+    with contextlib.closing(Session(folder)) as session:
+        for token, below in itertools.zip_longest(tokens, tokens[1:]):
+            language, _, title = token.info.partition(" ") if token.type == "fence" else ("", "", "")
+            assert language not in ("console", "python") or title in ("", *MARKS), title
+            if language == "console":
+                for text, shown in commands(token.content):
+                    if title:
+                        look_up(text)
+                    else:
+                        session.command(text, shown)
+            elif language == "python" and not title:
+                output = below.content if below and below.type == "fence" and below.info == "text" else ""
+                session.python(token.content, output.splitlines())
+
+
+@pytest.mark.parametrize("page", PAGES)
 def test_the_blocks_of_the_page_run(page: str, tmp_path: Path) -> None:
-    documented_commands.run(ROOT / page, tmp_path)
+    run(ROOT / page, tmp_path)
 
 
-def test_the_list_of_slow_pages_names_pages() -> None:
-    assert set(PAGES) >= SLOW
-
-
-def test_the_python_example_of_the_readme_is_short() -> None:
-    readme = documented_commands.blocks((ROOT / "README.md").read_text(encoding="utf-8"))
-    (example,) = (block for block in readme if block.language == "python")
-    assert len(example.lines) <= 15
-
-
-def run(text: str, folder: Path) -> None:
+def run_text(text: str, folder: Path) -> None:
     (folder / "page.md").write_text(text)
     (folder / "run").mkdir()
-    documented_commands.run(folder / "page.md", folder / "run")
+    run(folder / "page.md", folder / "run")
 
 
-GOOD = [
-    "```console\n$ echo two \\\n    words\ntwo words\n```",
-    "```console\n$ echo 17 bytes\n18 bytes\n```",
-    "```console\n$ printf '1\\n2\\n3 x\\n'\n1\n...\n3 ...\n```",
-    "```console\n$ vibrocast decode no.vct a.wav\n"
-    "error: no.vct: No such file or directory; check the name and your permissions\n```",
-    "```console\n$ make test\n$ cd elsewhere\n$ pip install '.[bench,plot]'\n```",
-    "```console\n$ sh -c 'echo serial:abc; sleep 60' &\nserial:xyz\n$ echo serial:xyz\nserial:xyz\n$ kill %1\n```",
-    "```python\nn = 3\n```\nThen:\n```python\nprint(n)\n```\n```text\n3\n```",
-    '```console title="needs hardware"\n$ arecord -t raw | vibrocast live - --device serial:/dev/ttyACM0 # as is\n```',
-    "1. A step:\n\n    ```console\n    $ true\n    ```",
-]
-BAD = [
-    ("    $ vibrocast codecs\n", "indented"),
-    ("```\n$ vibrocast codecs\n```", "another language"),
-    ("```console\n$ false\n```", "exit code 1"),
-    ("```console\n$ echo renamed 1\nname 1\n```", "shown:"),
-    ("```console\n$ echo 1\n$ echo 2; echo 3\n2\n```", "shown:"),
-    ("```console\n$ vibrocast generate wood a.wav\na.wav: 4.8 s at 2800 Hz, 1.0 is ... m/s^2\n```", "shown 4.8"),
-    ("```console\n$ vibrocast decode nothing.vct a.wav\nerror: another\n```", "shown 'error: another'"),
-    ("```console\n$ true\nerror: another\n```", "exit code 0"),
-    ("```console\n$ make nothing\n```", "no target"),
-    ("```console\n$ pip install '.[nothing]'\n```", "no extra"),
-    ("```console\n$ pip install 'vibrocast[bench]'\n```", "index"),
-    ("```python\n1 / 0\n```", "ZeroDivisionError"),
-    ("```python\nprint(1)\n```\n```text\none\n```", "shown:"),
-    ('```console title="needs time"\n$ true\n```', "title"),
-    ('```console title="needs data"\n$ vibrocast encode a.wav b.vct --speed 3\n```', "--speed"),
-    ('```console title="needs data"\n$ vibrocast sing\n```', "sing"),
-    ('```console title="needs data"\n$ vibrocast generate steel a.wav\n```', "steel"),
-    ('```console title="needs data"\n$ vibrocast encode a.wav\n```', "OUT"),
-    ("```console\n$ true", "without an end"),
-]
-
-
-@pytest.mark.parametrize("text", GOOD)
+@pytest.mark.parametrize(
+    "text",
+    [
+        "```console\n$ echo two \\\n    words\ntwo words\n```",
+        "```console\n$ printf '1\\n2\\n3 x\\n'\n2\n...\n3 ...\n```",
+        "```console\n$ vibrocast decode no.vct a.wav\n"
+        "error: no.vct: No such file or directory; check the name and your permissions\n```",
+        "```console\n$ sh -c 'echo serial:abc; sleep 60' &\nserial:xyz\n$ echo serial:xyz\nserial:xyz\n$ kill %1\n```",
+        "```python\nn = 3\n```\nThen:\n```python\nprint(n)\n```\n```text\n3\n```",
+        '1. A step:\n\n    ```console title="needs hardware"\n    $ false | vibrocast live - --rate-hz 1\n    ```',
+    ],
+)
 def test_accepts(text: str, tmp_path: Path) -> None:
-    run(text, tmp_path)
+    run_text(text, tmp_path)
 
 
-@pytest.mark.parametrize(("text", "message"), BAD)
-def test_rejects(text: str, message: str, tmp_path: Path) -> None:
-    with pytest.raises(PageError, match=message):
-        run(text, tmp_path)
-
-
-def test_a_command_has_limited_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(documented_commands, "TIMEOUT_S", 0.2)
-    with pytest.raises(PageError, match="took more"):
-        run("```console\n$ sleep 60\n```", tmp_path)
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("```console\n$ false\n```", "exit code 1"),
+        ("```console\n$ sleep 60\n```", "exit code 124"),
+        ("```console\n$ echo 1\n$ echo 2; echo 3\n2\n```", "shown:"),
+        ("```console\n$ vibrocast generate wood a.wav\na.wav: 4.8 s at 2800 Hz, 1.0 is ... m/s^2\n```", "shown:"),
+        ("```console\n$ vibrocast decode nothing.vct a.wav\nerror: another\n```", "shown error: another"),
+        ("```console\n$ make nothing\n```", "nothing"),
+        ("```console\n$ pip install '.[nothing]'\n```", "nothing"),
+        ("```python\nprint(1)\n```\n```text\none\n```", "shown:"),
+        ('```console title="needs time"\n$ true\n```', "needs time"),
+        ('```console title="needs data"\n$ vibrocast encode a.wav b.vct --speed 3\n```', "--speed"),
+        ('```console title="needs data"\n$ vibrocast sing\n```', "sing"),
+    ],
+)
+def test_rejects(text: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(f"{__name__}.TIMEOUT_S", 3 if "sleep" in text else TIMEOUT_S)
+    with pytest.raises(AssertionError, match=message):
+        run_text(text, tmp_path)

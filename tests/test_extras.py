@@ -89,7 +89,6 @@ def test_a_command_names_the_extra_that_it_needs(tmp_path: Path) -> None:
         ("firmware", ["play", oak, "--device", "cortex-m4"]),
         ("firmware", ["play", oak, "--device", "stm32f405"]),
         ("firmware", ["status", "--device", "host"]),
-        ("peers", ["encode", oak, f"{out}.vct", "--codec", "flac"]),
         ("plot", ["play", oak, "--plot", f"{out}.png"]),
     ]
     for (extra, command), (code, errors) in zip(cases, run_without_extras(*(case[1] for case in cases)), strict=True):

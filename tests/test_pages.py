@@ -9,8 +9,6 @@ from jinja2 import UndefinedError
 
 from vibrocast import pages
 
-ROOT = Path(__file__).parents[1]
-
 
 def render(folder: Path, name: str, template: str, **values: object) -> str:
     (folder / name).write_text(template)
@@ -66,12 +64,6 @@ def test_the_program_is_its_commit_in_a_checkout_and_its_version_elsewhere(
     pages.program.cache_clear()
     assert pages.program().endswith("), changed since")
     pages.program.cache_clear()
-
-
-@pytest.mark.parametrize("path", sorted((ROOT / "docs" / "benchmarks").glob("*.md")), ids=lambda path: path.stem)
-def test_every_page_of_figures_states_their_commit(path: Path) -> None:
-    last = path.read_text().splitlines()[-1]
-    assert re.fullmatch(rf"{pages.FIGURES}commit [0-9a-f]{{7,}} \(\d{{4}}-\d\d-\d\d\)(, changed since)?\.", last)
 
 
 def test_a_value_that_is_not_given_is_an_error(tmp_path: Path) -> None:

@@ -16,12 +16,8 @@ from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, encode_recording
 from vibrocast.codec.stream import Stream as Stream
 from vibrocast.codec.stream import read_stream
 from vibrocast.device_protocol.coded_stream import StreamError
-from vibrocast.host import (
-    devices,
-    end_to_end,
-    player,
-    uploader,
-)
+from vibrocast.host import devices, player, uploader
+from vibrocast.host import playback as end_to_end
 from vibrocast.host.controller import Controller
 from vibrocast.host.report import Report as Report
 from vibrocast.output import actuator_files

@@ -87,3 +87,8 @@ def read_input(path: Path, kind: str, magic: bytes, max_bytes: int) -> bytes:
         if path.stat().st_size > max_bytes:
             raise InputFileError(f"{path}: longer than {max_bytes} bytes, the most in a {kind}; give another file")
         return magic + file.read()
+
+
+def plain(text: str) -> str:
+    """Return a text with an escape in place of each character that cannot be seen: controls, line ends, directions."""
+    return "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in text)

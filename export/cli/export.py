@@ -82,18 +82,9 @@ def export(
 
     The command writes the folder as a whole, and replaces a folder that holds a model.
     """
-    from vibrocast.export import (
-        configuration,
-        lapped_card,
-        lapped_image,
-        model_card,
-        package,
-        training_curves,
-        training_data,
-    )
+    from vibrocast.export import configuration, model_card, package, training_curves, training_data
     from vibrocast.export.checkpoint import ModelError, load
     from vibrocast.export.graphs import GraphError
-    from vibrocast.export.lapped import Lapped
 
     try:
         loaded = load(checkpoint)
@@ -103,8 +94,6 @@ def export(
             raise ModelError(
                 f"{checkpoint}: the configuration in it is damaged: {error}; train the model again"
             ) from error
-        if isinstance(loaded.model, Lapped) and runtime != "core":
-            raise ModelError("a model of kind lapped has no ONNX graph; drop --runtime")
         if (done := loaded.progress["step"]) < trained_as.training.steps:
             raise ModelError(
                 f"{checkpoint}: its training was cut at step {done} of {trained_as.training.steps}; continue it with "
@@ -121,32 +110,22 @@ def export(
             traces = training_data.load(trained_as.sources, data_folder, trained_as.training.rate_hz)
             trained, held_back = training_data.split(traces, trained_as.held_back, trained_as.seed)
             signals = [trace.samples.astype(np.float64) for trace in trained]
-            if not isinstance(loaded.model, Lapped):
-                update(0, "integers")
-                made = package.make(loaded, name, model_version, runtime, signals)
-                image, files = made.image, made.files
-                card = model_card.made(loaded, made, trained, held_back, commands, update)
-                page = model_card.as_markdown(card)
-        if isinstance(loaded.model, Lapped):
-            image = lapped_image.image(loaded.model, name, model_version, signals, trained_as.seed)
-            model = models.Model(name, Path(f"{name}{models.IMAGE_SUFFIX}"), image)
-            files = {str(model.path): image}
-            with progress.bar("measuring") as update:
-                card = lapped_card.made(loaded, model, model_version, (trained, held_back), commands, update)
-            page = lapped_card.as_markdown(card)
+            update(0, "integers")
+            made = package.make(loaded, name, model_version, runtime, signals)
+            card = model_card.made(loaded, made, trained, held_back, commands, update)
     except (ModelError, GraphError) as error:
         raise BadInput(str(error)) from error
     with atomic_folder(out) as partial:
-        for file, data in {**files, **training_curves.files(loaded.curves)}.items():
+        for file, data in {**made.files, **training_curves.files(loaded.curves)}.items():
             (partial / file).write_bytes(data)
         (partial / models.CARD).write_text(model_card.as_json(card), encoding="utf-8")
-        (partial / "card.md").write_text(page, encoding="utf-8")
+        (partial / "card.md").write_text(model_card.as_markdown(card), encoding="utf-8")
     point = card["results"]["point"]
     tell(
-        f"{out}: {name}, image of {len(image)} bytes, {point['snr_db']:.1f} dB at "
+        f"{out}: {name}, image of {len(made.image)} bytes, {point['snr_db']:.1f} dB at "
         f"{point['bits_per_sample']:.2f} bit/sample",
         out=str(out),
         model=name,
-        image_bytes=len(image),
+        image_bytes=len(made.image),
         **point,
     )

@@ -9,12 +9,12 @@ from rich.console import Console
 from rich.table import Table
 
 from vibrocast import progress
+from vibrocast.files import plain
 from vibrocast.host import devices
 from vibrocast.host.cli import exit_codes
 from vibrocast.host.cli.answers import add, tell, wants_json
 from vibrocast.host.cli.option_types import FOLDER
 from vibrocast.host.cli.options import BadInput, device_option
-from vibrocast.host.printable import plain
 
 if TYPE_CHECKING:
     from vibrocast.harness.conformance import Report

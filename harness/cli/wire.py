@@ -15,12 +15,12 @@ from vibrocast import progress, textures
 from vibrocast.device_protocol.messages import Start, Status, pack
 from vibrocast.device_protocol.trace import TracedFrame, read_trace
 from vibrocast.device_protocol.transports import Transport, TransportError
+from vibrocast.files import plain
 from vibrocast.harness.frame_lines import line
 from vibrocast.host import devices
 from vibrocast.host.cli.answers import tell, wants_json
 from vibrocast.host.cli.option_types import INPUT, Number, OutputFile
 from vibrocast.host.cli.options import BadInput, checked_address, link_option, tell_address
-from vibrocast.host.printable import plain
 from vibrocast.host.tracing import tracer
 
 if TYPE_CHECKING:

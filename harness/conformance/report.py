@@ -13,11 +13,10 @@ from typing import Any
 
 from vibrocast import pages
 from vibrocast.device_protocol.messages import PROTOCOL_MAJOR, PROTOCOL_MINOR, HelloResponse
-from vibrocast.files import atomic_write
+from vibrocast.files import atomic_write, plain
 from vibrocast.harness.conformance.fixtures import SECTIONS
 from vibrocast.host import devices
-from vibrocast.host.printable import plain
-from vibrocast.host.provenance import Provenance
+from vibrocast.host.report import Provenance
 
 PAGE = "conformance.md"
 JSON = "conformance.json"

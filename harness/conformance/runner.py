@@ -9,12 +9,12 @@ import pytest
 
 from vibrocast.device_protocol.messages import PROTOCOL_MAJOR, MessageError
 from vibrocast.device_protocol.transports import TransportError
+from vibrocast.files import plain
 from vibrocast.harness.conformance import fixtures
 from vibrocast.harness.conformance.probe import NotConforming, Probe, Unreachable
 from vibrocast.harness.conformance.report import Finding, Outcome, Report, Requirement
 from vibrocast.harness.conformance.tapped_link import TappedLink
 from vibrocast.host.controller import ControllerError
-from vibrocast.host.printable import plain
 
 _FOLDER = Path(__file__).parent
 # The user's pytest configuration takes no part.

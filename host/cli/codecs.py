@@ -4,9 +4,9 @@ import click
 
 from vibrocast import codec, models
 from vibrocast.device_protocol.model_image import sha256
+from vibrocast.files import plain
 from vibrocast.host.cli.answers import answer, wants_json
 from vibrocast.host.cli.steps import show
-from vibrocast.host.printable import plain
 
 _COLUMNS = ("name", "codec", "width", "image bytes", "SNR dB", "bit/sample")
 

@@ -15,13 +15,13 @@ from typing import Any, NoReturn
 import click
 
 from vibrocast import extras
+from vibrocast.files import plain
 from vibrocast.host.cli import exit_codes
 from vibrocast.host.cli.answers import begin, print_answer, with_json
 from vibrocast.host.cli.commands import subcommands
 from vibrocast.host.cli.errors import explained, option_names
 from vibrocast.host.cli.failure_trace import keep_trace
 from vibrocast.host.cli.option_types import OutputFile, reject_overwriting
-from vibrocast.host.printable import plain
 
 
 class VibrocastCommand(click.Group):

@@ -6,6 +6,7 @@ from pathlib import Path
 import click
 
 from vibrocast import models, progress
+from vibrocast.files import plain
 from vibrocast.host import devices, uploader
 from vibrocast.host.cli.answers import add, tell, wants_json
 from vibrocast.host.cli.option_types import INPUT, OutputFile
@@ -19,7 +20,6 @@ from vibrocast.host.cli.options import (
     tell_address,
 )
 from vibrocast.host.cli.steps import show
-from vibrocast.host.printable import plain
 from vibrocast.output.actuator import ACTUATORS, PIEZO_STACK
 
 

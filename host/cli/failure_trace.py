@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from vibrocast.host.printable import plain
+from vibrocast.files import plain
 
 _KEY = "vibrocast.trace_of_failure"
 

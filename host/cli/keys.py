@@ -6,14 +6,13 @@ import click
 
 from vibrocast import models
 from vibrocast.device_protocol.model_image import MAX_NUMBER
-from vibrocast.files import atomic_write
+from vibrocast.files import atomic_write, plain
 from vibrocast.firmware import keys as key_files
 from vibrocast.host import signatures
 from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import INPUT, OutputFile, Whole, reject_overwriting
 from vibrocast.host.cli.options import BadInput, chosen_model
 from vibrocast.host.cli.steps import files_of
-from vibrocast.host.printable import plain
 
 KEY_SUFFIX = ".pem"
 PUBLIC_SUFFIX = ".pub.pem"

@@ -15,8 +15,9 @@ from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, chosen_codec
 from vibrocast.codec.live_format import live_format
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.device_protocol.messages import Status
-from vibrocast.host import devices, end_to_end, uploader
+from vibrocast.host import devices, uploader
 from vibrocast.host import live as streaming
+from vibrocast.host import playback as end_to_end
 from vibrocast.host.bench_limits import BenchLimits, missed
 from vibrocast.host.cli.answers import add, tell
 from vibrocast.host.cli.option_types import Number, Whole, positive
@@ -37,10 +38,8 @@ from vibrocast.host.cli.options import (
 from vibrocast.host.cli.sections import CODING, CONTROLLER, INPUT, SectionedCommand, section
 from vibrocast.host.cli.steps import ANSWERS, describe_card, describe_skin, warn_of_underruns
 from vibrocast.host.controller import ControllerError
-from vibrocast.host.live_quality import CodedSignal, LiveQuality
-from vibrocast.host.live_watch import Timing, Watch, judged
-from vibrocast.host.provenance import Provenance
-from vibrocast.host.report import SCHEMA
+from vibrocast.host.live_watch import CodedSignal, LiveQuality, Timing, Watch, judged
+from vibrocast.host.report import SCHEMA, Provenance
 from vibrocast.textures.recording import MAX_CHANNELS
 
 if TYPE_CHECKING:

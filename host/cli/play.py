@@ -60,13 +60,13 @@ from vibrocast.host.cli.steps import (
 )
 from vibrocast.host.controller import ControllerError
 from vibrocast.host.limits import check_limits, playable
-from vibrocast.host.provenance import Provenance
-from vibrocast.host.report import SCHEMA, Report, Touch, UnfinishedReport, write_json
+from vibrocast.host.report import SCHEMA, Provenance, Report, Touch, UnfinishedReport, write_json
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import ACTUATORS, Actuator
 
 if TYPE_CHECKING:
-    from vibrocast.host import end_to_end, position_playback
+    from vibrocast.host import hand_playback as position_playback
+    from vibrocast.host import playback as end_to_end
     from vibrocast.host.bench_file import Bench
 
 SILENT_DB = -200.0
@@ -182,7 +182,8 @@ def play_under_hand(
     run: "Run", file: Path, quality: QualityOptions, recording: RecordingOptions, playback: PlaybackOptions
 ) -> Iterable[Judged]:
     """Play a height profile by the position of a hand on one controller, print how it went, and return the figures."""
-    from vibrocast.host import end_to_end, position_playback
+    from vibrocast.host import hand_playback as position_playback
+    from vibrocast.host import playback as end_to_end
 
     if playback.gain_db:
         raise click.UsageError("a profile under a hand has its own level; drop --gain-db")
@@ -209,7 +210,7 @@ def play_over_time(
     run: "Run", file: Path, quality: QualityOptions, recording: RecordingOptions, playback: PlaybackOptions
 ) -> Iterable[Judged]:
     """Play a recording or a stream on all controllers, print how it went, and return the figures."""
-    from vibrocast.host import end_to_end
+    from vibrocast.host import playback as end_to_end
 
     source = read_source(file, quality, recording)
     channels, rate_hz = (
@@ -345,7 +346,7 @@ def tell_outcome(run: Run, outcome: "end_to_end.Outcome", given: Stream) -> None
 
 def read_source(file: Path, quality: QualityOptions, recording: RecordingOptions) -> Stream | textures.Recording:
     """Return a .vct file, or a recording that is to be coded. Raises BadInput, CodecError and TextureError."""
-    from vibrocast.host import end_to_end
+    from vibrocast.host import playback as end_to_end
 
     source: Stream | textures.Recording
     if file.suffix.lower() == ".vct":
@@ -416,7 +417,8 @@ def spatial_stream(
 
 def tell_stroke(stroke: "position_playback.Stroke", outputs: OutputOptions) -> None:
     """Print what was played under a hand, write it and draw it. Raises ControllerError where it is not as computed."""
-    from vibrocast.host import picture, position_playback
+    from vibrocast.host import hand_playback as position_playback
+    from vibrocast.host import picture
 
     report, played = stroke.report, stroke.played
     if outputs.report_path:

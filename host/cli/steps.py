@@ -6,13 +6,13 @@ from pathlib import Path
 import click
 
 from vibrocast import models, progress, textures
+from vibrocast.codec import profiles
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, Encoding, encode_recording
 from vibrocast.codec.stream import CodingQuality
 from vibrocast.codec.threshold import FeltError
-from vibrocast.host import profiles
+from vibrocast.files import plain
 from vibrocast.host.cli.answers import add, wants_json
 from vibrocast.host.cli.options import QualityOptions, RecordingOptions
-from vibrocast.host.printable import plain
 from vibrocast.host.report import ActuatorUse, Report, StrokeReport
 from vibrocast.host.skin_quality import SkinQuality
 from vibrocast.output.actuator import FOLLOWED_DB

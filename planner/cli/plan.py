@@ -10,12 +10,12 @@ import click
 from msgspec import structs
 
 from vibrocast import models, progress
+from vibrocast.files import plain
 from vibrocast.host.cli.answers import answer, tell, wants_json
 from vibrocast.host.cli.devices import upload
 from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import FOLDER, INPUT
 from vibrocast.host.cli.options import checked_address
-from vibrocast.host.printable import plain
 from vibrocast.host.report import write_json
 from vibrocast.planner import choose, comparison, page, playing
 from vibrocast.planner.plan_file import Plan, PlanError, is_plan, read_plan, write_plan

@@ -14,7 +14,7 @@ from tests.command import answer, run, succeeds
 from vibrocast.host import live_watch
 from vibrocast.host.cli.exit_codes import LIMIT_MISSED
 from vibrocast.simulated_device.controller import Controller
-from vibrocast.simulated_device.faulty_link import FaultyDirection
+from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
 from vibrocast.simulated_device.serial_port import serial_port
 
 PATIENT = ("--playout-delay-ms", 300)
@@ -95,19 +95,13 @@ def bench_file(folder: Path, address: str, limits: str = "") -> Path:
     return path
 
 
-class Damaged(Controller):
-    """A controller behind a wire that damages one in ten frames to it."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._wire = FaultyDirection(3, flipped=0.1)
-
-    def receive(self, data: bytes, now_us: int) -> None:
-        super().receive(self._wire.carry(data), now_us)
+def damaged() -> FaultyWire:
+    """Return a controller behind a wire that damages one in ten frames to it."""
+    return FaultyWire(Controller(), [Fault(flipped=0.1, direction="to_controller")], seed=1)
 
 
 def test_lost_packets_and_damaged_frames_fail_and_are_named() -> None:
-    with serial_port(Damaged()) as port:
+    with serial_port(damaged()) as port:
         result = live("rough", "--seconds", 2, "--device", f"serial:{port.name}", "--json")
     written = json.loads(result.stdout)
     assert written["lost_packets"] > 0.01 * written["packets"]
@@ -118,7 +112,7 @@ def test_lost_packets_and_damaged_frames_fail_and_are_named() -> None:
 
 
 def test_a_bench_file_gives_controller_and_limits(tmp_path: Path) -> None:
-    with serial_port(Damaged()) as port:
+    with serial_port(damaged()) as port:
         bench = bench_file(tmp_path, f"serial:{port.name}", "max_lost_percent = 100\nmax_bad_frames = 0")
         result = live("rough", "--seconds", 1, "--bench", bench, "--device", "it")
     assert result.exit_code == LIMIT_MISSED

@@ -9,7 +9,8 @@ import pytest
 
 from tests.command import OAK, failure, run
 from vibrocast.device_protocol.transports import TransportError
-from vibrocast.host import devices, end_to_end
+from vibrocast.host import devices
+from vibrocast.host import playback as end_to_end
 from vibrocast.output.actuator import Actuator
 
 play = partial(run, "play", OAK)
@@ -42,7 +43,7 @@ def test_a_playback_that_is_cut_leaves_report_and_trace(
             return dict.fromkeys(outcomes, cut)
         raise cut
 
-    monkeypatch.setattr("vibrocast.host.end_to_end.play_together", play_and_cut)
+    monkeypatch.setattr("vibrocast.host.playback.play_together", play_and_cut)
     report = tmp_path / "cut.json"
     answered = failure(exit_code, "play", OAK, "--report", report)
     told = json.loads(report.read_text())

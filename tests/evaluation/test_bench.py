@@ -18,6 +18,7 @@ from vibrocast.evaluation import bench, cells
 from vibrocast.evaluation.bench import CellCounts, Journal
 from vibrocast.evaluation.cells import BenchError, Cell, Measured, Method
 from vibrocast.evaluation.comparison import Measurements
+from vibrocast.evaluation.peers import measured_codecs
 from vibrocast.evaluation.points import Failure, Point, Timing, read_rows
 from vibrocast.textures import Recording
 from vibrocast.textures.dataset import DatasetEntry, entries, load
@@ -260,7 +261,7 @@ def test_two_at_once_leave_a_journal_of_both(folder: Path, results: Path, whole:
 
 def test_methods_by_codec_and_by_rate_point_set() -> None:
     everything = cells.methods([])
-    without_models = [known for known in codec.CODECS.values() if not known.needs_model]
+    without_models = [known for known in measured_codecs().values() if not known.needs_model]
     assert {method.coder for method in everything} == {known.name for known in without_models}
     assert [method.name for method in everything] == [
         name for known in without_models for name in known.rate_point_sets if name not in known.named_rate_point_sets

@@ -225,7 +225,7 @@ def test_recordings_of_ones_own_are_a_map(tmp_path: Path, monkeypatch: pytest.Mo
     save(tmp_path / "own" / "silent.wav", Recording(np.zeros((900, 1)), 1000.0, "um", "silent"))
     (tmp_path / "own" / "bare.csv").write_text("1\n2\n")
     (tmp_path / "own" / "notes.md").touch()
-    arguments = ["--out", str(tmp_path / "out"), "--codecs", "flac", "--maps", "recordings"]
+    arguments = ["--out", str(tmp_path / "out"), "--codecs", "slp", "--maps", "recordings"]
     result = CliRunner().invoke(stability, [*arguments, "--recordings", str(tmp_path / "own")])
     assert result.exit_code == 0, result.output
     assert "skipped 1 file: notes.md" in result.stderr and "left out: bare: " in result.stderr
@@ -245,7 +245,7 @@ def test_pre_echo_falls_with_a_finer_setting() -> None:
 
 def test_an_hour_is_measured_by_its_last_minute(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(signals, "HOUR_S", 120)
-    assert signals.measure_hour(RatePoint("flac", {})).outcome is Outcome.HOLDS
+    assert signals.measure_hour(RatePoint("mdct", {"step": 0.05})).outcome is Outcome.HOLDS
 
 
 def test_a_fall_on_the_way_up_a_rate_point_set_is_marked() -> None:
@@ -525,7 +525,7 @@ def test_figures_have_no_negative_zero() -> None:
 
 def test_a_page_of_other_origin_is_kept(tmp_path: Path) -> None:
     (tmp_path / "stability.md").write_text("mine")
-    result = CliRunner().invoke(stability, ["--out", str(tmp_path), "--codecs", "flac", "--quick"])
+    result = CliRunner().invoke(stability, ["--out", str(tmp_path), "--codecs", "slp", "--quick"])
     assert (result.exit_code, (tmp_path / "stability.md").read_text()) == (2, "mine")
     assert "choose another --out" in result.output
 

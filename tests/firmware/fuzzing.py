@@ -17,7 +17,7 @@ import click
 FIRMWARE = Path(__file__).parents[2] / "firmware"
 FUZZ = FIRMWARE / "fuzz"
 CORPUS = FUZZ / "corpus.zip"
-CODECS = ("mdct", "dct", "slp", "eva", "lapped", "parametric")
+CODECS = ("mdct", "dct", "slp", "eva", "parametric")
 TARGETS = (*CODECS, "streams", "frames", "messages", "headers", "images", "output", "profile", "flash", "controller")
 ENGINE = FUZZ / "engine.c"
 FLAGS = ["-std=c99", "-g", "-O1", "-Wall", "-Wextra", "-Werror", "-fno-sanitize-recover=all", f"-I{FUZZ}"]

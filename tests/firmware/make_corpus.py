@@ -13,8 +13,8 @@ import numpy as np
 from tests.codec.eva_models import random_image, with_extreme_weights
 from tests.codec.signals import RATE_HZ, texture
 from tests.firmware.fuzzing import CODECS, CORPUS, TARGETS
-from vibrocast import codec, models
-from vibrocast.codec import Choice, Framing, Model, Setting, SignalFormat, eva, lapped, mdct
+from vibrocast import codec
+from vibrocast.codec import Choice, Framing, Model, Setting, SignalFormat, eva, mdct
 from vibrocast.codec.eva_image import PRIOR_KINDS
 from vibrocast.codec.rotation import COMMON, OWN, Rotation
 from vibrocast.device_protocol import messages
@@ -123,20 +123,16 @@ def built_in_streams() -> Iterator[tuple[str, bytes]]:
     """Yield the target and a stream of each of SETTINGS."""
     for name, setting, offsets in differing((0, 0, 16, -3, 50)):
         configuration, *packets = coded(name, setting, offsets=offsets)
-        yield name, stream(configuration, packets, [b""] * 2 if name == "mdct" else [])
+        yield name, stream(configuration, packets, [b""] if name == "mdct" else [])
 
 
 def learned_streams() -> Iterator[tuple[str, bytes]]:
-    """Yield the target and a stream of codecs with tables, windows, or a whole model."""
-    tables, windows = mdct.built_in_tables(), models.find("lapped-textures").tables[: lapped.WINDOWS_BYTES]
-    changes = bytes(map(operator.xor, tables, mdct.untrained_tables()))
+    """Yield the target and a stream of codecs with tables, or with a whole model."""
+    changes = bytes(map(operator.xor, mdct.built_in_tables(), mdct.untrained_tables()))
     for hop in ("16", "64"):
         configuration, *packets = coded("mdct", {"step": 0.05, "hop": hop}, Model(mdct.untrained_tables()))
-        yield "mdct", stream(configuration, packets, [changes, b""])
-        configuration, *packets = coded("lapped", {"step": 0.05, "hop": hop}, Model(windows + tables))
-        yield "lapped", stream(configuration, packets, [b"", windows])
-        configuration, *packets = coded("lapped", {"step": 0.05, "hop": hop}, Model(windows + tables), (0, 20, -9))
-        yield "lapped", stream(configuration, packets, [b"\0\1\xff", windows])
+        yield "mdct", stream(configuration, packets, [changes])
+        yield "mdct", stream(configuration, packets, [b"\0\1\xff"])
     generator = np.random.default_rng(1)
     for prior, steered in itertools.product(PRIOR_KINDS, ("", "_steered")):
         model = ModelImage.unpack((GOLDEN / f"golden_eva_{prior}.vcmi").read_bytes()).payload

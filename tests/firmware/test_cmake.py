@@ -156,7 +156,7 @@ def test_a_project_links_the_controller(tmp_path: Path, tools: Path, system: str
         with Controller(SerialTransport(process.stdout.readline().decode().strip())) as host:
             codecs = {codec.name for codec in host.description.codecs}
         process.stdin.close()
-    assert codecs == {"dct", "slp", "lapped", "parametric"}
+    assert codecs == {"dct", "slp", "parametric"}
 
 
 def test_esp_idf_runs_the_component_as_a_script_first(tmp_path: Path) -> None:

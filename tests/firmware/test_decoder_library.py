@@ -15,7 +15,7 @@ from elftools.elf.sections import SymbolTableSection
 from numpy.typing import NDArray
 
 from tests.firmware.native import ffi, native
-from tests.harness.boards.test_emulated import MODELS, coded
+from tests.harness.boards.test_emulated import coded
 from vibrocast import codec, models
 from vibrocast.codec.stream import Stream, read_stream
 from vibrocast.firmware.build import FLAGS, ROOT, SHARED
@@ -23,7 +23,7 @@ from vibrocast.host.cli.command_line import main
 
 ZIG = [sys.executable, "-m", "ziglang"]
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "use_the_decoder.md"
-CODECS = ("mdct", "dct", "slp", "eva", "lapped", "parametric")
+CODECS = ("mdct", "dct", "slp", "eva", "parametric")
 HEADERS = sorted((ROOT / "include" / "vibrocast").glob("*.h"))
 CORE = [path for path in sorted((ROOT / "src" / "core").glob("*.c")) if not path.stem.endswith("_encoder")]
 CONTROLLER = [
@@ -100,9 +100,7 @@ def test_errors_say_what_to_do(program: Path, tmp_path: Path) -> None:
     eva = bytes(coded("eva", 0.1))
     assert "give that image" in decoded(program, eva, tmp_path)[1]
     other = tmp_path / "other.vcmi"
-    lapped = models.find(MODELS["lapped"])
-    assert lapped is not None
-    other.write_bytes(lapped.image)
+    other.write_bytes(models.find("mdct-textures").image)
     assert "give that image" in decoded(program, eva, tmp_path, other)[1]
 
 

@@ -246,7 +246,7 @@ def test_the_fixtures_stream_measure_flash_and_stroke(pytester: pytest.Pytester)
 import pytest
 from vibrocast import models, textures
 from vibrocast.device_protocol.messages import SlotState
-from vibrocast.host.profiles import recording_of
+from vibrocast.codec.profiles import recording_of
 
 def test_live(vibrocast_live, vibrocast_texture):
     run = vibrocast_live(vibrocast_texture, seconds=1.0)

@@ -9,8 +9,8 @@ import pytest
 
 from vibrocast.harness import response
 from vibrocast.harness.sensors import Recorder
-from vibrocast.host.alignment import AlignmentError
 from vibrocast.host.controller import Controller
+from vibrocast.host.skin_quality import AlignmentError
 from vibrocast.output.actuator import (
     LRA,
     PIEZO_STACK,

@@ -18,7 +18,8 @@ from vibrocast.device_protocol.frames import DELIMITER, write_frame
 from vibrocast.device_protocol.messages import Configure, HelloResponse, Message, PacketMessage, pack
 from vibrocast.device_protocol.trace import TracedFrame, read_trace
 from vibrocast.harness.wire_view import WireView
-from vibrocast.host import devices, end_to_end
+from vibrocast.host import devices
+from vibrocast.host import playback as end_to_end
 from vibrocast.host.tracing import tracer
 
 

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from tests.host.scripted_controller import PACKET_SAMPLES, RATE_HZ, ScriptedController
 from tests.host.test_player import HEADER, PACKETS, SECONDS, connect
 from vibrocast import codec, textures
+from vibrocast.codec import profiles
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import (
     CaptureData,
@@ -33,7 +34,8 @@ from vibrocast.device_protocol.messages import (
 )
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.device_protocol.transports import TransportError
-from vibrocast.host import live, position_playback, profiles
+from vibrocast.host import hand_playback as position_playback
+from vibrocast.host import live
 from vibrocast.host.controller import ControllerError
 from vibrocast.host.player import Progress, play
 from vibrocast.host.stream_session import READ_BACK_S, read_capture

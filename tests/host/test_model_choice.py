@@ -14,7 +14,7 @@ from vibrocast.codec.encoding import default_model, encode_recording
 from vibrocast.codec.rate_controlled import RateTarget
 from vibrocast.codec.rate_controlled import encode as encode_rate_controlled
 from vibrocast.codec.stream import read_stream
-from vibrocast.host import devices, end_to_end
+from vibrocast.host import devices, playback
 
 
 @pytest.fixture(autouse=True)
@@ -132,7 +132,7 @@ def test_a_stream_of_an_unknown_model_is_named_by_its_hash(tmp_path: Path, monke
 def test_play_on_a_simulated_controller_needs_nothing_else(runtime: str | None) -> None:
     stream = encode_recording(texture(), codec_name="eva", snr_db=25, runtime=runtime).stream
     with devices.connect("sim", runtime) as controller:
-        report = end_to_end.play(controller, "sim", "rough", stream).report
+        report = playback.play(controller, "sim", "rough", stream).report
     assert (report.codec, report.model, report.decoded_equals_offline) == ("eva", "fine-1", True)
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from vibrocast import textures
 from vibrocast.codec.encoding import encode_recording
-from vibrocast.host import end_to_end
+from vibrocast.host import playback as end_to_end
 from vibrocast.host.devices import connect
 
 DATA = Path(__file__).parents[2] / ".." / "shared" / "data"

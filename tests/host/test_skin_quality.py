@@ -6,9 +6,9 @@ import pytest
 import vibrocast
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.threshold import PHYSICAL_UNITS, felt_error, read_threshold, skin_snr_db, threshold_amplitude
-from vibrocast.host import devices, end_to_end
-from vibrocast.host.alignment import AlignmentError
-from vibrocast.host.skin_quality import compare_channels, compare_skin, limit_note
+from vibrocast.host import devices
+from vibrocast.host import playback as end_to_end
+from vibrocast.host.skin_quality import AlignmentError, compare_channels, compare_skin, limit_note
 from vibrocast.output.actuator import ACTUATORS, PIEZO_STACK, VOICE_COIL, followed_band_hz, octave_gains_db
 from vibrocast.textures import Recording
 

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from vibrocast import textures
+from vibrocast.codec import profiles
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import Stream
-from vibrocast.host import end_to_end, position_playback, profiles
+from vibrocast.host import hand_playback as position_playback
+from vibrocast.host import playback as end_to_end
 from vibrocast.host.controller import Controller as HostController
 from vibrocast.output.actuator import VOICE_COIL, Actuator, Codes
 from vibrocast.output.code_queue import CodeQueue

@@ -8,7 +8,7 @@
 #include "vc_sha256.h"
 #include "vc_stream_header.h"
 
-#define TAKES_MODELS (VC_WITH_MDCT || VC_WITH_EVA || VC_WITH_LAPPED)
+#define TAKES_MODELS (VC_WITH_MDCT || VC_WITH_EVA)
 #define FLAGS_AT 2
 #define CRC_BYTES 2
 #define VARINT_BYTES 9 /* of the 63 bits of VC_STREAM_VARINT_BITS */

@@ -44,7 +44,7 @@ from vibrocast.simulated_device.faulty_link import MemoryLink
 from vibrocast.simulated_device.flash import FlashMemory
 
 LEARNED = "eva-16-4"
-MODELS = {"eva": LEARNED, "lapped": "lapped-textures"}
+MODELS = {"eva": LEARNED}
 START_US, BOARD_DAC_HZ = 300_000, 3000
 
 
@@ -98,7 +98,7 @@ def flash_of(name: str) -> FlashMemory:
         *(
             pytest.param(name, codec_name, marks=pytest.mark.slow)
             for name in ("cortex-m4", "stm32f405")
-            for codec_name in ("dct", "slp", "eva", "lapped", "parametric")
+            for codec_name in ("dct", "slp", "eva", "parametric")
         ),
     ],
 )

@@ -39,7 +39,7 @@ def session(device: Rp2040) -> tuple[MemoryLink, Host]:
     "codec_name",
     [
         "mdct",
-        *(pytest.param(name, marks=pytest.mark.slow) for name in ("dct", "slp", "eva", "lapped", "parametric")),
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("dct", "slp", "eva", "parametric")),
     ],
 )
 def test_streams_reach_the_pwm_register_as_computed_within_the_stack(codec_name: str) -> None:

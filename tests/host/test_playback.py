@@ -1,0 +1,142 @@
+"""Playing, with the samples read back and compared: over loops, with differences, and for signals that are too long."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from vibrocast import models, textures
+from vibrocast.codec.encoding import encode_recording
+from vibrocast.codec.stream import Stream
+from vibrocast.codec.threshold import over_threshold_db, read_threshold
+from vibrocast.device_protocol.coded_stream import StreamError
+from vibrocast.device_protocol.messages import CaptureData, SlotState, Tap
+from vibrocast.host import devices
+from vibrocast.host import playback as end_to_end
+from vibrocast.host.controller import Controller, ControllerError
+from vibrocast.host.event_loop import Steps
+from vibrocast.host.playback import Outcome, actuator_model
+from vibrocast.host.stream_session import Capture
+from vibrocast.output.actuator import LRA, PIEZO_STACK, VOICE_COIL, Actuator
+from vibrocast.output.actuator_constants import constants
+from vibrocast.simulated_device.controller import Controller as SimulatedController
+from vibrocast.simulated_device.controller import Settings
+from vibrocast.simulated_device.faulty_link import MemoryLink
+
+LOOPS = 3
+SAMPLES = 1000
+
+
+def play(actuator: Actuator = PIEZO_STACK) -> Outcome:
+    samples = np.sin(np.arange(SAMPLES) / 3.0)[:, None]
+    encoding = encode_recording(textures.Recording(samples, 2800.0, "um", "sine"), live=True)
+    link = MemoryLink(SimulatedController(Settings(actuator=actuator)))
+    controller = Controller(link, link.clock, link.sleep)
+    return end_to_end.play(controller, "memory", "sine", encoding.stream, encoding, LOOPS)
+
+
+def test_every_pass_is_compared() -> None:
+    outcome = play()
+    assert outcome.report.decoded_equals_offline is True
+    assert outcome.report.dac_equals_offline is True
+    assert "read back" in outcome.caption
+
+
+def test_a_model_is_uploaded_only_for_a_stream_that_fits(monkeypatch: pytest.MonkeyPatch) -> None:
+    def too_long(*_: object) -> Stream:
+        raise StreamError("its packets are too long")
+
+    monkeypatch.setattr(end_to_end, "fitted", too_long)
+    samples = np.sin(np.arange(SAMPLES) / 3.0)[:, None]
+    recording = textures.Recording(samples, 2800.0, "um", "sine")
+    encoding = encode_recording(recording, live=True, model=models.find("mdct-textures"))
+    link = MemoryLink(SimulatedController())
+    controller = Controller(link, link.clock, link.sleep)
+    with pytest.raises(StreamError, match="too long"):
+        end_to_end.play(controller, "sim", "sine", encoding.stream, encoding)
+    controller.open_session()
+    assert all(image.state == SlotState.EMPTY for image in controller.description.images)
+
+
+@pytest.mark.parametrize("tap", Tap)
+def test_difference_in_the_last_pass_is_found(tap: Tap, monkeypatch: pytest.MonkeyPatch) -> None:
+    take = Capture.take
+
+    def take_wrongly(capture: Capture, captured: CaptureData) -> bool:
+        last = captured.offset + len(captured.data) // 2 == captured.end
+        damaged = replace(captured, data=captured.data[:-1] + b"\x55")
+        return take(capture, damaged if captured.tap == tap and last else captured)
+
+    monkeypatch.setattr(Capture, "take", take_wrongly)
+    report = play().report
+    assert report.decoded_equals_offline is (tap != Tap.DECODED)
+    assert report.dac_equals_offline is (tap != Tap.DAC)
+
+
+def test_what_would_be_too_long_is_played_without_comparison(monkeypatch: pytest.MonkeyPatch) -> None:
+    compared = play()
+    monkeypatch.setattr(end_to_end, "MAX_COMPARED_SAMPLES", LOOPS * SAMPLES)
+    outcome = play()
+    assert outcome.report.underruns == 0
+    assert outcome.report.decoded_equals_offline is outcome.report.dac_equals_offline is None
+    assert "computed here" in outcome.caption
+    for trace, same in zip(outcome.traces[:2], compared.traces[:2], strict=True):
+        np.testing.assert_array_equal(trace.values, same.values)
+    skin, read_back = outcome.traces[2].values, compared.traces[2].values
+    np.testing.assert_array_equal(skin[: len(skin) * 9 // 10], read_back[: len(skin) * 9 // 10])
+
+
+@pytest.mark.parametrize("actuator", [replace(PIEZO_STACK, dac_bits=12), replace(LRA, dac_rate_hz=6000)])
+def test_known_actuator_is_modelled_with_the_dac_that_its_controller_has(actuator: Actuator) -> None:
+    assert play(actuator).report.dac_equals_offline is True
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"stroke_um": 0.0}, "an impossible actuator"),
+        ({"volts": math.nan}, "an impossible actuator"),
+        ({"lower_hz": 300.0, "upper_hz": 300.0}, "an impossible actuator"),
+        ({"slew_volts_per_second": math.inf}, "an impossible actuator"),
+        ({"lower_hz": 200.0, "upper_hz": 200.001}, "compensation"),
+        ({"dac_bits": 0}, "0 bits"),
+        ({"dac_rate_hz": 3}, "resample"),
+        ({"name": "x" * 40}, "name"),
+    ],
+)
+def test_controller_with_an_impossible_actuator_is_rejected(
+    changes: dict[str, Any], reason: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    open_steps = Controller.open_session_steps
+
+    def open_wrongly(controller: Controller) -> Steps[None]:
+        yield from open_steps(controller)
+        hello = controller.description
+        described = replace(hello.actuator, **({"name": "unheard of"} | changes))
+        controller.description = replace(hello, actuator=described)
+
+    monkeypatch.setattr(Controller, "open_session_steps", open_wrongly)
+    with pytest.raises(ControllerError, match=reason):
+        play()
+
+
+@pytest.mark.parametrize("volts", [1.0, 3.3, 2.5, 7.77])
+def test_a_known_actuator_at_other_volts_is_known_too(volts: float) -> None:
+    driven = devices.on_sound_card(VOICE_COIL, 48_000, volts)
+    with devices.connect("sim", actuator=driven) as controller:
+        described = controller.description.actuator
+    assert constants(actuator_model(described)) == constants(driven)
+
+
+@pytest.mark.parametrize("frequency_hz", [100, 200, 400])
+def test_touch_is_that_of_the_displacement_asked_for(frequency_hz: int) -> None:
+    rate_hz = PIEZO_STACK.dac_rate_hz
+    asked_um = 10 * np.sin(2 * np.pi * frequency_hz * np.arange(2 * rate_hz) / rate_hz)[:, None]
+    drive = signal.lfilter(*PIEZO_STACK.inverse(), asked_um / PIEZO_STACK.excursion_um, axis=0)
+    touch = end_to_end.touch_of(PIEZO_STACK, np.rint(drive * PIEZO_STACK.full_scale).astype(np.int16))
+    frequencies_hz, levels_db = over_threshold_db(asked_um, rate_hz, read_threshold())
+    assert touch.level_db == pytest.approx(max(levels_db), abs=0.1)
+    assert touch.frequency_hz == pytest.approx(frequencies_hz[np.argmax(levels_db)])
