@@ -1,8 +1,6 @@
 """The subcommand `keys`: makes keys, signs model images, checks signatures."""
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -20,12 +18,6 @@ KEY_SUFFIX = ".pem"
 PUBLIC_SUFFIX = ".pub.pem"
 
 model_argument = click.argument("model", callback=chosen_model)
-
-
-def number_option(*, required: bool) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Return the option of a release's number."""
-    number = Whole("number", 1, MAX_NUMBER)
-    return click.option("--number", type=number, required=required, help="Number the release; no lower one runs later.")
 
 
 @click.group()
@@ -67,7 +59,12 @@ def show(key: Path) -> None:
 @keys.command()
 @model_argument
 @click.option("--key", type=INPUT, metavar="FILE", required=True, help="Sign with the private key in this file.")
-@number_option(required=True)
+@click.option(
+    "--number",
+    type=Whole("number", 1, MAX_NUMBER),
+    required=True,
+    help="Number the release; no lower one runs later.",
+)
 @click.option("--out", type=OutputFile(models.IMAGE_SUFFIX), required=True, help="Write the signed image here.")
 def sign(model: models.Model, key: Path, number: int, out: Path) -> None:
     """Sign a model image.

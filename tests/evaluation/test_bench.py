@@ -60,11 +60,10 @@ def run(
     work: Any = here,
     chosen: list[Method] = METHODS,
     repeats: int = 0,
-    fresh: bool = False,
     load: Callable[[DatasetEntry], Recording] = load,
     progress: Callable[[CellCounts], None] = ignore,
 ) -> Results:
-    with Journal(results / bench.JOURNAL, fresh) as journal:
+    with Journal(results / bench.JOURNAL) as journal:
         return bench.run(entries(folder), load, chosen, repeats, journal, work, progress)
 
 
@@ -258,12 +257,6 @@ def test_two_at_once_leave_a_journal_of_both(folder: Path, results: Path, whole:
         measured = bench.run(entries(folder), load, METHODS, 0, journal, here, ignore)
     assert written(results, measured) == whole
     assert len((results / bench.JOURNAL).read_bytes().splitlines()) == 4 + 6
-
-
-def test_fresh_forgets_the_journal(folder: Path, results: Path) -> None:
-    run(folder, results, chosen=METHODS[:1])
-    with pytest.raises(KeyboardInterrupt):
-        run(folder, results, partial(cut_after, 0), METHODS[:1], fresh=True)
 
 
 def test_methods_by_codec_and_by_rate_point_set() -> None:

@@ -345,7 +345,7 @@ def test_numbers_that_are_not_finite_are_rejected(tmp_path: Path) -> None:
 def test_the_command_trains_resumes_and_rejects(tmp_path: Path) -> None:
     configured(tmp_path, TINY.replace("steps = 40", "steps = 10"))
     out = tmp_path / "out"
-    done = run(tmp_path / "tiny.toml", "--out", out, "--threads", 1)
+    done = run(tmp_path / "tiny.toml", "--out", out)
     assert done.exit_code == 0, done.output
     assert "bit/sample" in done.output
     again = run(tmp_path / "tiny.toml", "--out", out)
@@ -354,7 +354,7 @@ def test_the_command_trains_resumes_and_rejects(tmp_path: Path) -> None:
     other = run(tmp_path / "tiny.toml", "--out", out, "--resume")
     assert (other.exit_code, "another model" in other.output) == (2, True)
     configured(tmp_path, TINY.replace("steps = 40", "steps = 20"))
-    more = run(tmp_path / "tiny.toml", "--out", out, "--resume", "--threads", 1)
+    more = run(tmp_path / "tiny.toml", "--out", out, "--resume")
     assert "all 20 steps done" in more.output
     assert run(tmp_path / "missing.toml").exit_code == 2
 

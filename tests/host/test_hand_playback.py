@@ -115,7 +115,7 @@ def test_too_slow_a_hand_is_rejected_with_the_slowest_that_can_be() -> None:
 def test_command_says_what_a_spatial_stream_is(tmp_path: Path) -> None:
     coded, decoded = tmp_path / "a.vct", tmp_path / "a.csv"
     run = CliRunner().invoke
-    done = run(main, ["encode", str(PROFILE), str(coded), "--spatial", "--snr-db", "20"])
+    done = run(main, ["encode", str(PROFILE), str(coded), "--snr-db", "20"])
     assert done.exit_code == 0, done.output
     assert "samples per metre" in run(main, ["info", str(coded)]).output
     done = run(main, ["decode", str(coded), str(decoded)])
@@ -123,10 +123,9 @@ def test_command_says_what_a_spatial_stream_is(tmp_path: Path) -> None:
     assert textures.load(decoded, hand_speed_mm_s=50).unit == "um"
     for arguments, reason in (
         (["decode", str(coded), str(tmp_path / "a.wav")], "into a CSV file"),
-        (["play", str(coded)], "give --positions"),
-        (["play", str(coded), "--stroke-mm", "3"], "--hand-speed-mm-s"),
-        (["encode", str(PROFILE), str(coded), "--spatial", "--rate-bps", "900"], "--snr-db"),
-        (["encode", str(PROFILE), str(coded), "--spatial", "--hand-speed-mm-s", "50"], "every hand speed"),
+        (["play", str(coded)], "give --hand"),
+        (["play", str(coded), "--hand", "3"], "--hand-speed-mm-s"),
+        (["encode", str(PROFILE), str(coded), "--rate-bps", "900"], "--snr-db"),
     ):
         done = run(main, arguments)
         assert done.exit_code == 2 and reason in done.output, done.output
@@ -207,7 +206,7 @@ def test_the_papers_chain_from_end_to_end(rule: str, material: str, tmp_path: Pa
     textures.save_profile(heights, textures.Profile(heights_um(material), 0.5, material))
     settings = {"block": "whole", "dc": "drop", **PAPER_SETTINGS[rule]}
     options = [option for name, value in settings.items() for option in ("--setting", f"{name}={value}")]
-    done = CliRunner().invoke(main, ["encode", str(heights), str(coded), "--spatial", "--codec", "dct", *options])
+    done = CliRunner().invoke(main, ["encode", str(heights), str(coded), "--codec", "dct", *options])
     assert done.exit_code == 0, done.output
     stream = read_stream(coded)
     # Each coefficient takes its level, although a controller's samples lie 16 times as far apart.
@@ -271,7 +270,7 @@ def simulated_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let every address be a simulated controller in simulated time, where no position is late."""
 
     @contextlib.contextmanager
-    def connect(*_: object) -> Iterator[Controller]:
+    def connect(*_: object, **__: object) -> Iterator[Controller]:
         link = MemoryLink(SimulatedController())
         with Controller(link, link.clock, link.sleep) as controller:
             yield controller
@@ -286,7 +285,7 @@ def stroked(folder: Path, limits: str, *options: str, actuator: str = PIEZO_STAC
         '[[controllers]]\nname = "it"\naddress = "serial:port"\n'
         f'[[actuators]]\nmodel = "{actuator}"\n[limits]\n{limits}\n'
     )
-    hand = ("--stroke-mm", "10", "--hand-speed-mm-s", "60")
+    hand = ("--hand", "10", "--hand-speed-mm-s", "60")
     return CliRunner().invoke(main, ["play", str(PROFILE), *hand, "--bench", str(bench), *options])
 
 

@@ -267,7 +267,7 @@ const char *vc_status_text(int status)
     case VC_BAD_PACKET:
         return "a packet is damaged: copy the file again";
     case VC_PACKET_TOO_LARGE:
-        return "a coded packet does not fit its buffer: give a larger one, or encode with a shorter --packet-ms";
+        return "a coded packet does not fit its buffer: give a larger one, or encode with --live";
     case VC_HOST_ONLY:
         return "one transform of a whole texture, which only hosts decode: encode in blocks";
     case VC_BAD_HEADER:
