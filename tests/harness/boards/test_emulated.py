@@ -126,7 +126,7 @@ def played_by_board(
     codes: list[Codes] = []
     device = Stm32F405(on_dac=codes.append)
     stalls = [0]
-    slow_down(device, "vc_spectra_poll", decoding_ms)
+    slow_down(device, "vc_mdct_poll", decoding_ms)
     slow_down(device, "vc_message_read", stalls)
     link, host = session(device)
     stream = coded("mdct", seconds=0.6)
