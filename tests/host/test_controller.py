@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.conftest import linked, session
 from tests.host.scripted_controller import ScriptedController
 from vibrocast.device_protocol.frames import write_frame
 from vibrocast.device_protocol.messages import (
@@ -28,8 +29,6 @@ from vibrocast.device_protocol.messages import (
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host.controller import TRIES, ConnectionLost, Controller, ControllerError
 from vibrocast.host.stream_session import Capture
-from vibrocast.simulated_device.controller import Controller as SimulatedController
-from vibrocast.simulated_device.faulty_link import MemoryLink
 
 IDLE_STATUS = Status(State.IDLE, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
 
@@ -50,10 +49,9 @@ def test_hello_and_status() -> None:
 def test_hello_under_a_number_of_the_last_session_is_said_again_under_another(monkeypatch: pytest.MonkeyPatch) -> None:
     draws = [41, 41, 41, 500]
     monkeypatch.setattr("vibrocast.host.controller.random.randrange", lambda end: draws.pop(0))
-    link = MemoryLink(SimulatedController())
-    earlier = Controller(link, link.clock, link.sleep)
+    link, earlier = linked()
     earlier.request_status()
-    again = Controller(link, link.clock, link.sleep)
+    again = session(link)
     assert draws == []
     assert again.request_status().state == State.IDLE
 

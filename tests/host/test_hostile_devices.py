@@ -16,6 +16,7 @@ from vibrocast.device_protocol.messages import (
     CaptureData,
     CaptureRead,
     CodecDescription,
+    Configure,
     EndStream,
     FlashBegin,
     FlashData,
@@ -133,14 +134,21 @@ def test_whatever_is_reported_playing_ends(data: st.DataObject) -> None:
     positions = st.one_of(st.integers(0, 1500), st.integers(0, (1 << 64) - 1))
 
     def lie(message: Message) -> Message | None:
-        if isinstance(message, (Start, StatusRequest)) and data.draw(st.booleans()):
+        if not data.draw(st.booleans()):
+            return None
+        if isinstance(message, (Configure, Start, StatusRequest)):
             state, position = data.draw(st.sampled_from(State)), data.draw(positions)
             return replace(scripted.status(), state=state, position=position, credit_until=data.draw(positions))
+        if isinstance(message, CaptureRead):
+            offset = data.draw(st.sampled_from([message.offset, 0, 1 << 60]))
+            return CaptureData(message.tap, data.draw(st.integers(1, 2)), offset, 1 << 62, bytes(400))
         return None
 
     scripted.answer, scripted.check_credit = lie, False
     try:
-        play(connect(scripted), HEADER, PACKETS, PACKET_SAMPLES, reconnect_s=1)
+        capture = data.draw(st.booleans())
+        result = play(connect(scripted), HEADER, PACKETS, PACKET_SAMPLES, capture=capture, reconnect_s=1)
+        assert result.state in (State.FINISHED, State.STOPPED)
     except (ControllerError, TransportError) as error:
         assert str(error)
     assert scripted.now_s < 1.2 * SECONDS + MARGIN_S

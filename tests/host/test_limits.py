@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+from tests.conftest import linked
 from tests.host.scripted_controller import ScriptedController
 from vibrocast import codec, models, textures
 from vibrocast.codec.core import decoding_cycles
@@ -24,7 +25,6 @@ from vibrocast.host.limits import check_limits, fitted
 from vibrocast.host.stream_session import configure_steps
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
-from vibrocast.simulated_device.faulty_link import MemoryLink
 from vibrocast.simulated_device.pty_port import PtyPort
 from vibrocast.simulated_device.serial_port import has_pseudo_terminals
 
@@ -34,8 +34,7 @@ RECORDING = textures.GENERATORS["rough"](seconds=1.5)
 
 def controller(buffer_samples: int = BUFFER_SAMPLES, capture_samples: int = 1 << 19) -> Controller:
     """Return a session with a simulated controller whose buffer, and so whose packets, are short."""
-    link = MemoryLink(SimulatedController(Settings(buffer_samples=buffer_samples, capture_samples=capture_samples)))
-    return Controller(link, link.clock, link.sleep)
+    return linked(Settings(buffer_samples=buffer_samples, capture_samples=capture_samples))[1]
 
 
 def file_of(codec_name: str, rate_hz: int = 8000) -> Stream:

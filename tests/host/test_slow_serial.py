@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.conftest import session
 from vibrocast import models, textures
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.live_format import live_format
@@ -30,7 +31,7 @@ def connect(settings: Settings = SIMULATED, half_duplex: bool = False) -> tuple[
     """Return a session over a link of 115 200 baud; `half_duplex`: both directions share it."""
     there = Wire(BITS_PER_S, buffer_bytes=DRIVER_BYTES)
     link = MemoryLink(SlowLink(SimulatedController(settings), there, there if half_duplex else Wire(BITS_PER_S)))
-    return link, Controller(link, link.clock, link.sleep)
+    return link, session(link)
 
 
 @pytest.mark.parametrize("half_duplex", [False, True])
