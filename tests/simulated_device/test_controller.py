@@ -253,6 +253,19 @@ def loud() -> Stream:
     return replace(played, header=replace(played.header, gains=(1024.0,)))
 
 
+def test_a_start_waits_until_the_power_limit_has_recovered() -> None:
+    bench = Bench()
+    bench.start_all(loud(), gain=1000.0, compensation=False)
+    bench.run(800)
+    assert bench.status().power_limited > 100
+    bench.ask(Stop())
+    bench.start_all(loud(), gain=1000.0, compensation=False)
+    bench.run(20)
+    assert bench.status().state == State.ARMED
+    bench.run(300)
+    assert bench.status().state == State.PLAYING
+
+
 @pytest.mark.parametrize("played_ms", [25, 400])
 def test_power_limit_holds_across_streams_and_restarts(played_ms: int) -> None:
     played, image = loud(), ModelImage(1, "tables", "1", "", mdct.built_in_tables()).pack()
