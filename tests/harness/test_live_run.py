@@ -6,11 +6,11 @@ from dataclasses import replace
 import pytest
 
 from studies.faulty_bench import Misreading, at_half_gain
+from tests.conftest import session
 from vibrocast import textures
 from vibrocast.codec import SignalFormat
 from vibrocast.device_protocol.messages import Message, SinglePacket
 from vibrocast.host.bench_limits import BenchLimits, missed
-from vibrocast.host.controller import Controller
 from vibrocast.host.end_to_end import Member, actuator_model, member
 from vibrocast.host.harness import LiveRun, measure_latency, run_live
 from vibrocast.host.live import LiveStream
@@ -27,8 +27,7 @@ ROUGH = textures.GENERATORS["rough"](seconds=1.0)
 
 def played_by(device: Device, to_controller: FaultyDirection | None = None) -> Member:
     """Return who plays, in simulated time."""
-    link = MemoryLink(device, to_controller)
-    return member(Controller(link, link.clock, link.sleep), "sim", None)
+    return member(session(MemoryLink(device, to_controller)), "sim", None)
 
 
 def figures_of(run: LiveRun) -> dict[str, float | None]:
