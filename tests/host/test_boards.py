@@ -75,14 +75,6 @@ def test_files_of_any_rate_and_quality_play(address: str, codec_name: str) -> No
         check_plays(address, stream)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("codec_name", ["mdct", "lapped", "dct", "slp", "eva", "parametric"])
-def test_default_files_of_every_codec_of_the_core_fit_the_smallest_board(codec_name: str) -> None:
-    stream = encode_recording(vibrocast.load(OAK), codec_name=codec_name).stream
-    split = codec.codec_by_name(codec_name).repack is not None
-    assert (check_plays("stm32f405", stream).stream != stream) == split
-
-
 @pytest.mark.parametrize("codec_name", ["mdct", "lapped"])
 def test_the_longest_default_packets_below_5600_hz_fit_the_smallest_board(codec_name: str) -> None:
     from vibrocast.firmware.build import TARGETS

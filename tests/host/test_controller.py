@@ -114,21 +114,6 @@ def test_lost_answers_are_requested_again_and_requests_carried_out_once() -> Non
     assert scripted.handled.count(Gain(0.5)) == 1
 
 
-def test_silent_controller_is_given_up() -> None:
-    scripted = ScriptedController()
-    controller = connect(scripted)
-    attempts: list[Message] = []
-
-    def swallow(message: Message) -> bool:
-        attempts.append(message)
-        return True
-
-    scripted.swallow = swallow
-    with pytest.raises(ConnectionLost, match="does not answer"):
-        controller.request_status()
-    assert len(attempts) == TRIES
-
-
 def test_rejection_carries_code_and_text() -> None:
     controller = connect(ScriptedController())
     with pytest.raises(ControllerError, match=r"what is that\?; update the older of vibrocast") as caught:
