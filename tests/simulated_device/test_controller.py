@@ -14,7 +14,6 @@ from vibrocast.device_protocol.coded_stream import UNITS, StreamHeader
 from vibrocast.device_protocol.frames import write_frame
 from vibrocast.device_protocol.messages import (
     ALL,
-    CaptureData,
     CaptureRead,
     Configure,
     EndStream,
@@ -166,32 +165,6 @@ def test_iteration_too_short_to_be_repeated_is_rejected(
     assert bench.status().state == State.FINISHED
 
 
-def test_ten_samples_loop() -> None:
-    played = stream(10 / RATE_HZ)
-    bench = Bench()
-    bench.configure(played, loops=200, prebuffer_samples=0)
-    for iteration in range(200):
-        bench.send(played, range(len(played.packets)), iteration)
-    bench.ask(Start())
-    bench.run(900)
-    status = bench.status()
-    assert (status.state, status.underruns, status.lost_packets) == (State.FINISHED, 0, 0)
-    np.testing.assert_array_equal(bench.captured(Tap.DECODED), np.tile(played.decoded, (200, 1)))
-    np.testing.assert_array_equal(bench.captured(Tap.DAC), rendered(played, loops=200))
-
-
-def test_every_iteration_begins_afresh_whatever_was_lost_before() -> None:
-    played = stream(0.5)
-    bench = Bench()
-    bench.configure(played, loops=2)
-    bench.send(played, range(len(played.packets) - 2))
-    bench.send(played, range(len(played.packets)), iteration=1)
-    bench.ask(Start())
-    bench.run(1400)
-    assert bench.status().lost_packets == 2
-    np.testing.assert_array_equal(bench.captured(Tap.DECODED)[len(played.decoded) :], played.decoded)
-
-
 def test_loop_count_already_passed_ends_after_this_iteration_and_empties_the_buffer() -> None:
     played = stream(0.5)
     bench = Bench()
@@ -234,17 +207,6 @@ def test_watchdog_in_the_last_ramp_stays() -> None:
     bench.run(600, polling=False)
     assert bench.status().state == State.WATCHDOG
     np.testing.assert_array_equal(bench.all_codes(), whole)
-
-
-def test_controller_that_captures_nothing_plays() -> None:
-    bench = Bench(Settings(capture_samples=0))
-    bench.start_all(stream(0.3))
-    bench.run(600)
-    assert bench.status().state == State.FINISHED
-    np.testing.assert_array_equal(bench.all_codes(), rendered(stream(0.3)))
-    answer = bench.ask(CaptureRead(Tap.DAC, 0, 10))
-    assert isinstance(answer, CaptureData)
-    assert (answer.offset, answer.data) == (answer.end, b"")
 
 
 def loud() -> Stream:
@@ -363,13 +325,6 @@ def test_no_jump_of_the_clock_is_too_long(requests: tuple[Message, ...], later_u
     bench.run(600)
     assert bench.status().state == State.FINISHED
     np.testing.assert_array_equal(bench.all_codes(), rendered(played))
-
-
-def test_clock_runs_fast_by_its_drift() -> None:
-    bench = Bench(Settings(drift_ppm=200))
-    bench.ask(Hello())
-    bench.now_us += 100_000_000
-    assert bench.status().device_time_us == 100_020_000
 
 
 def write_image(bench: Bench, slot: int, image: bytes) -> None:
