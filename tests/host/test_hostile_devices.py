@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.host.scripted_controller import PACKET_SAMPLES, RATE_HZ, ScriptedController
-from tests.host.test_player import HEADER, PACKETS, SECONDS, connect
+from tests.host.test_player import HEADER, PACKETS, SECONDS
 from vibrocast import codec, textures
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import (
@@ -78,7 +78,7 @@ LIES: dict[str, Lie] = {
 def test_playing_ends(name: str, loops: int) -> None:
     scripted = answering(LIES[name])
     with pytest.raises(ControllerError, match=r"has played only .* s of the stream in .* s; restart it"):
-        play(connect(scripted), HEADER, PACKETS, PACKET_SAMPLES, loops=loops)
+        play(scripted.connect(), HEADER, PACKETS, PACKET_SAMPLES, loops=loops)
     assert scripted.now_s < 1.2 * SECONDS + 10
 
 
@@ -91,7 +91,7 @@ def test_a_controller_that_is_slow_within_its_tolerance_plays_on() -> None:
             credit_until=1 << 40,
         )
     )
-    assert play(connect(slow), HEADER, PACKETS, PACKET_SAMPLES, loops=0).state == State.FINISHED
+    assert play(slow.connect(), HEADER, PACKETS, PACKET_SAMPLES, loops=0).state == State.FINISHED
 
 
 def test_a_connection_that_breaks_again_and_again_is_given_up() -> None:
@@ -107,7 +107,7 @@ def test_a_connection_that_breaks_again_and_again_is_given_up() -> None:
 
     scripted.answer, scripted.at_read, scripted.check_credit = creep, unplug_soon, False
     with pytest.raises((ControllerError, TransportError)) as caught:
-        play(connect(scripted), HEADER, PACKETS, PACKET_SAMPLES, loops=10_000)
+        play(scripted.connect(), HEADER, PACKETS, PACKET_SAMPLES, loops=10_000)
     assert str(caught.value)
     assert scripted.now_s < MARGIN_S + 20
 
@@ -132,7 +132,7 @@ def test_whatever_is_reported_playing_ends(data: st.DataObject) -> None:
     scripted.answer, scripted.check_credit = lie, False
     try:
         capture = data.draw(st.booleans())
-        result = play(connect(scripted), HEADER, PACKETS, PACKET_SAMPLES, capture=capture, reconnect_s=1)
+        result = play(scripted.connect(), HEADER, PACKETS, PACKET_SAMPLES, capture=capture, reconnect_s=1)
         assert result.state in (State.FINISHED, State.STOPPED)
     except (ControllerError, TransportError) as error:
         assert str(error)
@@ -149,7 +149,7 @@ def captured(scripted: ScriptedController, samples: int, message: CaptureRead) -
 )
 def test_reading_a_capture_back_ends(samples: int, reason: str) -> None:
     scripted = ScriptedController()
-    controller = connect(scripted)
+    controller = scripted.connect()
     scripted.answer = lambda message: captured(scripted, samples, message) if isinstance(message, CaptureRead) else None
     with pytest.raises(ControllerError, match=reason):
         read_capture(controller, Tap.DAC, 1)
@@ -172,7 +172,7 @@ def test_an_upload_ends_though_each_cut_gains_a_byte() -> None:
 
     scripted.answer, scripted.sleep = gain, lambda seconds: plug()  # type: ignore[method-assign]
     with pytest.raises((ControllerError, TransportError)) as caught:
-        flash(connect(scripted), image)
+        flash(scripted.connect(), image)
     assert str(caught.value)
     assert scripted.reopened < 40
 
@@ -182,7 +182,7 @@ def test_a_hello_of_endless_slots_is_read_at_once() -> None:
     slots = tuple(ImageDescription(number % 256, SlotState.EMPTY) for number in range(80))
     codecs = tuple(CodecDescription(number % 256, "c") for number in range(80))
     scripted.description = replace(scripted.description, images=slots, codecs=codecs)
-    assert connect(scripted).description.images == slots
+    assert scripted.connect().description.images == slots
 
 
 @pytest.fixture(scope="module")
@@ -207,7 +207,7 @@ def test_a_hand_whose_controller_keeps_no_time_ends(rate: float, profile: Stream
     scripted.answer, scripted.swallow = slow, lambda message: isinstance(message, Position)
     movement = position_playback.back_and_forth(10.0, 50.0, 2)
     with pytest.raises(ControllerError, match="clock is too slow, or stands still"):
-        position_playback.play(connect(scripted), profile, movement)
+        position_playback.play(scripted.connect(), profile, movement)
     assert scripted.now_s < 1.2 * movement.seconds + 10
 
 
@@ -225,7 +225,7 @@ def test_loading_a_profile_ends_though_the_controller_creeps(profile: Stream) ->
 
     scripted.answer = creep
     with pytest.raises(ControllerError, match="does not get through"):
-        position_playback.load(connect(scripted), profile)
+        position_playback.load(scripted.connect(), profile)
     assert scripted.now_s < 60
 
 
@@ -239,7 +239,7 @@ def test_the_end_of_a_live_stream_is_not_awaited_for_ever() -> None:
         return None
 
     scripted.answer = never
-    controller = connect(scripted)
+    controller = scripted.connect()
     stream = live.LiveStream(controller, codec.SignalFormat(RATE_HZ, "um", (1.0,), (0.1,)))
     stream.send(np.zeros((60_000, 1)))
     ended_s = scripted.now_s

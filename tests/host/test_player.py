@@ -42,14 +42,10 @@ PACKETS = make_packets(150)
 SECONDS = len(PACKETS) * PACKET_SAMPLES / RATE_HZ
 
 
-def connect(scripted: ScriptedController) -> Controller:
-    return Controller(scripted, scripted.clock, scripted.sleep)
-
-
 def test_plays_to_the_end_without_underrun() -> None:
     scripted = ScriptedController()
     seen: list[Progress] = []
-    result = play(connect(scripted), HEADER, PACKETS, PACKET_SAMPLES, progress=seen.append)
+    result = play(scripted.connect(), HEADER, PACKETS, PACKET_SAMPLES, progress=seen.append)
     assert result.state == State.FINISHED
     assert result.underruns == result.lost_packets == result.reconnects == 0
     assert SECONDS <= result.seconds < SECONDS + 0.5
@@ -67,7 +63,7 @@ def test_plays_to_the_end_without_underrun() -> None:
 def test_buffers_no_more_than_required_without_underrun(buffer_s: float) -> None:
     scripted = ScriptedController()
     scripted.largest_read_s = 0.002
-    result = play(connect(scripted), HEADER, PACKETS, PACKET_SAMPLES, buffer_s=buffer_s)
+    result = play(scripted.connect(), HEADER, PACKETS, PACKET_SAMPLES, buffer_s=buffer_s)
     assert result.state == State.FINISHED
     assert result.buffered_s <= buffer_s + PACKET_SAMPLES / RATE_HZ
     assert result.underruns == 0
@@ -82,7 +78,7 @@ def test_controller_that_holds_one_packet_gets_the_next_while_it_plays() -> None
 
 def test_captures_are_read_back_whole_though_the_controller_keeps_less() -> None:
     scripted = ScriptedController()
-    result = play(connect(scripted), HEADER, PACKETS, PACKET_SAMPLES, capture=True)
+    result = play(scripted.connect(), HEADER, PACKETS, PACKET_SAMPLES, capture=True)
     samples = np.arange(len(PACKETS) * PACKET_SAMPLES)[:, np.newaxis]
     assert len(samples) > scripted.description.limits.capture_samples
     assert result.decoded is not None
@@ -141,7 +137,7 @@ def test_loop_too_short_for_the_controller_is_rejected_with_its_reason(sim: Cont
 
 def test_loop_that_the_player_knows_nothing_of_is_named() -> None:
     scripted = ScriptedController()
-    controller = connect(scripted)
+    controller = scripted.connect()
 
     def play_on(message: Message) -> Message | None:
         return replace(scripted.status(), position=scripted.position + 2000) if scripted.position > 500 else None
@@ -153,7 +149,7 @@ def test_loop_that_the_player_knows_nothing_of_is_named() -> None:
 
 def test_endless_loop_plays_until_the_callback_stops_it() -> None:
     scripted = ScriptedController()
-    controller = connect(scripted)
+    controller = scripted.connect()
 
     def stop_late(progress: Progress) -> None:
         assert progress.duration_s is None
@@ -168,7 +164,7 @@ def test_endless_loop_plays_until_the_callback_stops_it() -> None:
 
 def test_pause_in_the_callback_is_no_stall() -> None:
     scripted = ScriptedController()
-    controller = connect(scripted)
+    controller = scripted.connect()
 
     def pause_for_ten_seconds(progress: Progress) -> None:
         if progress.status.state == State.PLAYING and 0.5 < progress.position_s < 0.6 and scripted.now_s < 5:
@@ -185,7 +181,7 @@ def test_pause_in_the_callback_is_no_stall() -> None:
 @pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
 def test_whatever_is_raised_the_controller_is_stopped_and_usable(error: type[BaseException]) -> None:
     scripted = ScriptedController()
-    controller = connect(scripted)
+    controller = scripted.connect()
 
     def interrupt(progress: Progress) -> None:
         if progress.position_s > 0.3:
@@ -207,7 +203,7 @@ def unplug_between(scripted: ScriptedController, start_s: float, end_s: float) -
 def test_after_a_long_cut_playing_resumes_at_the_next_refresh() -> None:
     scripted = ScriptedController()
     unplug_between(scripted, 0.5, 3.0)
-    result = play(connect(scripted), HEADER, PACKETS, PACKET_SAMPLES, capture=True)
+    result = play(scripted.connect(), HEADER, PACKETS, PACKET_SAMPLES, capture=True)
     first, second = (message for message in scripted.handled if isinstance(message, Configure))
     assert (first.first_packet, second.first_packet % REFRESH_PACKETS) == (0, 0)
     assert 50 <= second.first_packet <= 100
@@ -220,7 +216,7 @@ def test_after_a_long_cut_playing_resumes_at_the_next_refresh() -> None:
 
 def test_restarted_controller_goes_on_within_the_loops() -> None:
     scripted = ScriptedController()
-    controller = connect(scripted)
+    controller = scripted.connect()
     restarted: list[bool] = []
 
     def restart_once() -> None:
@@ -239,12 +235,12 @@ def test_a_long_cut_of_a_stream_with_one_refresh_is_reported() -> None:
     scripted = ScriptedController()
     unplug_between(scripted, 0.5, 3.0)
     with pytest.raises(ControllerError, match="no later packet can be decoded alone"):
-        play(connect(scripted), HEADER, make_packets(150, refresh_packets=1000), PACKET_SAMPLES)
+        play(scripted.connect(), HEADER, make_packets(150, refresh_packets=1000), PACKET_SAMPLES)
 
 
 def test_controller_whose_watchdog_bites_again_and_again_is_given_up() -> None:
     scripted = ScriptedController()
-    controller = connect(scripted)
+    controller = scripted.connect()
 
     def bite(message: Message) -> Message | None:
         bites = isinstance(message, StatusRequest) and scripted.configure is not None
@@ -258,7 +254,7 @@ def test_controller_whose_watchdog_bites_again_and_again_is_given_up() -> None:
 
 def test_fault_of_the_hardware_is_an_error() -> None:
     scripted = ScriptedController()
-    controller = connect(scripted)
+    controller = scripted.connect()
     scripted.answer = lambda _: replace(scripted.status(), state=State.FAULT) if scripted.position > 300 else None
     with pytest.raises(ControllerError, match="fault"):
         play(controller, HEADER, PACKETS, PACKET_SAMPLES)
@@ -272,7 +268,7 @@ def test_data_that_comes_too_late_is_dropped_up_to_the_next_refresh() -> None:
             scripted.position = 605
 
     scripted.at_read = jump
-    result = play(connect(scripted), HEADER, PACKETS, PACKET_SAMPLES)
+    result = play(scripted.connect(), HEADER, PACKETS, PACKET_SAMPLES)
     assert result.state == State.FINISHED
     late = [number for number in range(61, 70) if number in scripted.received]
     assert not late
@@ -292,4 +288,4 @@ def test_data_that_comes_too_late_is_dropped_up_to_the_next_refresh() -> None:
 )
 def test_streams_that_cannot_be_played_are_rejected(packets: list[bytes], packet_samples: int, reason: str) -> None:
     with pytest.raises((StreamError, ControllerError), match=reason):
-        play(connect(ScriptedController()), HEADER, packets, packet_samples)
+        play(ScriptedController().connect(), HEADER, packets, packet_samples)

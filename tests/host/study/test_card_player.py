@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from tests.host.study.small_study import stimuli_of, text_of
+from tests.host.study.small_study import text_of
 from tests.sound_server import PAD, SoundServer
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import devices
@@ -18,11 +18,6 @@ from vibrocast.host.study.trials import Stimulus
 from vibrocast.output.actuator import PIEZO_STACK
 
 ADDRESS = f"audio:{PAD}:3,4"
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Stimulus, ...]:
-    return stimuli_of("abx", tmp_path_factory.mktemp("study"))
 
 
 def test_a_lost_card_is_an_error(mortal_sound_server: SoundServer, made: tuple[Stimulus, ...]) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.host.study.small_study import stimuli_of, text_of
+from tests.host.study.small_study import text_of
 from vibrocast.device_protocol.transports import SerialTransport, TransportError
 from vibrocast.host import devices
 from vibrocast.host.controller import Controller, ControllerError
@@ -20,16 +20,6 @@ from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.pty_port import PtyPort
 from vibrocast.simulated_device.serial_port import has_pseudo_terminals
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("study")
-
-
-@pytest.fixture(scope="module")
-def made(folder: Path) -> tuple[Stimulus, ...]:
-    return stimuli_of("abx", folder)
 
 
 @pytest.fixture

@@ -22,6 +22,7 @@ from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from vibrocast.host.study.server import CALL_THE_EXPERIMENTER, Aids
 
+pytestmark = pytest.mark.usefixtures("no_lingering")
 SIZES = ((1024, 768), (768, 1024), (1280, 800))
 
 GRADING = trial(1, "RA", question="How different is A from R?")
@@ -68,11 +69,6 @@ def browser() -> Iterator[Browser]:
         browser = playwright.chromium.launch(executable_path=chromium(), args=["--no-sandbox"])
         yield browser
         browser.close()
-
-
-@pytest.fixture(autouse=True)
-def no_lingering(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vibrocast.host.study.server._LINGER_S", 0.3)
 
 
 @contextmanager

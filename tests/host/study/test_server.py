@@ -16,12 +16,7 @@ from tests.host.study.stub_run import CONDITIONS, LOST, WELCOME, StubRun, mushra
 from vibrocast.host.study.server import CALL_THE_EXPERIMENTER, NOISE_RATE_HZ, Aids, StudyPages, serve
 from vibrocast.host.study.trials import Break, Message, Question, Run, Screen, StudyError
 
-
-@pytest.fixture(autouse=True)
-def no_lingering(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vibrocast.host.study.server._LINGER_S", 0.1)
-
-
+pytestmark = pytest.mark.usefixtures("no_lingering")
 SCREENS: tuple[Screen, ...] = (WELCOME, Question("age", "Your age?"), trial(1), Break(60.0, 1, 3), mushra(2))
 
 

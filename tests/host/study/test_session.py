@@ -63,11 +63,6 @@ class LostPlayer(SilentPlayer):
         super().stop()
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("study")
-
-
 def opened(study: Study, folder: Path, out: Path, player: SilentPlayer | None = None, participant: int = 1) -> Session:
     stimuli = stimuli_of(study.method, folder)
     return Session(study, stimuli, participant, out, player or SilentPlayer(), sleep=lambda _: None)

@@ -20,11 +20,6 @@ ROOT = Path(__file__).parents[3]
 EXAMPLES = sorted((ROOT / "examples" / "studies").glob("*.toml"))
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("study")
-
-
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_the_examples_can_be_read(path: Path) -> None:
     assert read_study(path).recordings()
