@@ -177,13 +177,10 @@ CELL[:] = [NOISE, NOISE]
 @pytest.mark.parametrize(
     ("variables", "options", "message"),
     [
-        ({"a": NOISE, "b": NOISE}, {}, "choose an array with `key`; there are a, b"),
-        ({"a": NOISE, "b": NOISE}, {"key": "c"}, "no array of numbers `key`=c; there are a, b"),
         ({"trial": {"acc": NOISE}}, {}, "trial is a struct, not an array of numbers; save its numbers as an array"),
         ({"trial": {"acc": NOISE}, "b": NOISE}, {"key": "trial"}, "trial is a struct, not"),
         ({"trials": CELL, "name": "oak"}, {}, "trials is a cell, name is a char, not"),
         ({"on": np.array([True, False])}, {}, "on is a logical, not"),
-        ({}, {}, "there are none"),
         ({"a": NOISE}, {}, "does not state its sample rate"),
         (
             {"a": NOISE, "Fs": 1000, "rate_hz": 2000},
@@ -192,9 +189,6 @@ CELL[:] = [NOISE, NOISE]
         ),
         ({"a": NOISE, "Fs": 1000, "rate_hz": 2000}, {"rate_hz": 3000}, "several rates"),
         ({"a": NOISE, "Fs": 1000}, {"rate_hz": 3000}, "states 1000 Hz; leave out `rate_hz`=3000"),
-        ({"a": NOISE, "Fs": 1000, "unit": "volt"}, {}, "unknown unit 'volt'"),
-        ({"a": NOISE * 1j, "Fs": 1000}, {"unit": "um"}, "type complex128"),
-        ({"a": np.zeros((2, 3, 4)), "Fs": 1000}, {}, r"shape \(2, 3, 4\)"),
     ],
 )
 def test_variables_of_matlab_rejected_with_what_to_do(
