@@ -72,10 +72,10 @@ def test_mean_interval_and_bootstrap_are_those_of_scipy() -> None:
     assert interval.value == pytest.approx(2.33)
     assert (interval.low, interval.high) == pytest.approx((expected.low, expected.high))
     interval = own.bootstrap(values, lambda each: float(np.median(each)))
-    expected = stats.bootstrap(
+    resampled = stats.bootstrap(
         (values,), np.median, method="percentile", n_resamples=5000, rng=np.random.default_rng(1)
     ).confidence_interval
-    assert (interval.low, interval.high) == pytest.approx((expected.low, expected.high), abs=0.3)
+    assert (interval.low, interval.high) == pytest.approx((resampled.low, resampled.high), abs=0.3)
     assert own.bootstrap(values, lambda each: float(np.median(each))) == interval
 
 
