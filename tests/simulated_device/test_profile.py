@@ -84,6 +84,14 @@ def rendered_along(profile: Profile, way: Way, seconds: float, dac_rate_hz: int 
     return np.array(made)
 
 
+def snr_db(made: NDArray[np.int16], expected: NDArray[np.float64]) -> float:
+    """Compare within the band; what is above it is not exact, and leaks a little into it."""
+    window = np.blackman(len(expected))
+    inside = np.fft.rfftfreq(len(expected)) < 0.95 * EXACT
+    error, signal = (np.fft.rfft(values * window)[inside] for values in (made - expected, expected))
+    return float(10 * np.log10(np.sum(np.abs(signal) ** 2) / np.sum(np.abs(error) ** 2)))
+
+
 @pytest.mark.parametrize("dac_rate_hz", [3000, 8000])
 @pytest.mark.parametrize("speed_mm_s", [1, 5, 20, 50, 100, 200, 300, -120])
 def test_constant_speed_gives_the_profile_exactly_within_the_band(speed_mm_s: int, dac_rate_hz: int) -> None:
@@ -93,12 +101,7 @@ def test_constant_speed_gives_the_profile_exactly_within_the_band(speed_mm_s: in
     time_s = np.arange(first, len(made)) / dac_rate_hz
     places_mm = speed_mm_s * (time_s - DELAY_S) + 0.123
     per_sample = abs(speed_mm_s) / 1000 * SAMPLES_PER_METRE / dac_rate_hz
-    expected = exact(heights(), places_mm, EXACT / per_sample)
-    window = np.blackman(len(expected))
-    # Components above the band are not exact, and leak a little into it.
-    inside = np.fft.rfftfreq(len(expected)) < 0.95 * EXACT
-    error, signal = (np.fft.rfft(values * window)[inside] for values in (made[first:] - expected, expected))
-    assert 10 * np.log10(np.sum(np.abs(signal) ** 2) / np.sum(np.abs(error) ** 2)) > 50
+    assert snr_db(made[first:], exact(heights(), places_mm, EXACT / per_sample)) > 50
 
 
 @pytest.mark.parametrize(("samples", "left_out"), [(32, 0), (32, 31), (64, 2), (96, 4), (544, 31)])
@@ -106,16 +109,11 @@ def test_profile_repeats_as_it_is(samples: int, left_out: int) -> None:
     """From the shortest one on, shorter than the reach of the interpolator in the coarser octaves."""
     assert samples % min_samples(SAMPLES_PER_METRE, RATE_HZ) == 0
     profile, speed_mm_s = heights(samples), 50
-    made = rendered_along(loaded(np.append(profile, np.full(left_out, 9999, np.int16))), lambda t: speed_mm_s * t, 0.5)[
-        600:
-    ]
+    longer = np.append(profile, np.full(left_out, 9999, np.int16))
+    made = rendered_along(loaded(longer), lambda t: speed_mm_s * t, 0.5)[600:]
     time_s = np.arange(600, 600 + len(made)) / RATE_HZ
     highest = EXACT * RATE_HZ / (speed_mm_s / 1000 * SAMPLES_PER_METRE)
-    expected = exact(profile, speed_mm_s * (time_s - DELAY_S), highest)
-    window = np.blackman(len(expected))
-    inside = np.fft.rfftfreq(len(expected)) < 0.95 * EXACT
-    error, signal = (np.fft.rfft(values * window)[inside] for values in (made - expected, expected))
-    assert 10 * np.log10(np.sum(np.abs(signal) ** 2) / np.sum(np.abs(error) ** 2)) > 50
+    assert snr_db(made, exact(profile, speed_mm_s * (time_s - DELAY_S), highest)) > 50
 
 
 def test_positions_that_come_too_late_are_reported() -> None:
