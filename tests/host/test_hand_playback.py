@@ -251,7 +251,7 @@ def simulated_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let every address be a simulated controller in simulated time, where no position is late."""
 
     @contextlib.contextmanager
-    def connect(*_: object) -> Iterator[Controller]:
+    def connect(*_: object, **__: object) -> Iterator[Controller]:
         yield linked()[1]
 
     monkeypatch.setattr("vibrocast.host.devices.connect", connect)
