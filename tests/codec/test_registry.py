@@ -138,22 +138,6 @@ def test_every_length_has_just_the_packets_that_hold_it(live: bool, samples: int
     assert ratio is None or ratio > 10
 
 
-@pytest.mark.parametrize(
-    "signal",
-    [
-        np.zeros((0, 1)),
-        np.zeros(10),
-        np.zeros((10, 0)),
-        np.zeros((10, 17)),
-        np.array([[0.0], [math.nan]]),
-        np.array([[0.0], [math.inf]]),
-    ],
-)
-def test_signals_that_cannot_be_coded_are_rejected(signal: codec.Signal) -> None:
-    with pytest.raises(CodecError):
-        codec.encode(signal, RATE_HZ, {"step": 0.3})
-
-
 @pytest.mark.parametrize("step", [0.0, -1.0, math.nan, math.inf])
 def test_steps_that_are_no_step_are_rejected(step: float) -> None:
     with pytest.raises(CodecError):
@@ -163,8 +147,9 @@ def test_steps_that_are_no_step_are_rejected(step: float) -> None:
 def test_unknown_codecs_are_named() -> None:
     with pytest.raises(CodecError, match="mdct"):
         codec.encode(texture(100), RATE_HZ, {"step": 0.3}, codec="mp3")
-    with pytest.raises(CodecError, match="number 14"):
-        codec.decoder(14, b"", 1)
+    for identifier, flaw in ((14, "number 14"), (12, "has the former codec lapped, which only earlier versions play")):
+        with pytest.raises(CodecError, match=flaw):
+            codec.decoder(identifier, b"", 1)
 
 
 def test_missing_packets_at_the_end_are_reported() -> None:
