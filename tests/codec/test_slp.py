@@ -12,6 +12,7 @@ from tests.codec.signals import RATE_HZ, edge_signals, in_turn, played, texture
 from tests.codec.slp_reference_decoder import SlpReferenceDecoder
 from vibrocast import codec
 from vibrocast.codec import CodecError, Framing, RateControl, Setting, SignalFormat, linear_prediction, slp
+from vibrocast.evaluation.stability import filters
 
 
 def coded(
@@ -127,7 +128,7 @@ def test_shaping_moves_noise_to_where_less_is_felt() -> None:
 def test_every_code_gives_a_stable_filter(codes: list[int]) -> None:
     """All codes that a decoder can read: reflection coefficients below 1, so all poles are inside the unit circle."""
     reflections = np.sin(np.array([codes]) * np.pi / 32)
-    predictors = linear_prediction.predictors_of(reflections)
+    predictors = filters.predictors_of(reflections)
     back, unstable = linear_prediction.reflections_of(predictors)
     assert not np.any(unstable)
     np.testing.assert_allclose(back, reflections, atol=1e-3)
@@ -143,59 +144,14 @@ def test_the_filter_of_any_stream_falls_silent(order: int, step_code: int, paylo
     assert not np.any(ringing[1])
 
 
-def frames_of_texture(order: int) -> codec.Signal:
-    """Predictors of a narrow-band texture, whose poles lie near the unit circle, as those of tonal recordings do."""
-    narrow = lfilter(
-        [1.0], np.poly([0.97 * np.exp(1j * x) for x in (0.3, -0.3, 0.45, -0.45)]).real, texture(8000)[:, 0]
-    )
-    fitted = linear_prediction.sparse_predictors(narrow / np.max(np.abs(narrow)), 512, 256, order)
-    return linear_prediction.predictors_of(linear_prediction.stabilised(fitted))
-
-
-@pytest.mark.parametrize("order", [4, 8, 13, 16])
-@pytest.mark.parametrize("bits", [4, 5, 6, 8])
-def test_reflection_and_line_spectral_quantisers_keep_the_filter_stable(order: int, bits: int) -> None:
-    for quantiser in ("reflection coefficients", "line spectral frequencies"):
-        radii = linear_prediction.quantised_pole_radii(frames_of_texture(order), quantiser, bits)
-        assert np.max(radii) < 1
-
-
-def test_a_direct_form_quantiser_makes_filters_unstable_and_their_output_grow() -> None:
-    """The reason for reflection coefficients: same texture and bits, with the coefficients themselves quantised."""
-    predictors = frames_of_texture(8)
-    radii = linear_prediction.quantised_pole_radii(predictors, "direct form", 5)
-    assert np.max(linear_prediction.pole_radii(predictors)) < 1
-    assert np.max(radii) > 1.01
-    worst = predictors[[int(np.argmax(radii))]]
-    impulse = np.eye(1, 2800)[0]
-    output = {
-        name: lfilter([1.0], np.concatenate([[1.0], -linear_prediction.QUANTISERS[name](worst, 5)[0]]), impulse)
-        for name in ("direct form", "reflection coefficients")
-    }
-    assert np.max(np.abs(output["direct form"][-500:])) > 100 * np.max(np.abs(output["direct form"][:500]))
-    assert np.max(np.abs(output["reflection coefficients"][-500:])) < 1
-
-
-@pytest.mark.parametrize("order", [2, 5, 8])
-def test_fine_quantisers_change_little(order: int) -> None:
-    predictors = frames_of_texture(order)
-    for quantised in linear_prediction.QUANTISERS.values():
-        np.testing.assert_allclose(quantised(predictors, 15), predictors, atol=0.05)
-
-
-def test_too_few_bits_for_the_order_are_rejected() -> None:
-    with pytest.raises(CodecError, match="apart"):
-        linear_prediction.quantised_pole_radii(frames_of_texture(8), "line spectral frequencies", 2)
-
-
 def test_an_unstable_fit_is_mirrored_into_the_unit_circle() -> None:
     predictors = np.array([[2.2, -1.21 * 1.1], [0.5, 0.2]])
     reflections, unstable = linear_prediction.reflections_of(predictors)
     assert unstable.tolist() == [True, False]
-    stable = linear_prediction.predictors_of(linear_prediction.stabilised(predictors))
-    assert np.max(linear_prediction.pole_radii(stable)) < 1
+    stable = filters.predictors_of(linear_prediction.stabilised(predictors))
+    assert np.max(filters.pole_radii(stable)) < 1
     np.testing.assert_allclose(stable[1], predictors[1], atol=1e-9)
-    np.testing.assert_allclose(linear_prediction.predictors_of(reflections[1:]), predictors[1:], atol=1e-9)
+    np.testing.assert_allclose(filters.predictors_of(reflections[1:]), predictors[1:], atol=1e-9)
 
 
 def test_sparse_prediction_finds_the_predictor_of_a_signal_with_outliers() -> None:
