@@ -12,8 +12,9 @@ from tests.codec.reference_decoder import ReferenceDecoder
 from tests.codec.signals import RATE_HZ, edge_signals, in_turn, played, texture
 from vibrocast import codec
 from vibrocast.codec import Choice, CodecError, Framing, RateControl, mdct
+from vibrocast.export import mdct_tables
 
-TABLES = {"built in": mdct.built_in_tables(), "untrained": mdct.untrained_tables()}
+TABLES = {"built in": mdct.built_in_tables(), "untrained": mdct_tables.untrained_tables()}
 
 
 def coded(

@@ -46,6 +46,7 @@ from vibrocast.device_protocol.messages import (
     Tap,
 )
 from vibrocast.device_protocol.model_image import ModelImage, sha256, with_signature
+from vibrocast.export import mdct_tables
 
 GOLDEN = Path(__file__).parents[1] / "codec"
 HEADER = StreamHeader(
@@ -128,9 +129,9 @@ def built_in_streams() -> Iterator[tuple[str, bytes]]:
 
 def learned_streams() -> Iterator[tuple[str, bytes]]:
     """Yield the target and a stream of codecs with tables, or with a whole model."""
-    changes = bytes(map(operator.xor, mdct.built_in_tables(), mdct.untrained_tables()))
+    changes = bytes(map(operator.xor, mdct.built_in_tables(), mdct_tables.untrained_tables()))
     for hop in ("16", "64"):
-        configuration, *packets = coded("mdct", {"step": 0.05, "hop": hop}, Model(mdct.untrained_tables()))
+        configuration, *packets = coded("mdct", {"step": 0.05, "hop": hop}, Model(mdct_tables.untrained_tables()))
         yield "mdct", stream(configuration, packets, [changes])
         yield "mdct", stream(configuration, packets, [b"\0\1\xff"])
     generator = np.random.default_rng(1)
