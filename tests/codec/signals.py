@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Iterable, Sequence
+from typing import Protocol
 
 import numpy as np
 
@@ -61,3 +62,16 @@ def in_turn(quantiser_offsets: Sequence[int]) -> RateControl:
 def played(decoder: Decoder, packets: Iterable[bytes]) -> Decoded:
     """Return the samples of packets, one after another."""
     return np.concatenate([decoder.decode(packet) for packet in packets])
+
+
+class Reference(Protocol):
+    """A decoder that is written from the documentation."""
+
+    def samples(self, packet: bytes) -> Signal:
+        """Return the exact samples of a packet, 32768 = full scale."""
+
+
+def difference(reference: Reference, packets: Sequence[bytes], samples: Decoded) -> float:
+    """Return by how much decoded samples of packets differ most from the documented ones, in the last bit."""
+    exact = np.concatenate([reference.samples(packet) for packet in packets])
+    return float(np.max(np.abs(np.clip(exact, -32768, 32767) - samples)))

@@ -277,7 +277,9 @@ def test_lengths_of_packets_that_no_stream_has_are_rejected(name: str) -> None:
 @pytest.mark.parametrize("name", ["mdct", "dct", "slp"])
 def test_a_packet_that_does_not_fit_is_rejected(name: str) -> None:
     noise = np.random.default_rng(1).uniform(-1, 1, (2**14, 16))
-    finest = {"mdct": {"step": 2.0**-17}, "dct": {"levels": 65_535}, "slp": {"quality": 31, "order": 0}}[name]
+    finest: codec.Setting = {"mdct": {"step": 2.0**-17}, "dct": {"levels": 65_535}, "slp": {"quality": 31, "order": 0}}[
+        name
+    ]
     for more in ({"entropy": "huffman"}, {"entropy": "range"}) if name == "dct" else ({},):
         with pytest.raises(CodecError, match="shorter packets"):
             encoder_of(name, noise, setting={**finest, **more}, framing=Framing(2**14, 0)).encode(noise)
@@ -388,10 +390,10 @@ def test_bad_signals_and_settings_are_rejected(name: str) -> None:
         codec.encode(texture(100), RATE_HZ, {"softness": 1.0}, codec=name, model=model_of(name))
     for parameter, described in codec.CODECS[name].parameters.items():
         assert described.checked(parameter, described.default) == described.default
-        with pytest.raises(CodecError, match=parameter):
-            codec.encode(
-                texture(100), RATE_HZ, {parameter: "\x00 nothing of the kind"}, codec=name, model=model_of(name)
-            )
+        numbers = (math.nan, math.inf, described.low - 1) if described.fractional else ()
+        for value in ("\x00 nothing of the kind", *numbers):
+            with pytest.raises(CodecError, match=parameter):
+                codec.encode(texture(100), RATE_HZ, {parameter: value}, codec=name, model=model_of(name))
         if not described.per_channel:
             with pytest.raises(CodecError, match=parameter):
                 codec.encode(texture(100, 2), RATE_HZ, {parameter: (14, 16)}, codec=name, model=model_of(name))

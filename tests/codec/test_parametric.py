@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.codec.parametric_reference_decoder import ParametricReferenceDecoder
-from tests.codec.signals import RATE_HZ, edge_signals, played, texture
+from tests.codec.signals import RATE_HZ, difference, edge_signals, played, texture
 from vibrocast import codec
 from vibrocast.codec import CodecError, Framing, Setting, SignalFormat, TargetUnreachable, parametric
 from vibrocast.textures.generate import grating, taps
@@ -25,8 +25,7 @@ def decoded(configuration: bytes, packets: list[bytes], channels: int) -> codec.
 
 def difference_to_the_documented_decoder(configuration: bytes, packets: list[bytes], channels: int) -> float:
     reference = ParametricReferenceDecoder(configuration, channels)
-    exact = np.concatenate([reference.samples(packet) for packet in packets])
-    return float(np.max(np.abs(exact - decoded(configuration, packets, channels))))
+    return difference(reference, packets, decoded(configuration, packets, channels))
 
 
 def tone(samples: int = 8000, turn: float = 1 / 41, harmonics: int = 3) -> codec.Signal:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from tests.codec.signals import RATE_HZ, edge_signals, in_turn, played, texture
+from tests.codec.signals import RATE_HZ, difference, edge_signals, in_turn, played, texture
 from tests.codec.slp_reference_decoder import SlpReferenceDecoder
 from vibrocast import codec
 from vibrocast.codec import CodecError, Framing, RateControl, Setting, SignalFormat, linear_prediction, slp
@@ -31,8 +31,7 @@ def decoded(configuration: bytes, packets: list[bytes], channels: int) -> codec.
 
 def difference_to_the_documented_decoder(configuration: bytes, packets: list[bytes], channels: int) -> float:
     reference = SlpReferenceDecoder(configuration, channels)
-    exact = np.concatenate([reference.samples(packet) for packet in packets])
-    return float(np.max(np.abs(np.clip(exact, -32768, 32767) - decoded(configuration, packets, channels))))
+    return difference(reference, packets, decoded(configuration, packets, channels))
 
 
 @pytest.mark.parametrize(("frame", "order", "channels"), [("32", 16, 1), ("64", 8, 3), ("128", 3, 1), ("64", 0, 2)])

@@ -23,7 +23,7 @@ from tests.device_protocol.test_messages import GOLDEN
 from tests.host.study.stub_run import chromium
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol import messages
-from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
+from vibrocast.device_protocol.coded_stream import PROFILE_UNIT, pack_file, unpack_file
 from vibrocast.device_protocol.frames import write_frame
 from vibrocast.device_protocol.transports import open_transport
 from vibrocast.firmware.build import build
@@ -310,8 +310,8 @@ def test_files_of_the_reader(browser: Browser, site: Path) -> None:
         expect(problem).to_have_text(re.compile("This is no coded stream: .* Choose a .vct file"))
         choose(page, ("cut.vct", mdct.read_bytes()[:-3]))
         expect(problem).to_have_text(re.compile("The file is damaged: .* Copy it again."))
-        opus = ROOT / "tests" / "evaluation" / "golden_opus.vct"
-        choose(page, ("opus.vct", opus.read_bytes()))
+        header, packets = unpack_file(mdct.read_bytes())
+        choose(page, ("other.vct", pack_file(replace(header, codec_identifier=5), packets)))
         expect(problem).to_have_text(re.compile("lacks the stream's codec. Use vibrocast decode"))
         choose(page, ("two.vct", b""), ("three.vct", b""))
         expect(problem).to_have_text(re.compile("needs one .vct file"))
