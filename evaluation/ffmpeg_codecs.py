@@ -1,7 +1,6 @@
 """Codecs of FFmpeg's libraries, peers of the benchmark: Opus, AMR-NB, G.723.1, G.726, WavPack and FLAC through PyAV.
 
-The benchmark finds them by name and number once this module is imported. No controller decodes them, so a decoder
-expects every packet. docs/reference/bitstream.md has the layout of their streams.
+No controller decodes them, so a decoder expects every packet.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -12,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast import extras
-from vibrocast.codec import PEERS
 from vibrocast.codec.interface import (
     Codec,
     CodecError,
@@ -282,7 +280,7 @@ def _codec(
     return Codec(name, identifier, summary, parameters, {name: rate_point_set}, make_encoder, make_decoder)
 
 
-_CODECS = (
+CODECS = (
     _codec(
         "opus",
         5,
@@ -348,4 +346,3 @@ _CODECS = (
         ({},),
     ),
 )
-PEERS.update({codec.name: codec for codec in _CODECS})

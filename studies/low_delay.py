@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 import vibrocast
-import vibrocast.evaluation.ffmpeg_codecs  # adds to codec.PEERS
+import vibrocast.evaluation.peers  # fills codec.PEERS
 from studies.page import OUT, errors_in_one_line, render, results_folder, write, write_rows
 from vibrocast import codec, textures
 from vibrocast.codec import CodedSignal, Framing, Source

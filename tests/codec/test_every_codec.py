@@ -249,7 +249,7 @@ def test_a_lost_packet_costs_at_most_the_time_to_the_next_refresh(name: str, los
 @pytest.mark.parametrize("steered", [False, True])
 @every_case
 def test_decoding_that_begins_at_a_refresh_gives_the_same_samples(case: Case, steered: bool) -> None:
-    """What stands in for zeros, and the quantiser offset, included."""
+    """The noise in place of zeros and the quantiser offset are the same, too."""
     signal = texture(3000, case.channels)
     encoder = case.encoder(signal, steered)
     packets = encoder.encode(signal)
@@ -274,15 +274,19 @@ def test_lengths_of_packets_that_no_stream_has_are_rejected(name: str) -> None:
             encoder_of(name, texture(100), framing=Framing(samples, 1))
 
 
-@pytest.mark.parametrize("name", ["mdct", "dct", "slp"])
-def test_a_packet_that_does_not_fit_is_rejected(name: str) -> None:
+FINEST: list[tuple[str, codec.Setting]] = [
+    ("mdct", {"step": 2.0**-17}),
+    ("dct", {"levels": 65_535, "entropy": "huffman"}),
+    ("dct", {"levels": 65_535, "entropy": "range"}),
+    ("slp", {"quality": 31, "order": 0}),
+]
+
+
+@pytest.mark.parametrize(("name", "setting"), FINEST)
+def test_a_packet_that_does_not_fit_is_rejected(name: str, setting: codec.Setting) -> None:
     noise = np.random.default_rng(1).uniform(-1, 1, (2**14, 16))
-    finest: codec.Setting = {"mdct": {"step": 2.0**-17}, "dct": {"levels": 65_535}, "slp": {"quality": 31, "order": 0}}[
-        name
-    ]
-    for more in ({"entropy": "huffman"}, {"entropy": "range"}) if name == "dct" else ({},):
-        with pytest.raises(CodecError, match="shorter packets"):
-            encoder_of(name, noise, setting={**finest, **more}, framing=Framing(2**14, 0)).encode(noise)
+    with pytest.raises(CodecError, match="shorter packets"):
+        encoder_of(name, noise, setting=setting, framing=Framing(2**14, 0)).encode(noise)
 
 
 @every_codec
