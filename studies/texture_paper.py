@@ -5,6 +5,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
@@ -379,7 +380,10 @@ def main(out: Path, folder: Path | None, recordings_folder: Path | None) -> None
     results, lines, of_recordings = measure_all(profiles), spectra(profiles), medians(recordings)
     draw_levels(tables / "texture_paper.png", results)
     draw_spectra(tables / "texture_paper_spectra.png", lines)
-    kinds = {"texture_paper": (results, Result), "texture_paper_spectra": (lines, Line)}
+    kinds: dict[str, tuple[Sequence[Any], type[Any]]] = {
+        "texture_paper": (results, Result),
+        "texture_paper_spectra": (lines, Line),
+    }
     if of_recordings:
         kinds["texture_paper_recordings"] = of_recordings, Median
     rows = [(f"{name}.csv", [page.rounded(each, ".4f") for each in some], kind) for name, (some, kind) in kinds.items()]

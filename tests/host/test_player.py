@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec import structs
 
 from tests.host.scripted_controller import PACKET_SAMPLES, RATE_HZ, ScriptedController
 from tests.simulated_device.bench import stream
@@ -101,12 +102,12 @@ def test_captures_are_read_back_whole_though_the_controller_keeps_less() -> None
     np.testing.assert_array_equal(result.dac_codes, -samples)
 
 
-@pytest.mark.parametrize("fault", ["lost", "flipped", "doubled"])
-def test_captures_that_are_slow_to_come_do_not_hold_up_the_data(fault: str) -> None:
+@pytest.mark.parametrize("fault", [Fault(lost=0.2), Fault(flipped=0.2), Fault(doubled=0.2)], ids=str)
+def test_captures_that_are_slow_to_come_do_not_hold_up_the_data(fault: Fault) -> None:
     played = stream(3.0)
     for seed in range(4):
         small = SimulatedController(Settings(buffer_samples=2048, capture_samples=4096))
-        link = MemoryLink(FaultyWire(small, [Fault(direction="to_host", **{fault: 0.2})], seed))
+        link = MemoryLink(FaultyWire(small, [structs.replace(fault, direction="to_host")], seed))
         controller = Controller(link, link.clock, link.sleep)
         result = play(controller, played.header, played.packets, played.packet_samples, capture=True)
         assert (result.state, result.underruns, result.lost_packets) == (State.FINISHED, 0, 0)

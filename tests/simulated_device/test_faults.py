@@ -1,6 +1,7 @@
 """Faults between a real host and the controller, in simulated time: never garbage, never a hang, always an end."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -88,7 +89,9 @@ def assert_within_limits(codes: Codes) -> None:
 @pytest.mark.parametrize("fault", ["lost", "flipped", "doubled", "swapped", "all"])
 def test_a_link_with_faults_in_both_directions(fault: str, seed: int) -> None:
     played = stream(3.0)
-    chances = dict.fromkeys(("lost", "flipped", "doubled", "swapped") if fault == "all" else (fault,), 0.01)
+    chances: dict[str, Any] = dict.fromkeys(
+        ("lost", "flipped", "doubled", "swapped") if fault == "all" else (fault,), 0.01
+    )
     if fault in ("doubled", "swapped"):
         chances[fault] = 0.2
     at = desk(Fault(**chances), seed=seed)
