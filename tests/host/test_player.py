@@ -1,10 +1,10 @@
 """The streaming player: credit, captures, loops, lost connections, stops - against a controller in simulated time."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from tests.conftest import linked
 from tests.host.scripted_controller import PACKET_SAMPLES, RATE_HZ, ScriptedController
@@ -88,13 +88,12 @@ def test_captures_are_read_back_whole_though_the_controller_keeps_less() -> None
     np.testing.assert_array_equal(result.dac_codes, -samples)
 
 
-@pytest.mark.parametrize("fault", ["lost", "flipped", "doubled"])
-def test_captures_that_are_slow_to_come_do_not_hold_up_the_data(fault: str) -> None:
+@pytest.mark.parametrize("fault", [Fault(lost=0.2), Fault(flipped=0.2), Fault(doubled=0.2)], ids=str)
+def test_captures_that_are_slow_to_come_do_not_hold_up_the_data(fault: Fault) -> None:
     played = stream(3.0)
     for seed in range(4):
         small = Settings(buffer_samples=2048, capture_samples=4096)
-        chances: dict[str, Any] = {fault: 0.2}
-        _, controller = linked(small, [Fault(direction="to_host", **chances)], seed)
+        _, controller = linked(small, [structs.replace(fault, direction="to_host")], seed)
         result = play(controller, played.header, played.packets, played.packet_samples, capture=True)
         assert (result.state, result.underruns, result.lost_packets) == (State.FINISHED, 0, 0)
         assert result.decoded is not None
