@@ -213,21 +213,14 @@ def test_an_unfinished_run_is_marked(method: str, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
-def test_runs_without_answers_have_a_report(method: str, tmp_path: Path) -> None:
-    folder = copied(tmp_path, method)
-    for path in folder.glob(f"participant_*/{RESULTS}"):
-        path.write_text(",".join(RESULT_COLUMNS) + "\n")
-    assert write_report(folder, tmp_path / "report").exists()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("method", METHODS)
-def test_one_participant_has_a_report_without_tests(method: str, tmp_path: Path) -> None:
+def test_one_participant_has_a_report_without_tests_also_without_answers(method: str, tmp_path: Path) -> None:
     folder = copied(tmp_path, method)
     for number in range(2, PARTICIPANTS + 1):
         shutil.rmtree(folder / f"participant_{number:03}")
     text = write_report(folder, tmp_path / "report").read_text()
     assert ("too few answers for a test" in text) == (method in ("degradation", "mushra"))
+    (folder / "participant_001" / RESULTS).write_text(",".join(RESULT_COLUMNS) + "\n")
+    assert write_report(folder, tmp_path / "empty").exists()
 
 
 def with_another_study(folder: Path) -> None:

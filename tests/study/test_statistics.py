@@ -147,38 +147,6 @@ def test_abx_gives_published_values() -> None:
     assert own.sensitivity_abx(0.8639, "independent") == pytest.approx(2.5, abs=1e-3)
 
 
-TRIALS = 200_000
-
-
-def observed(shape: tuple[int, ...]) -> NDArray[np.float64]:
-    return np.random.default_rng(5).standard_normal(shape)
-
-
-@pytest.mark.parametrize("sensitivity", [0.7, 1.5, 2.5])
-def test_formulas_agree_with_simulated_decisions(sensitivity: float) -> None:
-    first, second, third = observed((3, TRIALS))
-    chosen = np.mean(sensitivity + first > second)
-    assert own.sensitivity_two_alternative(float(chosen)) == pytest.approx(sensitivity, abs=0.03)
-
-    hits = np.mean(np.abs(sensitivity + first - second) > 1.4)
-    false_alarms = np.mean(np.abs(third - second) > 1.4)
-    assert own.sensitivity_same_different(float(hits), float(false_alarms)) == pytest.approx(sensitivity, abs=0.05)
-
-    a, b, x = first, sensitivity + second, third  # X is A
-    correct = np.mean(np.abs(x - a) < np.abs(x - b))
-    assert own.sensitivity_abx(float(correct)) == pytest.approx(sensitivity, abs=0.03)
-
-    # Each is classified: same if both lie on one side of the middle; in ABX, the order of A and B, then X.
-    classified = own.sensitivity_same_different(
-        float(np.mean((first > sensitivity / 2) != (sensitivity + second > sensitivity / 2))),
-        float(np.mean((first > sensitivity / 2) != (third > sensitivity / 2))),
-        "independent",
-    )
-    assert classified == pytest.approx(sensitivity, abs=0.05)
-    correct = np.mean((a < b) == (x < sensitivity / 2))
-    assert own.sensitivity_abx(float(correct), "independent") == pytest.approx(sensitivity, abs=0.03)
-
-
 def test_sensitivity_pools_counts_and_varies_over_participants() -> None:
     counts = [[15, 20], [17, 20], [12, 20], [18, 20]]
     interval = own.sensitivity("two_alternative", counts)
