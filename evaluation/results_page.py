@@ -16,7 +16,7 @@ from vibrocast.evaluation.bd_rate import PSNR, SCALES, SNR, SPQI, ST_SIM_2800, S
 from vibrocast.evaluation.comparison import LEARNED_SCALES, PAPER_SCALES, TABLES, TIMES, Measurements
 from vibrocast.evaluation.peers import named, peers
 from vibrocast.evaluation.points import IMPORTED, MEASURED, PROGRAM, Failure, PointsError, read_rows, write_rows
-from vibrocast.evaluation.tables import as_rows, write_table
+from vibrocast.evaluation.tables import as_rows, by_codec, write_table
 from vibrocast.pages import listed
 
 NOTE = "note.md"
@@ -161,7 +161,7 @@ def _message(
     """Return the values of the page's first lines: the anchor compared with known peers, and where it loses."""
     anchor = measurements.anchor
     own = next((row for row in reached if row.codec == anchor), None)
-    groups = charts.grouped(charts.by_codec(reached), lambda rows: -rows[0].bits_per_sample)
+    groups = charts.best_of_groups(by_codec(reached), lambda rows: -rows[0].bits_per_sample)
     in_colour = {codec for group in groups.values() for codec in group if not charts.is_grey(codec)}
     shown = [row for row in reached if row.codec in in_colour or row.codec in HEADLINE]
     of_anchor = [row for row in held_out if (row.codec, row.measure) == (anchor, SNR.name)]
@@ -309,7 +309,7 @@ def _bd_rates(folder: Path, measurements: Measurements) -> list[Any]:
 def _anchor_table(measurements: Measurements, means: Sequence[Any]) -> dict[str, Any]:
     """Return the mean BD-rates of each codec by quality, and the codecs that have none."""
     ranked = sorted(means, key=lambda row: (row.quality != SNR.field, row.mean))
-    rows = [{row.quality: row for row in some} for some in charts.by_codec(ranked).values()]
+    rows = [{row.quality: row for row in some} for some in by_codec(ranked).values()]
     with_rates = {measurements.anchor, *(row.codec for row in means)}
     return {"codecs": rows, "missing": [codec for codec in measurements.curves if codec not in with_rates]}
 
