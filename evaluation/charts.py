@@ -102,8 +102,7 @@ class Chart:
 
 def plot_comparison(path: Path, table: pl.DataFrame, title: str, rate_hz: float | None) -> None:
     """Draw mean SNR over bits per sample, a curve for each group of MAIN, on linear axes. Raises OSError."""
-    groups = mean_curves_by_group(table)
-    curves = {codec: curve for group in MAIN for codec, curve in groups.get(group, {}).items()}
+    curves = main_curves(table)
     texts = [named(codec).name for codec in curves]
     figure = _figure(title, [3.3], texts, width_in=7.0)
     axes = figure.subplots()
@@ -118,7 +117,7 @@ def plot_quality_against_rate(
     path: Path, table: pl.DataFrame, title: str, scale: Scale, rate_hz: float | None = None
 ) -> None:
     """Draw the mean curve of each group of codecs, and the spread of the first. Raises OSError."""
-    curves = {codec: curve for group in mean_curves_by_group(table).values() for codec, curve in group.items()}
+    curves = mean_curves_by_group(table)
     texts = [_name_and_rate(curve[0]) for curve in curves.values()]
     figure = _figure(title, [PANEL_IN], texts)
     axes = figure.subplots()
@@ -238,7 +237,7 @@ def plot_cost_points(path: Path, table: pl.DataFrame, title: str, scale: Scale) 
     """
     rows = [row for row in as_rows(table) if not row.codec.endswith(OTHER_RUNTIME)]
     rows = [row for row in rows if row.bits_per_sample == min(each.bits_per_sample for each in rows)]
-    foremost = {codec for group in best_of_groups(by_codec(rows), _best_quality).values() for codec in group}
+    foremost = best_of_groups(by_codec(rows), _best_quality)
     rows = [row for row in rows if row.codec in foremost or (row.source != IMPORTED and not is_grey(row.codec))]
     costs = list(dict.fromkeys(row.cost for row in rows))
     texts = {row.codec: _plain(_short(named(row.codec.removesuffix(CORE)).name)) for row in rows}
@@ -344,12 +343,7 @@ def plot_rate_excesses(path: Path, table: pl.DataFrame, title: str) -> None:
     Of more than MAX_NUMBERED_ROWS recordings only some are named, and no number is written. Raises OSError.
     """
     rows = as_rows(table)
-    chosen = [
-        codec
-        for group in best_of_groups(by_codec(rows), lambda of_codec: -_excess(of_codec)).values()
-        for codec in group
-    ]
-    codecs = {codec: [row for row in rows if row.codec == codec] for codec in chosen}
+    codecs = best_of_groups(by_codec(rows), lambda of_codec: -_excess(of_codec))
     codecs = dict(sorted(codecs.items(), key=lambda item: _excess(item[1])))
     traces = sorted({row.trace for row in rows})
     cells = np.full((len(traces), len(codecs)), np.nan)
@@ -402,26 +396,30 @@ def is_grey(codec: str) -> bool:
     return style_of(codec).colour == GREY
 
 
-def best_of_groups(
-    curves: Mapping[str, list[Any]], merit: Callable[[list[Any]], float]
-) -> dict[str, dict[str, list[Any]]]:
+def best_of_groups(curves: Mapping[str, list[Any]], merit: Callable[[list[Any]], float]) -> dict[str, list[Any]]:
     """Return the one curve that stands for each group, in colour first: of the group's name, or of the most merit."""
     groups = grouped(curves, group_of)
     ranks = {group: rank for rank, group in enumerate((*pictures.CODECS, "", *BACKGROUND))}
-    found = {}
-    for group in sorted(groups, key=lambda each: ranks.get(each, ranks[""])):
-        best = group if group in groups[group] else max(groups[group], key=lambda codec: merit(curves[codec]))
-        found[group] = {best: curves[best]}
-    return found
+    best = [
+        group if group in groups[group] else max(groups[group], key=lambda codec: merit(curves[codec]))
+        for group in sorted(groups, key=lambda each: ranks.get(each, ranks[""]))
+    ]
+    return {codec: curves[codec] for codec in best}
 
 
-def mean_curves_by_group(table: pl.DataFrame) -> dict[str, dict[str, list[Any]]]:
+def mean_curves_by_group(table: pl.DataFrame) -> dict[str, list[Any]]:
     """Return a mean curve for each group: the best has the highest mean up to TYPICAL_RATE."""
 
     def merit(rows: list[Any]) -> float:
         return max((row.mean for row in rows if row.bits_per_sample <= TYPICAL_RATE), default=-math.inf)
 
     return best_of_groups(by_codec(as_rows(table)), merit)
+
+
+def main_curves(table: pl.DataFrame) -> dict[str, list[Any]]:
+    """Return the mean curves of the groups of MAIN, in their order."""
+    curves = {codec: curve for codec, curve in mean_curves_by_group(table).items() if group_of(codec) in MAIN}
+    return dict(sorted(curves.items(), key=lambda item: MAIN.index(group_of(item[0]))))
 
 
 def name(row: Any) -> str:

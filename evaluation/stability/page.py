@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from vibrocast import pages
-from vibrocast.evaluation.points import PointsError, read_rows, write_rows
+from vibrocast.evaluation.points import read_row, write_rows
 from vibrocast.evaluation.stability import pictures
 from vibrocast.evaluation.stability.cell_files import read_cells, write_cells
 from vibrocast.evaluation.stability.known_causes import CRASH, explanation, known_causes
@@ -99,14 +99,10 @@ def redraw(out: Path, maps: Sequence[Map]) -> list[Failure]:
     as folder_in.
     """
     folder = folder_in(out)
-    described = read_rows(folder / "description.csv", Description)
-    if len(described) != 1:
-        raise PointsError(
-            f"{folder / 'description.csv'}: {len(described)} rows in place of one; run `vibrocast stability` again"
-        )
+    description = read_row(folder / "description.csv", Description)
     found = [(each, path) for each in maps if (path := folder / f"{each.name}.csv").exists()]
     cells = [cell for each, path in found for cell in read_cells(path, each)]
-    return write(out, maps, cells, described[0].command, redrawn=True)
+    return write(out, maps, cells, description.command, redrawn=True)
 
 
 def markdown(maps: Sequence[tuple[Map, Sequence[Verdict]]], names: dict[str, str], command: str) -> str:
