@@ -4,8 +4,8 @@ PYTHON ?= python3
 BIN := .venv/bin
 CORE := $(wildcard firmware/include/vibrocast/*.h firmware/src/*/*.[ch] firmware/ports/python/*.[ch])
 SOURCES := pyproject.toml hatch_build.py $(CORE)
-# Generated files need no layout, and those of others keep theirs.
-C_SOURCES := $(filter-out firmware/src/monocypher/monocypher.h %_tables.c %/actuator_tables.h %/vc_messages.c %/vc_messages.h %/protocol.h,$(wildcard firmware/*/*.[ch] firmware/*/*/*.[ch] firmware/*/*/*/*.[ch])) $(wildcard tests/*/*.c)
+# Generated files need no layout.
+C_SOURCES := $(filter-out %_tables.c %/actuator_tables.h %/vc_messages.c %/vc_messages.h %/protocol.h,$(wildcard firmware/*/*.[ch] firmware/*/*/*.[ch] firmware/*/*/*/*.[ch])) $(wildcard tests/*/*.c)
 
 CHECKPOINTS ?= trained
 DATA ?= recordings
@@ -21,7 +21,7 @@ install: .venv/installed
 
 .venv/installed-for-tests: $(SOURCES)
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable '.[audio,bench,docs,firmware,study,test,train]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable '.[audio,bench,docs,firmware,keys,study,test,train]'
 	touch $@ .venv/installed
 
 play: install
@@ -59,7 +59,7 @@ lock:
 	set -e; \
 	head=$$(grep '^#' $(LOCK)); \
 	uv pip compile --quiet --universal --generate-hashes --no-emit-index-url --no-header --python-version 3.11 \
-	    --extra audio --extra bench --extra firmware --extra study --extra test --extra docs --output-file $(LOCK) pyproject.toml; \
+	    --extra audio --extra bench --extra firmware --extra keys --extra study --extra test --extra docs --output-file $(LOCK) pyproject.toml; \
 	printf '%s\n' "$$head" | cat - $(LOCK) > $(LOCK).new; \
 	mv $(LOCK).new $(LOCK)
 
@@ -77,12 +77,11 @@ firmware: .venv/installed-for-tests
 	$(BIN)/python -m vibrocast.firmware.build
 	$(BIN)/python -m vibrocast.firmware.build --sizes
 
-# All but the largest images of eva hold the ONNX graph as well, so that a controller can choose.
+# Images hold the integer network and the ONNX graph, so that a controller can choose.
 models: .venv/installed-for-tests
 	set -e; for trained in $(CHECKPOINTS)/*/checkpoint.pt; do \
 	    name=$$(basename $$(dirname $$trained)); \
-	    case $$name in lapped-*) holds=core;; *) holds=both;; esac; \
-	    case $$name in eva-16-perceptual-*) examples=eva-16-perceptual;; lapped-*) examples=lapped;; *) examples=eva;; esac; \
-	    $(BIN)/vibrocast export $$trained --name $$name --out models/$$name --data $(DATA) --runtime $$holds \
+	    case $$name in eva-16-perceptual-*) examples=eva-16-perceptual;; *) examples=eva;; esac; \
+	    $(BIN)/vibrocast export $$trained --name $$name --out models/$$name --data $(DATA) --runtime both \
 	        --training-command "vibrocast train examples/$$examples.toml --data $(DATA)"; \
 	done

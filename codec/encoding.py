@@ -77,8 +77,6 @@ def encode_recording(  # noqa: PLR0913 - the options of the public `encode`, whi
     by_default = rate_bps is None and snr_db is None
     if not chosen.leaves_open(given):
         if not by_default:
-            if not given:
-                raise codec.CodecError(f"{chosen.name} has one quality only; leave out the rate or SNR")
             raise codec.CodecError(
                 "the setting fixes the quality; leave out the rate or SNR, or that part of the setting"
             )

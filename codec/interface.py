@@ -337,8 +337,6 @@ class Codec:
         live_setting: Called with the rate in Hz. Returns what a live stream has in place of defaults, for the least
             delay.
         planned_setting: Parameters whose best value is known, so that the planner does not vary them.
-        library: How the name of the file in PyAV's wheel begins that holds the decoder; "" where that file holds many
-            codecs, None for a decoder from elsewhere.
     """
 
     name: str
@@ -369,7 +367,6 @@ class Codec:
     shape_parameter: str | None = None
     live_setting: Callable[[int], Setting] = lambda rate_hz: {}
     planned_setting: Setting = field(default_factory=dict)
-    library: str | None = None
 
     @property
     def takes_model(self) -> bool:

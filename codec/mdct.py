@@ -1,9 +1,9 @@
 """The codec `mdct`: low-delay MDCT, trellis-coded quantisation, range coding; layout: docs/reference/bitstream.md."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cache, partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -152,14 +152,10 @@ def analysis_matrix(hop: int) -> Signal:
     Princen, Johnson and Bradley, "Subband/transform coding using filter bank designs based on time domain aliasing
     cancellation", 1987.
     """
-    return modulated(np.sin(np.pi * (np.arange(2 * hop) + 0.5) / (2 * hop)), hop)
-
-
-def modulated(window: Signal, hop: int) -> Signal:
-    """Return sqrt(2/N) w[n] cos(pi/N (n + 1/2 + N/2)(k + 1/2)), (len(window), hop), of a window w at hop N."""
-    n = np.arange(len(window))[:, None]
+    n = np.arange(2 * hop)[:, None]
     k = np.arange(hop)[None, :]
-    matrix: Signal = np.sqrt(2 / hop) * window[:, None] * np.cos(np.pi / hop * (n + 0.5 + hop / 2) * (k + 0.5))
+    window = np.sin(np.pi * (n + 0.5) / (2 * hop))
+    matrix: Signal = np.sqrt(2 / hop) * window * np.cos(np.pi / hop * (n + 0.5 + hop / 2) * (k + 0.5))
     return matrix
 
 
@@ -184,19 +180,6 @@ def spectra(samples: Signal, hop: int) -> NDArray[np.int32]:
     return coefficients
 
 
-class Transform(NamedTuple):
-    """A lapped transform.
-
-    `window_hops`: hops that a window covers. `spectra`: returns the coefficients of samples at a hop, as `spectra`.
-    """
-
-    window_hops: int
-    spectra: Callable[[Signal, int], NDArray[np.int32]]
-
-
-MDCT = Transform(2, spectra)
-
-
 class MdctEncoder(PacketwiseEncoder):
     """Encoder of `mdct`; see codec.interface.Encoder. Samples beyond full scale are clipped to it."""
 
@@ -210,7 +193,6 @@ class MdctEncoder(PacketwiseEncoder):
         hop: int | None = None,
         noise_filling: float = 0.0,
         rate_control: RateControl | None = None,
-        transform: Transform = MDCT,
         shape: Sequence[float] | None = None,
         rotation: Rotation | None = None,
     ) -> None:
@@ -228,9 +210,8 @@ class MdctEncoder(PacketwiseEncoder):
             raise CodecError(f"hop {self._hop} is not possible; give one of {HOPS}")
         if not all(math.isfinite(step) and step > 0 for step in steps):
             raise CodecError("a quantiser step is not positive; give positive numbers")
-        self._transform = transform
         self._rotation = rotation
-        self._history = self.delay_samples = _delay_samples(transform, self._hop, rotation)
+        self._history = self.delay_samples = _delay_samples(self._hop, rotation)
         self._chunk_samples = max(1, _CHUNK_BLOCKS * self._hop // max(1, len(steps)))
         super().__init__(len(steps), framing, self._hop, MAX_PACKET_BLOCKS)
         if not 0 <= noise_filling <= MAX_NOISE_FILLING:
@@ -284,9 +265,9 @@ class MdctEncoder(PacketwiseEncoder):
     def _code_packets(self, samples: Signal) -> list[bytes]:
         count = (len(samples) - self._history) // self.packet_samples
         if self._rotation is None:
-            coefficients = self._transform.spectra(samples, self._hop)
+            coefficients = spectra(samples, self._hop)
         else:
-            rotated = self._transform.spectra(aligned(samples, self._rotation.delays), self._hop)
+            rotated = spectra(aligned(samples, self._rotation.delays), self._hop)
             coefficients = limited(self._rotation.coded(rotated * self._relative_steps[None, :, None]))
         return [
             self._packet_of(part, samples[index * self.packet_samples : (index + 1) * self.packet_samples])
@@ -326,18 +307,7 @@ def check_tables(tables: bytes) -> None:
 
 
 def resolve(samples: Signal, signal_format: SignalFormat, model: Model | None, words: Setting) -> Setting:
-    """Choose the hop and the rotation of a file by the built-in tables; see codec.interface.Codec."""
-    return best_choice(samples, signal_format, words, MDCT, MdctDecoder)
-
-
-def best_choice(
-    samples: Signal,
-    signal_format: SignalFormat,
-    words: Setting,
-    transform: Transform,
-    decoder_of: Callable[[bytes, int], CoreDecoder],
-) -> Setting:
-    """Choose a hop and a rotation for a whole signal (n, channels) in its physical unit, where they are left open.
+    """Choose the hop and the rotation of a file by the built-in tables; see codec.interface.Codec.
 
     The hop has the least squared error + lambda * bits, as in the encoder's search, by an estimate at half the RMS
     value. On the development recordings, an estimate chooses as well as coding with each hop does. Rotations that save
@@ -348,16 +318,14 @@ def best_choice(
 
     def estimated_cost(hop: int) -> float:
         filling_steps = _RESOLVING_STEP * steps
-        filling = water_filling(normalised, transform, hop)
+        filling = _water_filling(normalised, hop)
         errors = filling.squared_errors(filling_steps) / np.square(filling_steps)
         return float(np.sum(errors) + LAMBDA / 256 * filling.bits(filling_steps))
 
     def cost(hop: int, rotation: Rotation | None) -> float:
         framing = Framing(_RESOLVING_PACKET, 0)
-        encoder = MdctEncoder(
-            list(steps), signal_format.rate_hz, framing, hop=hop, transform=transform, rotation=rotation
-        )
-        decoder = decoder_of(encoder.configuration, signal_format.channels)
+        encoder = MdctEncoder(list(steps), signal_format.rate_hz, framing, hop=hop, rotation=rotation)
+        decoder = MdctDecoder(encoder.configuration, signal_format.channels)
         packets = encoder.encode(normalised) + encoder.finish()
         decoded = np.concatenate([decoder.decode(packet) for packet in packets])[decoder.delay_samples :]
         error = np.sum(np.square((normalised - decoded[: len(normalised)] / 32768) / steps))
@@ -371,11 +339,11 @@ def best_choice(
         costs = {each: estimated_cost(each) for each in HOPS}
         # Of hops that cost the same, the shortest has the least delay.
         hop = str(next(each for each in HOPS if costs[each] <= _SAME_COST * min(costs.values())))
-    if mixable and len(normalised) >= transform.window_hops * int(hop) + MAX_DELAY:
+    if mixable and len(normalised) >= 2 * int(hop) + MAX_DELAY:
         least = cost(int(hop), None)
         quietest = np.min(steps)  # by which no sample passes full scale
         for trial in candidates(
-            normalised / steps, int(hop), lambda part: transform.spectra(part * quietest, int(hop)) / (UNIT * quietest)
+            normalised / steps, int(hop), lambda part: spectra(part * quietest, int(hop)) / (UNIT * quietest)
         ):
             if (reached := cost(int(hop), trial)) < (1 - _LEAST_GAIN) * least:
                 least, given = reached, trial
@@ -393,23 +361,20 @@ def _rotation(text: str, channels: int) -> Rotation | None:
     return Rotation.unpack(section, channels)
 
 
-def _delay_samples(transform: Transform, hop: int, rotation: Rotation | None) -> int:
-    return (transform.window_hops - 1) * hop + (rotation.delay_samples if rotation else 0)
+def _delay_samples(hop: int, rotation: Rotation | None) -> int:
+    return hop + (rotation.delay_samples if rotation else 0)
 
 
-def water_filling(normalised: Signal, transform: Transform, hop: int) -> WaterFilling:
-    """Return the estimate of coding samples (n, channels), full scale = 1, with a transform at a hop."""
-    before = (transform.window_hops - 1) * hop
-    padded = np.pad(normalised, ((before, before + -len(normalised) % hop), (0, 0)))
-    return WaterFilling(transform.spectra(padded, hop), UNIT)
+def _water_filling(normalised: Signal, hop: int) -> WaterFilling:
+    """Return the estimate of coding samples (n, channels), full scale = 1, at a hop."""
+    padded = np.pad(normalised, ((hop, hop + -len(normalised) % hop), (0, 0)))
+    return WaterFilling(spectra(padded, hop), UNIT)
 
 
-def estimate(
-    samples: Signal, signal_format: SignalFormat, setting: Setting, model: Model | None, transform: Transform = MDCT
-) -> Estimate:
+def estimate(samples: Signal, signal_format: SignalFormat, setting: Setting, model: Model | None) -> Estimate:
     """Estimate bits and error of coding a signal, by the step; see codec.interface.Codec."""
     hop = hop_samples(signal_format.rate_hz) if word(setting, "hop") == AUTO else int(word(setting, "hop"))
-    filling = water_filling(samples / np.array(signal_format.gains), transform, hop)
+    filling = _water_filling(samples / np.array(signal_format.gains), hop)
     rms = np.array(signal_format.rms)
     count = len(samples)
     return lambda step: (filling.bits(step * rms) / count, filling.squared_errors(step * rms) / count)
@@ -421,7 +386,6 @@ def make_encoder(
     framing: Framing,
     model: Model | None,
     rate_control: RateControl | None = None,
-    transform: Transform = MDCT,
 ) -> MdctEncoder:
     """Make an encoder whose steps are relative to the RMS values. Raises CodecError as `MdctEncoder`."""
     relative_steps = numbers(setting, "step", signal_format.channels)
@@ -431,7 +395,7 @@ def make_encoder(
     live_hop = hop_samples(signal_format.rate_hz)
     hop = live_hop if word(setting, "hop") == AUTO else int(word(setting, "hop"))
     rotation = _rotation(word(setting, "rotation"), signal_format.channels)
-    delay_samples = _delay_samples(transform, hop, rotation)
+    delay_samples = _delay_samples(hop, rotation)
     if framing.refresh_packets == 0:
         # A file's framing has room for one block of a live stream after the end; this hop needs another.
         framing = Framing(max(1, framing.packet_samples + delay_samples - live_hop), 0)
@@ -444,7 +408,6 @@ def make_encoder(
         hop,
         number(setting, "noise_filling"),
         rate_control,
-        transform,
         shaping.parsed_shape(word(setting, "shape")),
         rotation,
     )

@@ -1,4 +1,4 @@
-"""Policies of rate control: a constant rate (leaky bucket), a constant quality, or a quality up to a rate.
+"""Policies of rate control: a constant rate (leaky bucket), or a quality up to a rate.
 
 A policy is a codec.interface.RateControl. It chooses the quantiser offset of each packet from all of that packet's
 input, and no later input. `rate_controlled_encoder` joins a codec with a policy. docs/benchmarks/rate_control.md shows
@@ -7,7 +7,7 @@ the results.
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TypeAlias
 
 import numpy as np
@@ -105,44 +105,21 @@ class RateBuffer:
         return self.bits_per_second * seconds / 8
 
 
-class Policy(ABC):
-    """A rate control with a memory: `begin` a stream, then call it for each packet. A later stream replaces it."""
+class RatePolicy(ABC):
+    """A rate control that keeps its packets, frames included, within a rate buffer (leaky bucket).
+
+    `begin` a stream, then call the policy for each packet. A later stream replaces it.
+    """
 
     _probe: DecoderProbe | None = None
 
-    def __init__(self, frame_bytes: FrameBytes | int = 0) -> None:
+    def __init__(self, rate_buffer: RateBuffer, frame_bytes: FrameBytes | int) -> None:
         """`frame_bytes`: bytes that the frame of a packet adds to it, or a function that counts them."""
+        self.rate_buffer = rate_buffer
         self._frame_bytes = (lambda packet: frame_bytes) if isinstance(frame_bytes, int) else frame_bytes
         self._seconds = math.nan
         self.min_bytes = 0
         """Bytes of a packet at its coarsest, as given to `begin`."""
-
-    def begin(self, decoder: Decoder, min_bytes: int, seconds: float) -> None:
-        """Begin a stream of packets of `seconds` each, which `decoder` decodes from the first one on.
-
-        `min_bytes`: bytes that suffice for a packet at its coarsest, whatever the signal, with its frame. Raises
-        CodecError if the codec's packets cannot be measured, TargetUnreachable if they do not fit the rate.
-        """
-        if self._probe is not None:
-            self._probe.begin(decoder)
-        self._seconds = seconds
-        self.min_bytes = min_bytes
-
-    def sent_bytes(self, packet: bytes) -> int:
-        """Return the bytes of a packet and its frame."""
-        return len(packet) + self._frame_bytes(packet)
-
-    @abstractmethod
-    def __call__(self, trial: Trial) -> Choice:
-        """Choose how to code the next packet. Raises TargetUnreachable if no choice fits."""
-
-
-class RatePolicy(Policy):
-    """A policy that keeps its packets, frames included, within a rate buffer (leaky bucket)."""
-
-    def __init__(self, rate_buffer: RateBuffer, frame_bytes: FrameBytes | int) -> None:
-        super().__init__(frame_bytes)
-        self.rate_buffer = rate_buffer
         self.min_bits_per_second = 0.0
         """The least rate that suffices for any signal; known once a stream has begun."""
         self.padding_bytes = 0
@@ -159,10 +136,25 @@ class RatePolicy(Policy):
         self.rate_buffer.bits_per_second = bits_per_second
 
     def begin(self, decoder: Decoder, min_bytes: int, seconds: float) -> None:
-        """Begin a stream; see Policy."""
-        super().begin(decoder, min_bytes, seconds)
+        """Begin a stream of packets of `seconds` each, which `decoder` decodes from the first one on.
+
+        `min_bytes`: bytes that suffice for a packet at its coarsest, whatever the signal, with its frame. Raises
+        CodecError if the codec's packets cannot be measured, TargetUnreachable if they do not fit the rate.
+        """
+        if self._probe is not None:
+            self._probe.begin(decoder)
+        self._seconds = seconds
+        self.min_bytes = min_bytes
         self.min_bits_per_second = 8 * min_bytes / seconds
         self._check_reach(self.bits_per_second)
+
+    def sent_bytes(self, packet: bytes) -> int:
+        """Return the bytes of a packet and its frame."""
+        return len(packet) + self._frame_bytes(packet)
+
+    @abstractmethod
+    def __call__(self, trial: Trial) -> Choice:
+        """Choose how to code the next packet. Raises TargetUnreachable if no choice fits."""
 
     def _check_reach(self, bits_per_second: float) -> None:
         if bits_per_second < self.min_bits_per_second:
@@ -183,12 +175,8 @@ class RatePolicy(Policy):
         coarsest = attempts.quantiser_offsets[-1]
         if self.rate_buffer.full > 1:
             return coarsest
-        min_bytes = sum(map(self.sent_bytes, attempts.coded(coarsest)))
+        min_bytes = self.sent_bytes(attempts.coded(coarsest))
         raise self._target_unreachable(self.bits_per_second, 8 * min_bytes / self._seconds)
-
-    def _send(self, packets: Sequence[bytes]) -> None:
-        """Add packets, with their padding, to the rate buffer."""
-        self.rate_buffer.fill(sum(map(self.sent_bytes, packets)), self._seconds)
 
 
 class CappedRate(RatePolicy):
@@ -210,26 +198,14 @@ class CappedRate(RatePolicy):
 
     def __call__(self, trial: Trial) -> Choice:
         """Choose the coarsest packet with the quality, or a coarser one that fits. Raises TargetUnreachable."""
-        attempts = Attempts([trial], self.sent_bytes)
+        attempts = Attempts(trial, self.sent_bytes)
         quantiser_offset = self._probe.coarsest_with(attempts, self.quality_db)
         if attempts.size_bytes(quantiser_offset) > self.rate_buffer.max_bytes(self._seconds):
             quantiser_offset = self._finest_that_fits(attempts, quantiser_offset)
         self._probe.update(attempts, quantiser_offset)
-        self._send(attempts.coded(quantiser_offset))
+        self.rate_buffer.fill(self.sent_bytes(attempts.coded(quantiser_offset)), self._seconds)
         self.rate_buffer.fullness_bytes = max(0.0, self.rate_buffer.fullness_bytes)
         return Choice(quantiser_offset)
-
-
-class ConstantQuality(CappedRate):
-    """Every packet as coarse as the target quality allows, in as many bytes as that takes.
-
-    `bits_per_second`: more than it ever takes. Live, it falls to the rate of the link, like the cap of a capped rate.
-    """
-
-    def __init__(
-        self, quality_db: float, meter: QualityMeter, bits_per_second: float = 1e9, frame_bytes: FrameBytes | int = 0
-    ) -> None:
-        super().__init__(quality_db, meter, bits_per_second, frame_bytes)
 
 
 class ConstantRate(RatePolicy):
@@ -253,37 +229,29 @@ class ConstantRate(RatePolicy):
 
     def __call__(self, trial: Trial) -> Choice:
         """Choose the packet's quantiser offset and padding. Raises TargetUnreachable if none fits."""
-        return self.choose([trial])[0]
-
-    def choose(self, trials: Sequence[Trial]) -> list[Choice]:
-        """Choose for packets of several streams that are due together: one quantiser offset, so that their sum fits."""
-        attempts = Attempts(trials, self.sent_bytes)
+        attempts = Attempts(trial, self.sent_bytes)
         min_bytes, max_bytes = self.rate_buffer.min_bytes(self._seconds), self.rate_buffer.max_bytes(self._seconds)
         quantiser_offset = self._aim(attempts)
         if attempts.size_bytes(quantiser_offset) > max_bytes:
             quantiser_offset = self._finest_that_fits(attempts, quantiser_offset)
         elif attempts.size_bytes(quantiser_offset) < min_bytes:
             quantiser_offset = self._coarsest_that_fills(attempts, quantiser_offset, min_bytes, max_bytes)
-        packets = attempts.coded(quantiser_offset)
         # A packet that needs padding does not show which quality the rate allows.
         if self._probe is not None:
             if attempts.size_bytes(quantiser_offset) >= min_bytes:
                 self._remember(self._probe.quality_db(attempts, quantiser_offset))
             self._probe.update(attempts, quantiser_offset)
-        padded = self._padded(packets, min_bytes, max_bytes)
-        self.padding_bytes += len(padded) - len(packets[-1])
-        packets = [*packets[:-1], padded]
-        self._send(packets)
-        return [
-            Choice(within(trial.quantiser_offsets, quantiser_offset), len(packet))
-            for trial, packet in zip(trials, packets, strict=True)
-        ]
+        packet = attempts.coded(quantiser_offset)
+        padded = self._padded(packet, min_bytes, max_bytes)
+        self.padding_bytes += len(padded) - len(packet)
+        self.rate_buffer.fill(self.sent_bytes(padded), self._seconds)
+        return Choice(quantiser_offset, len(padded))
 
     def _aim(self, attempts: Attempts) -> int:
         """Return the offset for the target quality or, if none is known, for the packet's share of the rate."""
         if self._probe is None or self._measured == 0:
             share_bytes = self.bits_per_second * self._seconds / 8
-            aim = attempts.finest(lambda each: attempts.size_bytes(each) <= share_bytes, attempts.previous)
+            aim = attempts.finest(lambda each: attempts.size_bytes(each) <= share_bytes, attempts.trial.previous)
             return attempts.quantiser_offsets[-1] if aim is None else aim
         swing_db = _SWING_DB * min(1.0, self.rate_buffer.rate_buffer_s / self._seconds / _PACKETS_FOR_FULL_SWING)
         return self._probe.coarsest_with(attempts, self._mean_db + swing_db * (0.5 - self.rate_buffer.full))
@@ -301,19 +269,22 @@ class ConstantRate(RatePolicy):
         kept = math.exp(-self._seconds / (_MEMORY_RATE_BUFFERS * self.rate_buffer.rate_buffer_s))
         self._mean_db += max(1 / self._measured, 1 - kept) * (quality_db - self._mean_db)
 
-    def _padded(self, packets: Sequence[bytes], min_bytes: int, max_bytes: int) -> bytes:
-        """Return the last packet, padded with zeros so that all packets together have the fewest bytes allowed."""
-        *others, last = packets
-        others_bytes = sum(map(self.sent_bytes, others))
-        padded = last.ljust(len(last) + min_bytes - others_bytes - self.sent_bytes(last), b"\0")
+    def _padded(self, packet: bytes, min_bytes: int, max_bytes: int) -> bytes:
+        """Return the packet, padded with zeros so that it has the fewest bytes allowed with its frame."""
+        padded = packet.ljust(len(packet) + min_bytes - self.sent_bytes(packet), b"\0")
         # A longer packet may have a longer frame.
-        while len(padded) > len(last) and others_bytes + self.sent_bytes(padded) > max_bytes:
+        while len(padded) > len(packet) and self.sent_bytes(padded) > max_bytes:
             padded = padded[:-1]
         return padded
 
 
 def rate_controlled_encoder(
-    codec: Codec, setting: Setting, signal_format: SignalFormat, framing: Framing, model: Model | None, policy: Policy
+    codec: Codec,
+    setting: Setting,
+    signal_format: SignalFormat,
+    framing: Framing,
+    model: Model | None,
+    policy: RatePolicy,
 ) -> Encoder:
     """Make an encoder as `codec.make_encoder` does, rate-controlled by a policy, and begin the policy's stream.
 

@@ -18,7 +18,7 @@ from vibrocast.codec.encoding import (
     unsearched_excess,
 )
 from vibrocast.codec.live_format import recording_format
-from vibrocast.codec.rate_control import DEFAULT_RATE_BUFFER_S, RatePolicy
+from vibrocast.codec.rate_control import DEFAULT_RATE_BUFFER_S
 from vibrocast.codec.stream import Stream, as_stream
 from vibrocast.device_protocol.frames import MAX_PAYLOAD_BYTES, FrameError, write_frame
 from vibrocast.device_protocol.messages import SinglePacket, pack
@@ -26,8 +26,6 @@ from vibrocast.device_protocol.messages import SinglePacket, pack
 WINDOW_S = 2.0
 """A rate is held over any run of whole packets of this length."""
 _QUIET_DB = 20.0
-# Twice the bits of an uncoded sample: no quality is finer.
-_MAX_BITS_A_SAMPLE = 32.0
 
 
 def added_bytes(packet: bytes) -> int:
@@ -46,13 +44,13 @@ def added_bytes(packet: bytes) -> int:
 
 @dataclass(frozen=True)
 class RateTarget:
-    """A target for rate control: a constant rate; or a quality of every packet, up to a capped rate if there is one.
+    """A target for rate control: a constant rate; or a quality of every packet, up to a capped rate.
 
     `constant_rate_bps`, `capped_rate_bps`: of all channels, frames included. `snr_db`, `error_db`: the quality; the
     latter is the error's level relative to the detection threshold. `rate_buffer_s`: size of the rate buffer. None =
     the size that holds a rate within 1 % over any 2 s; a larger one makes the SNR more even. `packet_s`: length of
-    packets. None = the shortest to which the wire adds at most 12 % at the full rate, or 4 blocks without a rate.
-    `equal_error`: an equal error in all channels, in place of an equal SNR.
+    packets. None = the shortest to which the wire adds at most 12 % at the full rate. `equal_error`: an equal error in
+    all channels, in place of an equal SNR.
     """
 
     constant_rate_bps: float | None = None
@@ -64,11 +62,14 @@ class RateTarget:
     equal_error: bool = False
 
     @property
-    def rate_bps(self) -> float | None:
-        """The rate that a stream does not exceed; None = no limit."""
-        return self.capped_rate_bps if self.constant_rate_bps is None else self.constant_rate_bps
+    def rate_bps(self) -> float:
+        """The rate that a stream does not exceed. Raises CodecError without one."""
+        rate_bps = self.capped_rate_bps if self.constant_rate_bps is None else self.constant_rate_bps
+        if rate_bps is None:
+            raise codec.CodecError("a rate is needed; give a constant rate, or a capped one")
+        return rate_bps
 
-    def policy(self, signal_format: SignalFormat) -> codec.Policy:
+    def policy(self, signal_format: SignalFormat) -> codec.RatePolicy:
         """Return the policy, for one stream. Raises CodecError for an impossible target."""
         rate_buffer_s = DEFAULT_RATE_BUFFER_S if self.rate_buffer_s is None else self.rate_buffer_s
         if self.constant_rate_bps is not None:
@@ -76,18 +77,13 @@ class RateTarget:
             meter = None if self.rate_buffer_s is None else codec.SnrMeter(signal_format.rate_hz)
             return codec.ConstantRate(self.constant_rate_bps, added_bytes, rate_buffer_s, meter)
         quality_db, quality_meter = self._quality(signal_format)
-        if self.capped_rate_bps is None:
-            max_bps = _MAX_BITS_A_SAMPLE * signal_format.rate_hz * signal_format.channels
-            return codec.ConstantQuality(quality_db, quality_meter, max_bps, added_bytes)
-        return codec.CappedRate(quality_db, quality_meter, self.capped_rate_bps, added_bytes, rate_buffer_s)
+        return codec.CappedRate(quality_db, quality_meter, self.rate_bps, added_bytes, rate_buffer_s)
 
     def framing(self, rate_hz: int) -> codec.Framing:
         """Return how a stream of this sample rate is cut into packets."""
         if self.packet_s is not None:
             return codec.timed_framing(self.packet_s, rate_hz)
-        if self.rate_bps is not None:
-            return codec.rate_controlled_framing(self.rate_bps, rate_hz, added_bytes)
-        return codec.live_framing(rate_hz)
+        return codec.rate_controlled_framing(self.rate_bps, rate_hz, added_bytes)
 
     def _quality(self, signal_format: SignalFormat) -> tuple[float, codec.QualityMeter]:
         if self.error_db is not None:
@@ -102,7 +98,7 @@ class Outcome:
     """How a stream met its target.
 
     `sent_bps`: packets and their frames; `packets_bps`: packets alone. `furthest`: largest deviation from the rate over
-    any run of packets of 2 s, relative to the rate; None without a rate, or if the stream is shorter. `peak_bps`:
+    any run of packets of 2 s, relative to the rate; None if the stream is shorter. `peak_bps`:
     highest rate over such a run; None if the stream is shorter. `padding`: part of the bytes sent that is padding.
     `packet_snrs_db`: of all packets except those 20 dB below the recording. `packet_s`: duration of a packet.
     """
@@ -187,22 +183,13 @@ def encode(
         return stream, outcome(stream, samples, target.rate_bps, policy)
 
     def excess(candidate: models.Model) -> float:
-        # If there is a rate, it decides, and the quality follows from it.
-        return unsearched_excess(source(candidate), candidate, given, target.rate_bps, target.snr_db)
+        return unsearched_excess(source(candidate), candidate, given, target.rate_bps, snr_db=None)
 
-    def cost(made: tuple[Stream, Outcome]) -> float:
-        stream, reached = made
-        return stream.size_bytes if target.rate_bps is None else -reached.snr_db
-
-    known = target.rate_bps is not None or target.snr_db is not None
-    return first_reachable(chosen, model, code, progress, FamilyChoice(excess, cost) if known else None)
+    return first_reachable(chosen, model, code, progress, FamilyChoice(excess, lambda made: -made[1].snr_db))
 
 
-def outcome(stream: Stream, samples: Signal, rate_bps: float | None, policy: codec.Policy) -> Outcome:
-    """Return how a stream of samples (n, channels) met the target of its policy. Raises CodecError.
-
-    `rate_bps`: None = no rate.
-    """
+def outcome(stream: Stream, samples: Signal, rate_bps: float, policy: codec.RatePolicy) -> Outcome:
+    """Return how a stream of samples (n, channels) met the target rate of its policy. Raises CodecError."""
     decoder = stream.decoder()
     packet_s = decoder.packet_samples / stream.header.rate_hz
     sizes = [len(packet) + added_bytes(packet) for packet in stream.packets]
@@ -211,9 +198,9 @@ def outcome(stream: Stream, samples: Signal, rate_bps: float | None, policy: cod
     return Outcome(
         sent_bps=8 * sum(sizes) / seconds,
         packets_bps=8 * sum(map(len, stream.packets)) / seconds,
-        furthest=max((each / rate_bps - 1 for each in window_bps), key=abs, default=None) if rate_bps else None,
+        furthest=max((each / rate_bps - 1 for each in window_bps), key=abs, default=None),
         peak_bps=max(window_bps, default=None),
-        padding=policy.padding_bytes / sum(sizes) if isinstance(policy, RatePolicy) else 0.0,
+        padding=policy.padding_bytes / sum(sizes),
         packet_snrs_db=tuple(_packet_snrs_db(samples, stream.decode(), decoder)),
         packet_s=packet_s,
     )

@@ -9,7 +9,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from vibrocast.codec import dct, eva, general_codecs, lapped, mdct, parametric, plugins, shaping, slp
+from vibrocast.codec import dct, eva, mdct, parametric, plugins, shaping, slp
 from vibrocast.codec.interface import (
     AUTO,
     Codec,
@@ -26,7 +26,7 @@ from vibrocast.codec.interface import (
     Signal,
     SignalFormat,
 )
-from vibrocast.codec.rate_control import Policy, rate_controlled_encoder
+from vibrocast.codec.rate_control import RatePolicy, rate_controlled_encoder
 from vibrocast.codec.threshold import PHYSICAL_UNITS
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
 
@@ -48,9 +48,12 @@ _MIN_GAIN = 2.0**-120
 Progress: TypeAlias = Callable[[float], None]
 
 BUILT_IN: dict[str, Codec] = {
-    codec.name: codec
-    for codec in (mdct.CODEC, dct.CODEC, slp.CODEC, eva.CODEC, *general_codecs.CODECS, parametric.CODEC, lapped.CODEC)
+    codec.name: codec for codec in (mdct.CODEC, dct.CODEC, slp.CODEC, eva.CODEC, parametric.CODEC)
 }
+PEERS: dict[str, Codec] = {}
+"""Codecs of other projects that a benchmark adds: they are found by name and number, and not listed in CODECS."""
+_REMOVED = {5: "opus", 6: "amr-nb", 7: "g723-1", 8: "g726", 9: "wavpack", 10: "flac", 12: "lapped"}
+"""Numbers in stream headers that no other codec may take."""
 DEFAULT_CODEC = mdct.NAME
 
 
@@ -94,8 +97,9 @@ CODECS = Codecs()
 
 def codec_by_name(name: str) -> Codec:
     """Return the codec of that name. Raises CodecError when there is none."""
-    if name in CODECS:
-        return CODECS[name]
+    for known in (CODECS, PEERS):
+        if name in known:
+            return known[name]
     if name in CODECS.failures:
         raise CodecError(f"the codec {name} cannot be loaded: {CODECS.failures[name]}; repair or remove its package")
     raise CodecError(f"there is no codec {name!r}; choose one of {', '.join(sorted(CODECS))}")
@@ -111,9 +115,14 @@ def codec_by_identifier(identifier: int, configuration: bytes = b"") -> Codec:
         if name not in CODECS:
             raise CodecError(f"the stream needs the codec {name!r}; install the package that brings it, or register it")
         return CODECS[name]
-    for codec in BUILT_IN.values():
+    for codec in (*BUILT_IN.values(), *PEERS.values()):
         if codec.identifier == identifier:
             return codec
+    if identifier in _REMOVED:
+        raise CodecError(
+            f"the stream has the former codec {_REMOVED[identifier]}, which only earlier versions play; encode the "
+            "recording again"
+        )
     raise CodecError(f"the stream needs codec number {identifier}, which this version lacks; update vibrocast")
 
 
@@ -358,7 +367,7 @@ class Source:
         excerpt._progress = lambda part: None
         return excerpt
 
-    def encode_rate_controlled(self, setting: Setting, policy: Policy, framing: Framing) -> CodedSignal:
+    def encode_rate_controlled(self, setting: Setting, policy: RatePolicy, framing: Framing) -> CodedSignal:
         """Code in one pass, like a live stream, with a policy that controls the rate.
 
         Raises CodecError as `encode`, and for packets longer than 4000 bytes; TargetUnreachable as

@@ -405,9 +405,7 @@ def write_profile(path: Path, stream: Stream, progress: Callable[[float], None] 
     return profile
 
 
-def write_recording(
-    path: Path, stream: Stream, sixteen_bit: bool = False, progress: Callable[[float], None] | None = None
-) -> float:
+def write_recording(path: Path, stream: Stream, progress: Callable[[float], None] | None = None) -> float:
     """Decode a stream into a file of any format that `textures.save` writes; return its full scale, as `save` does.
 
     `progress` as in `Stream.decode`. Raises StreamError for a height profile, CodecError, TextureError or OSError.
@@ -415,7 +413,7 @@ def write_recording(
     recording = stream.recording(path.stem, progress)
     with atomic_write(path) as partial:
         try:
-            return textures.save(partial, recording, sixteen_bit)
+            return textures.save(partial, recording)
         except textures.TextureError as error:
             # The message names the partial file.
             raise textures.TextureError(str(error).replace(str(partial), str(path))) from error

@@ -1,7 +1,7 @@
 """Packets coded at several quantiser offsets before one is chosen: encoders offer them, policies compare them."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, Self, cast
 
@@ -38,39 +38,36 @@ class CopyableDecoder(Decoder, Protocol):
 
 
 class Attempts:
-    """The packets of trials that are due together, coded at quantiser offsets that are common to all, each once."""
+    """The packets of a trial at its quantiser offsets, each coded once."""
 
-    def __init__(self, trials: Sequence[Trial], sent_bytes: Callable[[bytes], int]) -> None:
-        self.trials = trials
-        finest, coarsest = min(t.quantiser_offsets[0] for t in trials), max(t.quantiser_offsets[-1] for t in trials)
-        self.quantiser_offsets = range(finest, coarsest + 1)
-        self.previous = max(trial.previous for trial in trials)
+    def __init__(self, trial: Trial, sent_bytes: Callable[[bytes], int]) -> None:
+        """`sent_bytes`: returns the bytes of a packet and its frame."""
+        self.trial = trial
+        self.quantiser_offsets = trial.quantiser_offsets
         self._sent_bytes = sent_bytes
-        self._packets: dict[int, list[bytes] | None] = {}
+        self._packets: dict[int, bytes | None] = {}
 
-    def packets(self, quantiser_offset: int) -> list[bytes] | None:
-        """Return each trial's packet at the quantiser offset, or the nearest; None if one would be too long."""
+    def packet(self, quantiser_offset: int) -> bytes | None:
+        """Return the packet at a quantiser offset; None if it would be too long."""
         if quantiser_offset not in self._packets:
             try:
-                packets = [trial.packet(within(trial.quantiser_offsets, quantiser_offset)) for trial in self.trials]
+                self._packets[quantiser_offset] = self.trial.packet(quantiser_offset)
             except CodecError:
-                packets = None
-            self._packets[quantiser_offset] = packets
+                self._packets[quantiser_offset] = None
         return self._packets[quantiser_offset]
 
-    def coded(self, quantiser_offset: int) -> list[bytes]:
-        """Return the packets at a quantiser offset. Raises CodecError if one would be too long."""
-        return self.packets(quantiser_offset) or [
-            trial.packet(within(trial.quantiser_offsets, quantiser_offset)) for trial in self.trials
-        ]
+    def coded(self, quantiser_offset: int) -> bytes:
+        """Return the packet at a quantiser offset. Raises CodecError if it would be too long."""
+        packet = self.packet(quantiser_offset)
+        return self.trial.packet(quantiser_offset) if packet is None else packet
 
     def size_bytes(self, quantiser_offset: int) -> float:
-        """Return the bytes of all packets with their frames; infinity if one would be too long."""
-        packets = self.packets(quantiser_offset)
+        """Return the bytes of the packet with its frame; infinity if it would be too long."""
+        packet = self.packet(quantiser_offset)
         try:
-            return math.inf if packets is None else sum(map(self._sent_bytes, packets))
+            return math.inf if packet is None else self._sent_bytes(packet)
         except CodecError:
-            return math.inf  # no frame carries one of them
+            return math.inf  # no frame carries it
 
     def finest(self, holds: Callable[[int], bool], start: int) -> int | None:
         """Return a quantiser offset at which `holds`, and not at the next finer one; None if it holds at none.
@@ -117,27 +114,25 @@ class DecoderProbe:
         self._decoder = cast(CopyableDecoder, decoder)
 
     def quality_db(self, attempts: Attempts, quantiser_offset: int) -> float:
-        """Return the quality of the first trial's packet; infinity if it is too long to be coded."""
-        packets = attempts.packets(quantiser_offset)
-        if packets is None:
+        """Return the quality of the packet; infinity if it is too long to be coded."""
+        packet = attempts.packet(quantiser_offset)
+        if packet is None:
             return math.inf
         assert self._decoder is not None, "it has begun"
-        return self._meter.quality_db(attempts.trials[0].samples, self._decoder.copy().decode(packets[0]) / 32768)
+        return self._meter.quality_db(attempts.trial.samples, self._decoder.copy().decode(packet) / 32768)
 
     def coarsest_with(self, attempts: Attempts, quality_db: float) -> int:
         """Return the coarsest offset with the quality; the finest that can be coded if none has it."""
-        worse = attempts.finest(lambda each: self.quality_db(attempts, each) < quality_db, attempts.previous)
+        worse = attempts.finest(lambda each: self.quality_db(attempts, each) < quality_db, attempts.trial.previous)
         quantiser_offset = (
             attempts.quantiser_offsets[-1] if worse is None else within(attempts.quantiser_offsets, worse - 1)
         )
-        if attempts.packets(quantiser_offset) is not None:
+        if attempts.packet(quantiser_offset) is not None:
             return quantiser_offset
-        codable = attempts.finest(lambda each: attempts.packets(each) is not None, quantiser_offset)
+        codable = attempts.finest(lambda each: attempts.packet(each) is not None, quantiser_offset)
         return attempts.quantiser_offsets[-1] if codable is None else codable
 
     def update(self, attempts: Attempts, quantiser_offset: int) -> None:
         """Decode the packet that was chosen."""
         assert self._decoder is not None, "it has begun"
-        self._meter.update(
-            attempts.trials[0].samples, self._decoder.decode(attempts.coded(quantiser_offset)[0]) / 32768
-        )
+        self._meter.update(attempts.trial.samples, self._decoder.decode(attempts.coded(quantiser_offset)) / 32768)

@@ -24,9 +24,9 @@ class Journal:
     A line that is torn, or damaged, is as good as none: that cell is measured again.
     """
 
-    def __init__(self, path: Path, fresh: bool = False) -> None:
-        """Open or begin a journal; `fresh` forgets its cells. Raises OSError."""
-        held = b"" if fresh or not path.exists() else path.read_bytes()
+    def __init__(self, path: Path) -> None:
+        """Open or begin a journal. Raises OSError."""
+        held = path.read_bytes() if path.exists() else b""
         whole = held[: held.rfind(b"\n") + 1]
         self._measured = dict(filter(None, map(_journal_entry, whole.splitlines())))
         # To append, so that two benchmarks of one folder do not write over each other's lines.

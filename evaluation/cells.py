@@ -17,6 +17,7 @@ from vibrocast.codec.stream import Stream, as_stream
 from vibrocast.codec.timing import time_coding
 from vibrocast.device_protocol import coded_stream
 from vibrocast.evaluation import cost, external, trained
+from vibrocast.evaluation.peers import measured_codecs
 from vibrocast.evaluation.points import MEASURED, PROGRAM, Point, Timing
 from vibrocast.firmware import native_core
 from vibrocast.models import Model
@@ -24,6 +25,8 @@ from vibrocast.workers import digest_of, program_version
 
 DECIMALS = 6
 """Of a quality, so that the arithmetic of another machine gives the same file."""
+
+_OWN = {*codec.BUILT_IN, *codec.PEERS}
 
 
 class BenchError(ValueError):
@@ -85,7 +88,7 @@ class Cell:
         signal_format = recording.samples.shape, recording.rate_hz, recording.unit
         model = self.model and (self.model.name, trained.digest(self.model))
         coder = self.method.coder
-        source = "" if isinstance(coder, external.Program) or coder in codec.BUILT_IN else _other_packages()
+        source = "" if isinstance(coder, external.Program) or coder in _OWN else _other_packages()
         work = self.method.name, coder, source, self.setting, model, self.repeats
         digest.update(repr((self.trace, signal_format, work, program_version(), _core())).encode())
         return digest.hexdigest()
@@ -177,12 +180,12 @@ def methods(
             known.name,
             rate_point_set in known.physical_rate_point_sets and rate_point_set not in names,
         )
-        for known in codec.CODECS.values()
+        for known in measured_codecs().values()
         if not known.needs_model
         for rate_point_set, settings in known.rate_point_sets.items()
         if rate_point_set not in known.named_rate_point_sets or rate_point_set in names
     ]
-    taken = {*codec.CODECS, *(method.name for method in of_codecs)}
+    taken = {*measured_codecs(), *(method.name for method in of_codecs)}
     every = [*of_codecs, *families(models)]
     for kind, own in (("family of models", every[len(of_codecs) :]), ("program", programs)):
         for each in own:
@@ -193,10 +196,10 @@ def methods(
             taken.add(each.name)
     coders = {method.coder for method in every}
     for name in sorted(names):
-        if name in codec.CODECS and name not in coders:
+        if name in measured_codecs() and name not in coders:
             raise BenchError(f"the codec {name} needs a model, and there is none; give a folder of models: --models")
         if name not in {*coders, *(method.name for method in every)}:
-            known_names = sorted({*codec.CODECS, *(method.name for method in every)})
+            known_names = sorted({*measured_codecs(), *(method.name for method in every)})
             raise BenchError(f"there is no codec or set of rate points {name!r}; choose from {', '.join(known_names)}")
     chosen = [method for method in every if not names or method.name in names or method.coder in names]
     return [*chosen, *(Method(program.name, program.settings, program) for program in programs)]

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from vibrocast import codec as codecs
 from vibrocast.evaluation.bd_rate import (
     PSNR,
     SCALES,
@@ -30,7 +29,7 @@ from vibrocast.evaluation.bd_rate import (
 )
 from vibrocast.evaluation.cost import CodecCost
 from vibrocast.evaluation.kinds import TraceKind
-from vibrocast.evaluation.peers import named
+from vibrocast.evaluation.peers import measured_codecs, named
 from vibrocast.evaluation.points import IMPORTED, MEASURED, Failure, Point, Timing, by_codec_and_trace
 from vibrocast.evaluation.speed import BITS_PER_SAMPLE, RATES, Speed
 from vibrocast.evaluation.tables import as_rows, columns, frame, grouped
@@ -192,7 +191,7 @@ class Measurements:
         """Return the codec whose set of rate points or family of models a curve is; "" for others' curves."""
         owners = [cost.coder for cost in self.costs if cost.codec == codec and cost.coder]
         return next(
-            iter([*owners, *(name for name, known in codecs.CODECS.items() if codec in known.rate_point_sets)]), ""
+            iter([*owners, *(name for name, known in measured_codecs().items() if codec in known.rate_point_sets)]), ""
         )
 
     @cached_property
@@ -552,7 +551,7 @@ def at_needed_snr(measurements: Measurements) -> pl.DataFrame:
     rate_hz = rates_hz[0] if len(rates_hz) == 1 else None
     found = []
     for codec, bits in reached.items():
-        peer, owner, delay_ms = named(codec), codecs.CODECS.get(measurements.owner(codec)), measured_ms[codec]
+        peer, owner, delay_ms = named(codec), measured_codecs().get(measurements.owner(codec)), measured_ms[codec]
         software = peer.software or (owner.summary if owner else "")
         delay_from = "" if delay_ms[0] is None else "measured"
         if not delay_from and rate_hz and peer.delay_samples:

@@ -12,6 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
+import vibrocast.evaluation.ffmpeg_codecs  # noqa: F401 - adds to codec.PEERS, in each process that measures
 from vibrocast import codec
 from vibrocast.codec import Framing, Setting, SignalFormat
 from vibrocast.evaluation import trained

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from vibrocast import codec as codecs
 from vibrocast.evaluation.points import read_rows
 
 TABLE = Path(__file__).parent / "data" / "peers.csv"
@@ -27,6 +28,11 @@ class Peer:
 def peers() -> dict[str, Peer]:
     """Return the known codecs of other projects by label."""
     return {peer.codec: peer for peer in read_rows(TABLE, Peer)}
+
+
+def measured_codecs() -> dict[str, codecs.Codec]:
+    """Return every codec that a benchmark measures, by name: those that controllers decode, then those of FFmpeg."""
+    return {**codecs.CODECS, **codecs.PEERS}
 
 
 def named(codec: str) -> Peer:

@@ -9,12 +9,11 @@ from typing import Any
 import click
 import polars as pl
 
-from vibrocast import codec as codecs
 from vibrocast import pages
 from vibrocast.evaluation import bd_rate, charts, comparison, learned_page, speed
 from vibrocast.evaluation.bd_rate import PSNR, SCALES, SNR, SPQI, ST_SIM_2800, ST_SIM_8000, Scale
 from vibrocast.evaluation.comparison import LEARNED_SCALES, PAPER_SCALES, TABLES, TIMES, Measurements
-from vibrocast.evaluation.peers import named, peers
+from vibrocast.evaluation.peers import measured_codecs, named, peers
 from vibrocast.evaluation.points import IMPORTED, MEASURED, PROGRAM, PointsError, read_row, read_rows, write_rows
 from vibrocast.evaluation.tables import as_rows, by_codec, grouped, write_table
 from vibrocast.pages import listed
@@ -123,7 +122,7 @@ def read_held_out(folder: Path) -> list[HeldOut]:
 def _head(folder: Path, measurements: Measurements) -> dict[str, Any]:
     """Return the values of the page besides message, tables and charts."""
     summaries = []
-    for known in codecs.CODECS.values():
+    for known in measured_codecs().values():
         if curves := [codec for codec in measurements.curves if measurements.owner(codec) == known.name]:
             summaries.append((curves, known.summary))
     by_source = {

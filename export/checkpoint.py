@@ -10,10 +10,8 @@ from typing import Any
 import torch
 from torch import nn
 
-from vibrocast.codec.mdct import HOPS
 from vibrocast.export.eva import Eva, EvaShape
-from vibrocast.export.lapped import Lapped
-from vibrocast.export.priors import ContextPrior, FactorisedPrior
+from vibrocast.export.priors import FactorisedPrior
 from vibrocast.files import atomic_write
 
 FORMAT, VERSION = "vibrocast-eva", 2
@@ -31,29 +29,23 @@ class ModelError(ValueError):
 class Checkpoint:
     """A model with its prior and its history.
 
-    `model`, `prior`: Eva and FactorisedPrior; or Lapped, and a ContextPrior for each hop. `training`: the
-    configuration, as plain tables. `progress`: `step` and `seconds` so far. `curves`: a record for each validation, see
-    export.training. `optimiser`: the state of Adam, from which a training resumes.
+    `training`: the configuration, as plain tables. `progress`: `step` and `seconds` so far. `curves`: a record for each
+    validation, see export.training. `optimiser`: the state of Adam, from which a training resumes.
     """
 
-    model: Eva | Lapped
-    prior: FactorisedPrior | nn.ModuleList
+    model: Eva
+    prior: FactorisedPrior
     training: dict[str, Any]
     progress: dict[str, Any] = field(default_factory=dict)
     curves: list[dict[str, Any]] = field(default_factory=list)
     optimiser: dict[str, Any] | None = None
-
-    @property
-    def shape(self) -> EvaShape | None:
-        """The shape of an EVA; None for Lapped, which has only one."""
-        return self.model.shape if isinstance(self.model, Eva) else None
 
     def save(self, path: Path) -> None:
         """Write the checkpoint, completely or not at all. Raises OSError."""
         content = {
             "format": FORMAT,
             "version": VERSION,
-            "shape": self.shape and self.shape.as_dict(),
+            "shape": self.model.shape.as_dict(),
             "model": self.model.state_dict(),
             "prior": self.prior.state_dict(),
             "training": self.training,
@@ -102,7 +94,8 @@ def _parsed(content: Any) -> Checkpoint:
             f"a checkpoint of version {content.get('version')!r}, and this program reads {VERSION}; train the "
             "model again, or use the program that wrote it"
         )
-    model, prior = _untrained(content.get("shape"))
+    model = Eva(_shape(content.get("shape")))
+    prior = FactorisedPrior(model.shape.latents)
     _fill(model, content.get("model"), "model")
     _fill(prior, content.get("prior"), "prior")
     curves, optimiser = content.get("curves"), content.get("optimiser")
@@ -114,14 +107,6 @@ def _parsed(content: Any) -> Checkpoint:
     if not _has_numbers(progress, *_REACHED):
         raise ModelError("it does not state the step of its training; train the model again")
     return Checkpoint(model.eval(), prior.eval(), training, progress, curves, optimiser)
-
-
-def _untrained(shape: Any) -> tuple[Eva | Lapped, FactorisedPrior | nn.ModuleList]:
-    """Return an untrained model of the stored shape, and its prior; None is the shape of Lapped."""
-    if shape is None:
-        return Lapped(), nn.ModuleList(map(ContextPrior, HOPS))
-    eva = Eva(_shape(shape))
-    return eva, FactorisedPrior(eva.shape.latents)
 
 
 def _shape(stored: Any) -> EvaShape:

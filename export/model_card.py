@@ -20,7 +20,6 @@ from vibrocast.codec.timing import cpu_name, time_coding
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.export import configuration
 from vibrocast.export.checkpoint import Checkpoint
-from vibrocast.export.eva import Eva
 from vibrocast.export.package import Package
 from vibrocast.export.pruning import changed
 from vibrocast.export.training_data import Trace
@@ -44,7 +43,6 @@ def made(
     `trained`, `held_back`: the traces of its training's data. `commands`: how it was trained, and how exported.
     `progress` is called with the part done. Raises CodecError.
     """
-    assert checkpoint.shape is not None and isinstance(checkpoint.model, Eva), "a package is of an EVA"
     rate_hz = checkpoint.training["training"]["rate_hz"]
     recordings = recordings_of(held_back, rate_hz)
     return {
@@ -52,13 +50,13 @@ def made(
         "version": package.version,
         "codec": "eva",
         "family": package.family,
-        "shape": checkpoint.shape.as_dict(),
+        "shape": checkpoint.model.shape.as_dict(),
         "living_latents": len(package.living),
         "held_back_changed": changed(
             checkpoint.model, package.living, checkpoint.training["training"]["dead_zone"], recordings
         ),
         "prior": package.prior,
-        "training": training_of(checkpoint, trained, held_back, commands[0]),
+        "training": _training(checkpoint, trained, held_back, commands[0]),
         "export": {
             "command": commands[1],
             "image_holds": package.contents,
@@ -94,7 +92,7 @@ def as_markdown(card: Mapping[str, Any]) -> str:
     )
 
 
-def training_of(
+def _training(
     checkpoint: Checkpoint, trained: Sequence[Trace], held_back: Sequence[Trace], command: str
 ) -> dict[str, Any]:
     """Return a card's values of a training, given the recordings of its data and the command that ran it."""

@@ -14,9 +14,7 @@ from vibrocast.codec.interface import Signal
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.export.checkpoint import Checkpoint
 from vibrocast.export.configuration import parsed
-from vibrocast.export.eva import Eva
 from vibrocast.export.graphs import Graphs, graphs_of
-from vibrocast.export.priors import FactorisedPrior
 from vibrocast.export.pruning import living_latents, pruned
 from vibrocast.export.quantise import quantise
 
@@ -65,7 +63,6 @@ def make(
     `signals`: float64 (n,) of its training, as for `quantise`. `prior`: whether its probabilities adapt to a
     stream. Raises GraphError, ModelError or ModelImageError for a model that cannot be used.
     """
-    assert isinstance(checkpoint.model, Eva) and isinstance(checkpoint.prior, FactorisedPrior)
     dead_zone = parsed(checkpoint.training).training.dead_zone
     living = living_latents(checkpoint.model, dead_zone, signals)
     model, model_prior = pruned(checkpoint.model, checkpoint.prior, living, dead_zone)

@@ -6,12 +6,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 _MIN_PROBABILITY = 2.0**-16
-_NEIGHBOURS = 2
-_COLUMNS = 3
-_AVERAGED_COLUMNS = 24
-_AVERAGE_FORGETS = 1 / 8
-_ESTIMATES = 4
-_MIN_SCALE = 0.02
+MIN_SCALE = 0.02
 
 
 class FactorisedPrior(nn.Module):
@@ -55,57 +50,6 @@ class FactorisedPrior(nn.Module):
         return -torch.log2(probability.clamp(min=_MIN_PROBABILITY)).reshape(channels_first).transpose(0, 1)
 
 
-class ContextPrior(nn.Module):
-    """A Laplace density whose scale follows earlier magnitudes: a differentiable stand-in for adaptive coding.
-
-    Four weighted sums of neighbouring magnitudes - two lower channels of this column, five channels of the last three,
-    and a running average - each plus a constant, are combined as powers, with weights for each channel. The sums start
-    as the expected magnitude of firmware/src/core/vc_mdct_model.c.
-    """
-
-    def __init__(self, latents: int) -> None:
-        super().__init__()
-        # Channels k - 2 to k + 2 by columns t - 3 to t, of magnitudes and of their running average.
-        expected = torch.zeros(2, 2 * _NEIGHBOURS + 1, _COLUMNS + 1)
-        expected[0, :, 3] = torch.tensor([8.0, 28.0, 0.0, 0.0, 0.0])
-        expected[0, :, 2] = torch.tensor([1.0, 6.0, 21.0, 18.0, 2.0])
-        expected[0, :, 1] = torch.tensor([1.0, 1.0, 12.0, 3.0, 1.0])
-        expected[0, :, 0] = torch.tensor([1.0, 1.0, 3.0, 1.0, 1.0])
-        expected[1, :, 3] = torch.tensor([1.0, 2.0, 26.0, 2.0, 1.0])
-        spread = torch.tensor([0.25, 0.5, 1.0, 2.0])[:, None, None, None]
-        known = (expected > 0).float()
-        self.register_buffer("known", known, persistent=False)
-        self.root_weight = nn.Parameter(torch.sqrt((expected / 128) ** spread * known))
-        self.root_constant = nn.Parameter(torch.full((_ESTIMATES,), 0.4))
-        self.power = nn.Parameter(torch.tensor([0.1, 0.2, 0.6, 0.1])[:, None].repeat(1, latents))
-        self.offset = nn.Parameter(torch.zeros(latents))
-        self.step_power = nn.Parameter(torch.zeros(latents))
-        average = _AVERAGE_FORGETS * (1 - _AVERAGE_FORGETS) ** torch.arange(_AVERAGED_COLUMNS - 1, -1, -1)
-        self.register_buffer("average", average[None, None], persistent=False)
-
-    def scales(self, contexts: Tensor, steps: Tensor) -> Tensor:
-        """Return the expected magnitudes, in steps, of latents (batch, channels, columns) before they are known."""
-        columns = contexts.shape[2]
-        magnitudes = torch.abs(contexts)
-        earlier = nn.functional.pad(magnitudes.reshape(-1, 1, columns), (_AVERAGED_COLUMNS, -1))
-        average = nn.functional.conv1d(earlier, self.get_buffer("average")).reshape(magnitudes.shape)
-        both = nn.functional.pad(torch.stack([magnitudes, average], 1), (_COLUMNS, 0, _NEIGHBOURS, _NEIGHBOURS))
-        weight = self.root_weight**2 * self.get_buffer("known")
-        sums = torch.log(nn.functional.conv2d(both, weight, self.root_constant**2 + 1e-3))
-        exponent = torch.einsum("bekt,ek->bkt", sums, self.power)
-        exponent = exponent + (self.offset + self.step_power * torch.log(steps[:, :, 0]))[:, :, None]
-        return torch.exp(exponent.clamp(max=20.0)) + _MIN_SCALE
-
-    def bits(self, values: Tensor, contexts: Tensor, steps: Tensor) -> Tensor:
-        """Return the bits of each of `values`, in steps, given the latents before it: all (batch, latents, columns).
-
-        `contexts`: the rounded latents, in steps. When a latent is coded, those of its column's lower channels and of
-        all earlier columns are known. `steps`: (batch, latents, 1). In training `values` hold noise in place of
-        rounding.
-        """
-        return laplace_bits(values, self.scales(contexts, steps))
-
-
 def laplace_bits(values: Tensor, scale: Tensor) -> Tensor:
     """Return the bits of each of `values`: those of its bin of width 1 under a Laplace density of a mean magnitude."""
     magnitude = torch.abs(values)
@@ -123,7 +67,7 @@ def adaptive_bits(values: Tensor, rounded: Tensor) -> Tensor:
     with the mean magnitude of its `rounded` latents. In training `values` hold noise in place of rounding.
     """
     through = values + (rounded - values).detach()
-    return laplace_bits(values, torch.abs(through).mean(dim=2, keepdim=True) + _MIN_SCALE)
+    return laplace_bits(values, torch.abs(through).mean(dim=2, keepdim=True) + MIN_SCALE)
 
 
 def probabilities(prior: FactorisedPrior, limit: int) -> NDArray[np.float64]:

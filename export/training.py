@@ -2,7 +2,6 @@
 
 import math
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -11,15 +10,13 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from vibrocast.codec.mdct import HOPS
 from vibrocast.codec.threshold import read_threshold, threshold_amplitude
-from vibrocast.export import lapped, training_data
+from vibrocast.export import training_data
 from vibrocast.export.checkpoint import Checkpoint, ModelError, load
 from vibrocast.export.configuration import Augmentation, Configuration
 from vibrocast.export.eva import REACH_SAMPLES, DeadZone, Eva, EvaShape
-from vibrocast.export.lapped import Lapped, Window
 from vibrocast.export.lapped_start import start_lapped
-from vibrocast.export.priors import ContextPrior, FactorisedPrior, adaptive_bits
+from vibrocast.export.priors import FactorisedPrior, adaptive_bits
 from vibrocast.export.training_data import Excerpts
 
 CHECKPOINT = "checkpoint.pt"
@@ -28,12 +25,6 @@ LOGGED = ("training_loss", "loss", "bits_per_sample", "snr_db")
 _EXPLODED = 100.0
 """Multiple of the mean loss that no batch reaches in a training that goes well."""
 _LAST_LEARNING_RATE = 0.02
-_LOG2_STEPS = (-2.0, 2.0)
-"""Quantiser steps of `lapped`, relative to the RMS value: about 24 dB down to 3 dB of SNR."""
-_QUIET = 0.15
-"""Bits per sample, so that excerpts of almost no bits do not outweigh all others."""
-_INDIFFERENCE = 0.02
-"""Difference of the loss, 2 %, below which hops learn from an excerpt to a similar degree."""
 _UNVARIED = Augmentation(gain_db=0, rate_octaves=0, polarity=False, tilt_db_per_octave=0, filter_share=0, noise_share=0)
 
 
@@ -96,13 +87,7 @@ class Perception:
 
 
 class Training:
-    """A training of EVA in progress: model, prior, optimiser and data.
-
-    Trainings of other models have another `_begin`, `_measure` and `_reach_samples`: the samples at the ends that lack
-    blocks.
-    """
-
-    _reach_samples = REACH_SAMPLES
+    """A training of EVA in progress: model, prior, optimiser and data."""
 
     def __init__(self, configuration: Configuration, data_folder: Path, device: torch.device) -> None:
         """Load the data and make a model. Raises TextureError for data that cannot be used."""
@@ -115,15 +100,16 @@ class Training:
         )
         unseen = Excerpts(held_back, schedule.excerpt_samples, schedule.rate_hz, _UNVARIED, configuration.seed)
         self._validation = self._signals(unseen.batch(0, schedule.validation_excerpts))
-        inner_samples = schedule.excerpt_samples - 2 * self._reach_samples
+        inner_samples = schedule.excerpt_samples - 2 * REACH_SAMPLES
         self._perception = Perception(schedule.distortion, schedule.rate_hz, inner_samples, device)
         torch.manual_seed(configuration.seed)
-        model, prior = self._begin()
+        choice = configuration.model
+        model = Eva(EvaShape(choice.width, choice.width))
+        if choice.start == "lapped":
+            start_lapped(model, choice.lambda_)
+        prior = FactorisedPrior(choice.width)
         self.state = Checkpoint(
-            model.to(device),
-            prior.to(device),
-            configuration.as_dict(),
-            {"step": 0, "seconds": 0.0},
+            model.to(device), prior.to(device), configuration.as_dict(), {"step": 0, "seconds": 0.0}
         )
         self._begin_optimiser()
 
@@ -135,7 +121,7 @@ class Training:
         names = sorted({*ours, *state.training} - {"training"})
         if other := [name for name in names if state.training.get(name) != ours.get(name)]:
             raise ModelError(f"{path}: was trained with another {other[0]}; choose another --out, or undo the change")
-        if state.shape != self.state.shape or state.optimiser is None:
+        if state.model.shape != self.state.model.shape or state.optimiser is None:
             raise ModelError(f"{path}: not a checkpoint of this training; choose another --out")
         state.model.to(self._device)
         state.prior.to(self._device)
@@ -177,15 +163,6 @@ class Training:
                 self.state.optimiser = self._optimiser.state_dict()
                 self.state.save(out / CHECKPOINT)
 
-    def _begin(self) -> tuple[Eva | Lapped, FactorisedPrior | nn.ModuleList]:
-        """Return an untrained model and its prior."""
-        choice = self.configuration.model
-        assert choice.lambda_ is not None
-        model = Eva(EvaShape(choice.width, choice.width))
-        if choice.start == "lapped":
-            start_lapped(model, choice.lambda_)
-        return model, FactorisedPrior(choice.width)
-
     def _begin_optimiser(self) -> None:
         self._parameters = [*self.state.model.parameters(), *self.state.prior.parameters()]
         self._optimiser = torch.optim.Adam(self._parameters, lr=self._schedule.learning_rate)
@@ -223,12 +200,11 @@ class Training:
 
     def _measure(self, signals: Tensor, generator: torch.Generator | None) -> Measured:
         """Code signals (batch, 1, n): with plain rounding or, with a generator, as in training."""
-        model, prior, weight = self.state.model, self.state.prior, self.configuration.model.lambda_
-        assert isinstance(model, Eva) and isinstance(prior, FactorisedPrior) and weight is not None
+        model, prior = self.state.model, self.state.prior
         values, used, rounded = self._quantised(model.analysis(signals), generator)
         bits = self._bits(values, rounded).sum(dim=(1, 2)) / signals.shape[-1]
         error = self._inner(model.synthesis(used) - signals)
-        loss = bits + weight * self._perception.mean_square(error)
+        loss = bits + self.configuration.model.lambda_ * self._perception.mean_square(error)
         if generator is not None and self._schedule.cost != "static":
             # The prior, where the coder starts, still learns; this changes no other gradient, and not the loss.
             of_prior = prior.bits(values.detach()).sum(dim=(1, 2)) / signals.shape[-1]
@@ -237,7 +213,6 @@ class Training:
 
     def _bits(self, values: Tensor, rounded: Tensor) -> Tensor:
         """Return the bits of each latent, by the cost of the configuration."""
-        assert isinstance(self.state.prior, FactorisedPrior)
         return self.state.prior.bits(values) if self._schedule.cost == "static" else adaptive_bits(values, rounded)
 
     def _quantised(self, latents: Tensor, generator: torch.Generator | None) -> tuple[Tensor, Tensor, Tensor]:
@@ -246,18 +221,13 @@ class Training:
         Without a generator they are the same. With one, as in training, the first and perhaps the second hold noise in
         place of rounding.
         """
-        latents = self._narrowed(latents)
+        latents = DeadZone(latents.shape[1], self._schedule.dead_zone)(latents)
         rounded = torch.round(latents).detach()
         if generator is None:
             return rounded, rounded, rounded
         noisy = latents + torch.rand(latents.shape, generator=generator).to(self._device) - 0.5
         straight_through = self._schedule.rounding == "straight-through"
         return noisy, latents + (rounded - latents).detach() if straight_through else noisy, rounded
-
-    def _narrowed(self, latents: Tensor) -> Tensor:
-        """Return latents with a wider bin of zero."""
-        narrowed: Tensor = DeadZone(latents.shape[1], self._schedule.dead_zone)(latents)
-        return narrowed
 
     def _validate(self, training_loss: float) -> None:
         """Code the held-back materials, and add the result to the curves."""
@@ -283,61 +253,12 @@ class Training:
 
     def _inner(self, signals: Tensor) -> Tensor:
         """Return signals (batch, 1, n) without their ends, which lack blocks that a stream has."""
-        return signals[..., self._reach_samples : -self._reach_samples]
+        return signals[..., REACH_SAMPLES:-REACH_SAMPLES]
 
     def _mean_snr_db(self, signals: Tensor, measured: Measured) -> float:
         with torch.no_grad():
             power = torch.mean(self._inner(signals) ** 2, dim=(1, 2)).clamp(min=1e-12)
             return (10 * torch.log10(power / measured.squared_error.clamp(min=1e-12))).mean().item()
-
-
-class LappedTraining(Training):
-    """A training of `lapped`: every excerpt, at a random step, mostly with the hops that its file would take."""
-
-    _reach_samples = lapped.REACH_SAMPLES
-
-    def _begin(self) -> tuple[Eva | Lapped, FactorisedPrior | nn.ModuleList]:
-        return Lapped(), nn.ModuleList(map(ContextPrior, HOPS))
-
-    def _measure(self, signals: Tensor, generator: torch.Generator | None) -> Measured:
-        """Return each excerpt's loss, bits and squared error at its best hop; the loss is a logarithm.
-
-        At a step s the slope of squared error over bits is 2 ln(2) s^2 / 12, which fixes lambda: Gish and Pierce,
-        "Asymptotically efficient quantizing", 1968. In training, a hop learns more from an excerpt if its loss is
-        nearer to that of the best hop.
-        """
-        count, (finest, coarsest) = len(signals), _LOG2_STEPS
-        part = torch.linspace(0, 1, count) if generator is None else torch.rand(count, generator=generator)
-        steps = torch.exp2(finest + (coarsest - finest) * part).to(self._device)
-        weight = 12 / (2 * math.log(2) * steps**2)
-        bits, squared_errors = map(torch.stack, zip(*self._by_hop(signals, steps, generator), strict=True))
-        losses = torch.log1p((bits + weight * squared_errors) / _QUIET)
-        best = losses.argmin(0, keepdim=True)
-        loss = losses.gather(0, best)[0]
-        if generator is not None:
-            loss = (torch.softmax(-losses.detach() / _INDIFFERENCE, 0) * losses).sum(0)
-        return Measured(loss, bits.gather(0, best)[0], squared_errors.gather(0, best)[0])
-
-    def _narrowed(self, latents: Tensor) -> Tensor:
-        """Shrink all magnitudes alike, as in the training of the windows that ship."""
-        return torch.sign(latents) * nn.functional.relu(torch.abs(latents) - self._schedule.dead_zone)
-
-    def _by_hop(
-        self, signals: Tensor, steps: Tensor, generator: torch.Generator | None
-    ) -> Iterator[tuple[Tensor, Tensor]]:
-        """Yield bits per sample and mean squared error of each excerpt (batch,) at every hop."""
-        model, priors, step = self.state.model, self.state.prior, steps[:, None, None]
-        assert isinstance(model, Lapped) and isinstance(priors, nn.ModuleList)
-        for window, prior in zip(model.windows, priors, strict=True):
-            assert isinstance(window, Window) and isinstance(prior, ContextPrior)
-            matrix = window.matrix()
-            values, used, rounded = self._quantised(lapped.analysed(signals, matrix) / step, generator)
-            bits = prior.bits(values, rounded, step.expand(-1, window.hop, -1)).mean(dim=(1, 2))
-            error = self._inner(lapped.synthesised(used * step, matrix) - signals)
-            yield bits, self._perception.mean_square(error)
-
-
-_TRAININGS = {"eva": Training, "lapped": LappedTraining}
 
 
 def train(
@@ -354,7 +275,7 @@ def train(
     if threads:
         torch.set_num_threads(threads)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    training = _TRAININGS[configuration.model.kind](configuration, data_folder, device)
+    training = Training(configuration, data_folder, device)
     if checkpoint.exists():
         training.resume(checkpoint)
     out.mkdir(parents=True, exist_ok=True)

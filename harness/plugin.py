@@ -16,7 +16,7 @@ import pytest
 
 if TYPE_CHECKING:
     from vibrocast.device_protocol.messages import ImageDescription
-    from vibrocast.harness.faulty_transport import FaultyTransport
+    from vibrocast.harness.faulty_transport import TimedTransport
     from vibrocast.harness.latency import Latency
     from vibrocast.harness.live_run import LiveRun
     from vibrocast.host.bench_file import Bench
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from vibrocast.host.controller import Controller
     from vibrocast.host.hand_playback import Stroke
     from vibrocast.host.playback import Member, Outcome
-    from vibrocast.output.actuator import Actuator
     from vibrocast.textures import Recording
 
 
@@ -175,13 +174,13 @@ def _vibrocast_kept(request: pytest.FixtureRequest) -> _Kept:
 @pytest.fixture
 def vibrocast_wire(
     pytestconfig: pytest.Config, vibrocast_bench: Bench, _vibrocast_kept: _Kept
-) -> Iterator[FaultyTransport]:
+) -> Iterator[TimedTransport]:
     """The way to the controller under test; `damage` and `pull_cable` break it."""
     import contextlib
     import time
 
     from vibrocast.device_protocol.transports import TransportError
-    from vibrocast.harness.faulty_transport import FaultyTransport
+    from vibrocast.harness.faulty_transport import TimedTransport
     from vibrocast.host import devices
     from vibrocast.host.tracing import tracer
 
@@ -192,7 +191,7 @@ def vibrocast_wire(
         while True:
             try:
                 way = devices.reach(first.address, actuator=vibrocast_bench.actuator(first.name))
-                transport = FaultyTransport(stack.enter_context(way))
+                transport = TimedTransport(stack.enter_context(way))
                 break
             except TransportError as error:
                 if time.monotonic() >= until_s:
@@ -207,7 +206,7 @@ def vibrocast_wire(
 
 
 @pytest.fixture
-def vibrocast_device(vibrocast_bench: Bench, vibrocast_wire: FaultyTransport) -> Iterator[Controller]:
+def vibrocast_device(vibrocast_bench: Bench, vibrocast_wire: TimedTransport) -> Iterator[Controller]:
     """A session with the controller under test. Its output is brought to rest after the test."""
     import contextlib
 
@@ -267,22 +266,14 @@ def vibrocast_power_cycle(vibrocast_bench: Bench, vibrocast_device: Controller) 
 
 
 @pytest.fixture
-def vibrocast_actuator(vibrocast_bench: Bench, vibrocast_device: Controller) -> Actuator:
-    """The model of the actuator on the controller's first channel: from the bench file, or from the controller."""
-    from vibrocast.host.bench_file import actuator_of
-
-    return actuator_of(vibrocast_bench, vibrocast_bench.first, vibrocast_device.description.actuator)
-
-
-@pytest.fixture
-def _vibrocast_member(vibrocast_bench: Bench, vibrocast_device: Controller, vibrocast_actuator: Actuator) -> Member:
-    """The controller under test, with the models of its actuator."""
-    from vibrocast.host.bench_file import driven_actuator
+def _vibrocast_member(vibrocast_bench: Bench, vibrocast_device: Controller) -> Member:
+    """The controller under test, with the models of its actuator: from the bench file, or from the controller."""
+    from vibrocast.host.bench_file import actuator_of, driven_actuator
     from vibrocast.host.playback import Member
 
-    first = vibrocast_bench.first
-    driven = driven_actuator(vibrocast_bench, first, vibrocast_device.description.actuator)
-    return Member(vibrocast_device, first.address, driven, vibrocast_actuator)
+    first, described = vibrocast_bench.first, vibrocast_device.description.actuator
+    driven = driven_actuator(vibrocast_bench, first, described)
+    return Member(vibrocast_device, first.address, driven, actuator_of(vibrocast_bench, first, described))
 
 
 @pytest.fixture
@@ -346,9 +337,7 @@ def vibrocast_live(vibrocast_bench: Bench, _vibrocast_member: Member) -> Callabl
 
 
 @pytest.fixture
-def vibrocast_latency(
-    vibrocast_bench: Bench, vibrocast_device: Controller, vibrocast_actuator: Actuator
-) -> Callable[..., Latency]:
+def vibrocast_latency(vibrocast_bench: Bench, _vibrocast_member: Member) -> Callable[..., Latency]:
     """A function that measures the latency of a live texture: `vibrocast_latency(texture, seconds=4.0)`.
 
     It returns a `vibrocast.harness.Latency`. The test fails where it misses limits of the bench file, or the
@@ -360,7 +349,8 @@ def vibrocast_latency(
     from vibrocast.harness.results import judged_latency
 
     def measure(texture: Recording, **options: Any) -> Latency:
-        latency = measure_latency(vibrocast_device, vibrocast_actuator, texture, **options)
+        assert _vibrocast_member.skin_model is not None, "a fixture has made it"
+        latency = measure_latency(_vibrocast_member.controller, _vibrocast_member.skin_model, texture, **options)
         _judge(vibrocast_bench, judged_latency(asdict(latency)), latency.stable and not latency.as_sent)
         return latency
 
@@ -384,9 +374,7 @@ def vibrocast_flash(vibrocast_device: Controller) -> Iterator[Callable[[bytes], 
 
 
 @pytest.fixture
-def vibrocast_stroke(
-    vibrocast_bench: Bench, vibrocast_device: Controller, vibrocast_actuator: Actuator
-) -> Callable[..., Stroke]:
+def vibrocast_stroke(vibrocast_bench: Bench, _vibrocast_member: Member) -> Callable[..., Stroke]:
     """A function that plays a height profile under a hand that strokes there and back.
 
     `vibrocast_stroke(profile, stroke_mm=10.0, hand_speed_mm_s=50.0, strokes=1, **options)`; the options are those of
@@ -395,12 +383,6 @@ def vibrocast_stroke(
     """
     from vibrocast.codec import profiles
     from vibrocast.host import hand_playback as position_playback
-    from vibrocast.host import playback as end_to_end
-    from vibrocast.host.bench_file import driven_actuator
-
-    first = vibrocast_bench.first
-    driven = driven_actuator(vibrocast_bench, first, vibrocast_device.description.actuator)
-    member = end_to_end.Member(vibrocast_device, first.address, driven, vibrocast_actuator)
 
     def stroke(
         profile: Recording,
@@ -412,18 +394,12 @@ def vibrocast_stroke(
         encoding = profiles.encode(profile, **options)
         movement = position_playback.back_and_forth(stroke_mm, hand_speed_mm_s, strokes)
         played = position_playback.play_and_compare(
-            member, profile.name, encoding.stream, movement, encoding.recording, vibrocast_bench.sha256
+            _vibrocast_member, profile.name, encoding.stream, movement, encoding.recording, vibrocast_bench.sha256
         )
         _judge(vibrocast_bench, played.report.judged())
         return played
 
     return stroke
-
-
-@pytest.fixture(scope="session")
-def vibrocast_scene(vibrocast_bench: Bench) -> tuple[Recording, ...]:
-    """The textures of the bench file; a generated one without a bench file."""
-    return vibrocast_bench.scene()
 
 
 @pytest.fixture

@@ -20,10 +20,10 @@ _HEADERS = {
 
 
 @contextlib.contextmanager
-def wire_page(document: Callable[[], dict[str, Any]], port: int = 0) -> Iterator[str]:
-    """Serve the page while the block lasts; yield its address. `document`: the content, from any thread.
+def wire_page(document: Callable[[], dict[str, Any]]) -> Iterator[str]:
+    """Serve the page at a free port while the block lasts; yield its address.
 
-    `port`: 0 = a free one. Raises OSError where it is taken.
+    `document`: the content, from any thread.
     """
 
     class Handler(BaseHTTPRequestHandler):
@@ -51,12 +51,7 @@ def wire_page(document: Callable[[], dict[str, Any]], port: int = 0) -> Iterator
         def log_message(self, format: str, *arguments: Any) -> None:
             """Say nothing: standard error is for the command."""
 
-    try:
-        server = ThreadingHTTPServer((ADDRESS, port), Handler)
-    except OSError as error:
-        raise OSError(
-            f"no page can be served at port {port}: {error.strerror}; choose another `port`, or 0 for a free one"
-        ) from error
+    server = ThreadingHTTPServer((ADDRESS, 0), Handler)
     server.daemon_threads = True
     thread = threading.Thread(target=server.serve_forever, name="wire page", daemon=True)
     thread.start()

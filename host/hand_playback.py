@@ -65,7 +65,7 @@ def back_and_forth(stroke_mm: float, speed_mm_s: float, strokes: int) -> Movemen
     seconds = strokes * math.pi * stroke_mm / speed_mm_s
     if not seconds <= _MAX_S:
         raise InputFileError(
-            f"a movement of {seconds:.0f} s is too long; shorten it, by --loop, --stroke-mm or a faster hand"
+            f"a movement of {seconds:.0f} s is too long; shorten it, by --loop, --hand or a faster hand"
         )
     times_s = np.arange(math.ceil(seconds * _POSITION_RATE_HZ) + 2) / _POSITION_RATE_HZ
     phase = np.minimum(2 * speed_mm_s / stroke_mm * times_s, 2 * math.pi * strokes)
@@ -101,19 +101,15 @@ def read_movement(path: Path) -> Movement:
     return Movement(times_s - times_s[0], positions_mm)
 
 
-def chosen_movement(
-    positions_path: Path | None, stroke_mm: float | None, speed_mm_s: float | None, strokes: int
-) -> Movement:
-    """Return the movement that a file holds, or strokes. Raises InputFileError, also if both are given."""
-    if positions_path is None and stroke_mm and speed_mm_s:
-        return back_and_forth(stroke_mm, speed_mm_s, strokes)
-    if positions_path is None:
+def chosen_movement(hand: float | Path, speed_mm_s: float | None, strokes: int) -> Movement:
+    """Return strokes of a length in mm, or the movement in a file. Raises InputFileError and OSError."""
+    if isinstance(hand, Path):
+        if speed_mm_s or strokes != 1:
+            raise InputFileError(f"{hand} is a whole movement; drop --hand-speed-mm-s and --loop")
+        return read_movement(hand)
+    if speed_mm_s is None:
         raise InputFileError("missing --hand-speed-mm-s; give the speed of the stroke")
-    if stroke_mm or speed_mm_s or strokes != 1:
-        raise InputFileError(
-            f"{positions_path} is a whole movement; drop --stroke-mm, --hand-speed-mm-s and --loop, or --positions"
-        )
-    return read_movement(positions_path)
+    return back_and_forth(hand, speed_mm_s, strokes)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,5 @@
 """Fits streams to a controller's limits: splits packets that are too long, or says which option gives what fits."""
 
-import math
 from collections.abc import Iterator
 
 from vibrocast import codec, models, textures
@@ -21,8 +20,6 @@ CARRIED_STEP = 0.002
 """Of what is decoded here and coded again, relative to the RMS value: an error 60 dB below the signal."""
 _BUFFERED_PACKETS = 2
 """A controller that holds only one packet of a stream runs dry between two of them."""
-_MOST_BLOCK_SAMPLES = 128
-"""An encoder may make packets this much longer than asked for, because they hold whole blocks."""
 
 
 def packet_limit(limits: Limits) -> int:
@@ -51,8 +48,8 @@ def check_packet(controller: Controller, packet_samples: int) -> None:
     limit = packet_limit(controller.description.limits)
     if packet_samples > limit:
         raise ControllerError(
-            f"a packet has {packet_samples} samples, and the controller takes at most {limit}; choose shorter packets "
-            "with `packet_ms`"
+            f"a packet has {packet_samples} samples, and the controller takes at most {limit}; choose shorter packets, "
+            "or a higher rate"
         )
 
 
@@ -73,8 +70,7 @@ def fitted(controller: Controller, stream: Stream) -> Stream:
         return stream
     problem = f"packets of {longest} samples and {largest} bytes, the controller takes {samples} and {size_bytes}"
     if chosen.repack is None:
-        wanted = min(samples, math.floor(longest * size_bytes / largest))
-        raise StreamError(f"{problem}; {_shorter_packets(stream, chosen, wanted)}")
+        raise StreamError(f"{problem}; {_shorter_packets(stream, chosen)}")
     try:
         return stream.repacked(samples, size_bytes)
     except codec.CodecError as error:
@@ -106,18 +102,14 @@ def playable(stream: Stream) -> Stream:
     return carried(stream) if chosen.only_hosts_decode(stream.header.configuration) else stream
 
 
-def _shorter_packets(stream: Stream, chosen: codec.Codec, packet_samples: int) -> str:
-    """Return how to code the recording of a stream in packets of at most `packet_samples`, which no host can split."""
-    rate_hz = stream.header.rate_hz
+def _shorter_packets(stream: Stream, chosen: codec.Codec) -> str:
+    """Return how to code the recording of a stream in short packets, which no host can split."""
     options = f"--codec {chosen.name}"
     if stream.model_name is not None:
         options += f" --model {stream.model_name}"
-    if rate_hz != DEFAULT_STREAM_RATE_HZ:
-        options += f" --stream-rate-hz {rate_hz}"
-    packet_ms = math.floor(1000 * (packet_samples - _MOST_BLOCK_SAMPLES) / rate_hz)
-    if packet_ms < 1:
-        return f"play the recording itself, which is coded in short packets: `vibrocast play RECORDING {options}`"
-    return f"encode the recording again: `vibrocast encode RECORDING OUT.vct {options} --packet-ms {packet_ms}`"
+    if stream.header.rate_hz != DEFAULT_STREAM_RATE_HZ:
+        options += f" --stream-rate-hz {stream.header.rate_hz}"
+    return f"encode the recording again: `vibrocast encode RECORDING OUT.vct {options} --live`"
 
 
 def explained(controller: Controller, header: StreamHeader, rejection: ControllerError) -> ControllerError:

@@ -46,6 +46,8 @@ _END_ASK_S = 0.1
 _ASK_S = 0.5
 # A link this many times as fast as needed requires no longer playout delay.
 _AMPLE = 8
+# Part of the queue on the link that one packet drains.
+_DRAINED = 0.25
 # How much earlier than it is needed a rate-controlled packet has to come.
 _GUARD_S = 0.005
 
@@ -93,12 +95,6 @@ class LiveResult:
         return 8 * self.wire_bytes / self.seconds if self.seconds else 0.0
 
 
-def limit_rate(policy: codec.RatePolicy, target_bps: float, carried_bps: float) -> None:
-    """Set a policy to the target or, if less, to the link's rate, within the range of the policy."""
-    # A little above its least, which rounding would put out of reach.
-    policy.bits_per_second = min(target_bps, max(1.001 * policy.min_bits_per_second, carried_bps))
-
-
 @dataclass(frozen=True)
 class LiveCoding:
     """How a live stream is coded.
@@ -116,7 +112,7 @@ class LiveCoding:
     setting: codec.Setting | None = None
     model: models.Model | None = None
     touch: float | None = None
-    policy: codec.Policy | None = None
+    policy: codec.RatePolicy | None = None
     packet_samples: int | None = None
     max_packet_s: float = math.inf
     refresh_packets: int | None = None
@@ -128,10 +124,9 @@ class LiveStream:
     `coding`: how it is coded.
     `playout_delay_s`: how long packets wait at the controller. None: PLAYOUT_DELAY_S, or a quarter of a packet if that
     is more. With a policy on a link that is not much faster than needed, the delay covers its fall to half.
-    `needed_bps`: the most that the stream can use of the link; None = the policy's rate. `header`, `stream`,
-    `packets_sent` (dropped ones included), `status`: of the stream under way. `carried_bps`: the rate at which the link
-    carries packets in time. `begun`: streams so far; `earlier`: the last status of each of those before this one.
-    `on_packets`: is called with packets before they are sent.
+    `header`, `stream`, `packets_sent` (dropped ones included), `status`: of the stream under way. `begun`: streams so
+    far; `earlier`: the last status of each of those before this one. `on_packets`: is called with packets before they
+    are sent.
     Raises CodecError, LiveError, StreamError for a stream that the controller rejects, ControllerError, TransportError.
     """
 
@@ -141,7 +136,6 @@ class LiveStream:
         signal_format: SignalFormat,
         *,
         coding: LiveCoding | None = None,
-        needed_bps: float | None = None,
         playout_delay_s: float | None = None,
         gain: float = 1.0,
         compensation: bool = True,
@@ -160,8 +154,7 @@ class LiveStream:
         shape = codec.shape_setting(self._codec, coding.touch, signal_format.rate_hz, signal_format.unit, given)
         defaults = {} if policy else self._codec.live_setting(signal_format.rate_hz)
         self.setting = self._codec.complete({**defaults, **shape, **given})
-        self._target_bps = policy.bits_per_second if isinstance(policy, codec.RatePolicy) else None
-        self._needed_bps = needed_bps or self._target_bps or math.inf
+        self._target_bps = policy.bits_per_second if policy else None
         # To how many samples it is rounded up, an encoder says.
         encoder = self._make_encoder(codec.Framing(self._packet_samples(coding.packet_samples, coding.max_packet_s), 1))
         self.packet_samples = encoder.packet_samples
@@ -271,8 +264,7 @@ class LiveStream:
             )
         )
         self._link = Link(self.controller, self.stream)
-        self.carried_bps = math.inf
-        self._link.needed = self._needed_bps / 8 / LINK_SHARE
+        self._link.needed = (self._target_bps or math.inf) / 8 / LINK_SHARE
         self.playout_delay_s = (
             self._default_playout_delay_s() if self._given_playout_delay_s is None else self._given_playout_delay_s
         )
@@ -344,17 +336,17 @@ class LiveStream:
 
     def coded(self, samples: Signal) -> list[bytes]:
         """Code what completes the next packet, or less; return that packet, unless it would come too late."""
-        if len(samples) == self.left_samples and not self.fits():
+        if len(samples) == self.left_samples and not self._fits():
             self._drop()
             return []
         self._refresh()
         return self.code(samples)
 
-    def fits(self, drained: float = 0.25) -> bool:
-        """Return whether the next packet can come in time; set `carried_bps` and the policy's rate to match.
+    def _fits(self) -> bool:
+        """Return whether the next packet can come in time; set the policy's rate to match.
 
-        A packet may take LINK_SHARE of its own duration on the link, less the part `drained` of the queue there. With a
-        quarter, the queue shrinks over some packets without a jump in quality, until they come as early as at first.
+        A packet may take LINK_SHARE of its own duration on the link, less a part of the queue there. So the queue
+        shrinks over some packets without a jump in quality, until they come as early as at first.
         """
         now_s = self._link.now_s(self.controller.clock())
         if self.status.state == State.PLAYING:
@@ -369,10 +361,12 @@ class LiveStream:
         min_s = self._link.seconds(self.policy.min_bytes)
         if left_s <= min_s:
             return False
-        seconds = min(left_s, max(min_s, LINK_SHARE * self.packet_s - drained * queue_s))
-        self.carried_bps = 8 * seconds * self._link.bytes_per_second / self.packet_s
-        if self._target_bps is not None and isinstance(self.policy, codec.RatePolicy):
-            limit_rate(self.policy, self._target_bps, self.carried_bps)
+        seconds = min(left_s, max(min_s, LINK_SHARE * self.packet_s - _DRAINED * queue_s))
+        if self._target_bps is not None:
+            carried_bps = 8 * seconds * self._link.bytes_per_second / self.packet_s
+            # A little above the policy's least, which rounding would put out of reach.
+            least_bps = 1.001 * self.policy.min_bits_per_second
+            self.policy.bits_per_second = min(self._target_bps, max(least_bps, carried_bps))
         return True
 
     def _drop(self) -> None:
@@ -426,21 +420,16 @@ class LiveStream:
         elif self._out_of_step_since_s is None:
             self._out_of_step_since_s = self.controller.clock()
 
-    def say_end(self) -> None:
-        """Tell the controller that what was sent is all, and do not wait until it has been played."""
+    def finish(self) -> LiveResult:
+        """Send what is left and the end, wait until it has been played, and return what happened."""
+        self._refresh()
+        self.send_packets([renumbered(packet, self._refreshed_at) for packet in self._encoder.finish()])
         if self.packets_sent:
             self.controller.request(EndStream(self.stream, self.packets_sent), Status)
         else:
             self.controller.stop()
         self._session.news()
         self._wire_bytes = self.controller.bytes_sent - self._wire_bytes_before
-
-    def finish(self) -> LiveResult:
-        """Send what is left and the end, unless that was said; wait until it has been played; return what happened."""
-        if self._wire_bytes is None:
-            self._refresh()
-            self.send_packets([renumbered(packet, self._refreshed_at) for packet in self._encoder.finish()])
-            self.say_end()
         if self.packets_sent:
             self._wait_for_the_end()
         return self.result()

@@ -116,15 +116,14 @@ def play_together(
     encoding: Encoding | None = None,
     loops: int = 1,
     progress: Callable[[_Key, player.Progress], None] | None = None,
-    read_back: bool = True,
 ) -> dict[_Key, Outcome | Exception]:
     """Play a stream to its end on all controllers at once; return by key what each did, or why it failed.
 
     Packets that are too long for a controller are split (`limits.fitted`). The decoded samples and the DAC codes are
-    compared with those computed here. Both are read back from the controller, unless `read_back` is false, it captures
-    nothing, or there would be more than MAX_COMPARED_SAMPLES: then nothing is compared, and the skin is computed from
-    one pass. Nor is a capture compared that the controller overwrites before it is read. A simulated controller of this
-    session gets the stream's model first.
+    compared with those computed here. Both are read back from the controller, unless it captures nothing, or there
+    would be more than MAX_COMPARED_SAMPLES: then nothing is compared, and the skin is computed from one pass. Nor is a
+    capture compared that the controller overwrites before it is read. A simulated controller of this session gets the
+    stream's model first.
     `encoding`: how the stream was made from a recording, None for a file that was coded before; the stream may have
     another level (`Stream.with_gain`). `file_name` is for the report. Raises CodecError.
     """
@@ -145,7 +144,7 @@ def play_together(
             continue
         if member.controller.sound_card is not None:
             underruns_before[key] = member.controller.sound_card.underruns
-        unread[key] = _unread_reason(member.controller, sent[key], loops) if read_back else "read-back is switched off"
+        unread[key] = _unread_reason(member.controller, sent[key], loops)
         settings = player.PlaybackSettings(
             loops=loops,
             capture=unread[key] is None,
@@ -357,7 +356,7 @@ def at_the_skin(stream: Stream, actuator: Actuator, loops: int = 1) -> Recording
     stream, StreamError for a height profile.
     """
     if stream.header.spatial:
-        raise StreamError("a height profile moves the skin only under a hand; play it with --positions or --stroke-mm")
+        raise StreamError("a height profile moves the skin only under a hand; play it with --hand")
     decoder = stream.decoder()
     late_s = decoder.delay_samples / stream.header.rate_hz + output_delay_s(stream.header, actuator)
     codes, _ = render(stream.header, stream.decode_integers(), decoder.delay_samples, actuator, loops=loops)
@@ -400,8 +399,8 @@ def check_unit(stream_unit: str, unit: str | None) -> None:
     """
     if stream_unit == "full scale" and unit != "drive":
         raise CodecError(
-            "the signal does not state its unit, so how far it moves the actuator is unknown; encode it with `unit` "
-            "(and `full_scale`), or pass `unit` drive to play it as the actuator's drive signal"
+            "the signal does not state its unit, so how far it moves the actuator is unknown; encode it with its unit "
+            "and full scale, or pass `unit` drive to play it as the actuator's drive signal"
         )
 
 

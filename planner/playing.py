@@ -21,7 +21,6 @@ from vibrocast.device_protocol.transports import Transport, TransportError
 from vibrocast.host import devices, live, uploader
 from vibrocast.host import hand_playback as position_playback
 from vibrocast.host.bench_file import Bench, actuator_of, check_actuator, choose_controller, driven_actuator
-from vibrocast.host.concurrency import run_concurrently
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.device_clock import DeviceClock
 from vibrocast.host.stream_session import read_capture, stopped_on_error
@@ -152,8 +151,8 @@ def play(
 ) -> list[Played]:
     """Play textures of a plan, all if none is named, and return what was measured, in the order asked for.
 
-    Controllers play at the same time, each its textures one after another; a simulated one is flashed with the models
-    that it lacks. Raises PlanError if the plan does not fit files or controllers, PartlyPlayedError where some
+    Controllers play one after another, and so do the textures of each; a simulated one is flashed with the models that
+    it lacks. Raises PlanError if the plan does not fit files or controllers, PartlyPlayedError where some
     controllers failed, ControllerError, and as `PlannedTexture.encode`.
     """
     wanted = [plan.texture(name) for name in names] or list(plan.textures)
@@ -161,29 +160,24 @@ def play(
     playing = {controller.name: controller for controller in plan.controllers if mine[controller.name]}
     done = dict.fromkeys(playing, 0.0)
 
-    def work(name: str, session: CountingController, check: Callable[[], None]) -> list[Played]:
-        player = _Player(plan, playing[name], session)
-
-        def tell(number: int, part: float) -> None:
-            check()
-            done[name] = (number + part) / len(mine[name])
-            if progress is not None:
-                progress(sum(done.values()) / len(done), mine[name][number].name)
-
-        return [player.play_in_time(texture, partial(tell, number)) for number, texture in enumerate(mine[name])]
+    def tell(name: str, number: int, part: float) -> None:
+        done[name] = (number + part) / len(mine[name])
+        if progress is not None:
+            progress(sum(done.values()) / len(done), mine[name][number].name)
 
     bench = plan.bench()
-    sessions = {name: partial(opener, each.address, bench.actuator(name)) for name, each in playing.items()}
-    results = run_concurrently(sessions, work)
     played: dict[str, Played] = {}
     failures: dict[str, ControllerError | TransportError] = {}
-    for name, result in results.items():
-        if isinstance(result, ControllerError | TransportError) and len(playing) > 1:
-            failures[name] = result
-        elif isinstance(result, Exception):
-            raise result
-        else:
-            played.update({each.texture.name: each for each in result})
+    for name, each in playing.items():
+        try:
+            with opener(each.address, bench.actuator(name)) as session:
+                player = _Player(plan, each, session)
+                for number, texture in enumerate(mine[name]):
+                    played[texture.name] = player.play_in_time(texture, partial(tell, name, number))
+        except (ControllerError, TransportError) as error:
+            if len(playing) == 1:
+                raise
+            failures[name] = error
     in_order = [played[texture.name] for texture in wanted if texture.name in played]
     if failures:
         code = next((error.code for error in failures.values() if isinstance(error, ControllerError)), None)

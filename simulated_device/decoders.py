@@ -1,4 +1,4 @@
-"""Decoders in Python for the controller in C: ONNX Runtime, libav, and codecs of other packages."""
+"""Decoders in Python for the controller in C: ONNX Runtime, and codecs of other packages."""
 
 from typing import Any
 

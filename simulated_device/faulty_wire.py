@@ -1,16 +1,17 @@
-"""A wire with faults by a schedule, in front of any controller: loss, damage, delay, bandwidth and cut cables."""
+"""The one wire with faults, in front of any controller: loss, damage, delay, capacity and cut cables, by a schedule."""
 
 import math
 import random
+import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-from vibrocast.device_protocol.transports import Transport, TransportError
+from vibrocast.device_protocol.frames import DELIMITER
+from vibrocast.device_protocol.transports import Closing, Transport, TransportError
 from vibrocast.files import InputFileError
 from vibrocast.simulated_device.device import Device
-from vibrocast.simulated_device.faulty_link import FaultyDirection
 from vibrocast.toml_tables import Table, convert, located, one_of, read_toml, within
 
 DIRECTIONS = ("to_controller", "to_host", "both")
@@ -25,8 +26,9 @@ class FaultsFileError(InputFileError):
 class Fault(Table, frozen=True, kw_only=True):
     """Faults of a wire from `at_s` on, for `for_s` seconds, since the host's first byte.
 
-    `lost`, `flipped` (a byte of it), `doubled`: probability for each frame. `delay_ms`, and up to `jitter_ms` more at
-    random: later by so long, in order. `bits_per_second`: 8 to a byte. `cut`: the cable is out.
+    `lost`, `flipped` (a byte of it), `doubled`, `swapped` (with the next one): probability for each frame. `delay_ms`,
+    and up to `jitter_ms` more at random: later by so long, in order. `bits_per_second`: 8 to a byte. A UART of B baud
+    carries 0.8 B, because each byte has a start and a stop bit. `cut`: the cable is out.
     """
 
     at_s: Annotated[float, within(0, 1e6, "time in s")] = 0.0
@@ -35,6 +37,7 @@ class Fault(Table, frozen=True, kw_only=True):
     lost: Probability = 0.0
     flipped: Probability = 0.0
     doubled: Probability = 0.0
+    swapped: Probability = 0.0
     delay_ms: Milliseconds = 0.0
     jitter_ms: Milliseconds = 0.0
     bits_per_second: Annotated[float, within(1, 1e9, "capacity in bit/s")] | None = None
@@ -55,36 +58,91 @@ def read_faults(path: Path) -> tuple[Fault, ...]:
         return convert(read_toml(path, "schedule of faults"), _FaultsFile).faults
 
 
-class _Direction:
-    """One direction of the wire: a queue of frames with the times at which they arrive."""
+class FrameDamage:
+    """Loses, damages, doubles and reorders frames at random, as a Fault has it. The same seed gives the same faults."""
 
-    def __init__(self, name: str, faults: Sequence[Fault], seed: int) -> None:
-        self._faults = [each for each in faults if each.direction in (name, "both")]
-        self._damage = [FaultyDirection(seed + 2 * n, f.lost, f.flipped, f.doubled) for n, f in enumerate(self._faults)]
+    def __init__(self, fault: Fault, seed: int) -> None:
+        self._fault = fault
         self._random = random.Random(seed)
+        self._partial = b""
+        self._held = b""
+
+    def carry(self, data: bytes) -> bytes:
+        """Take the bytes sent; return the bytes that arrive."""
+        *frames, self._partial = (self._partial + data).split(DELIMITER)
+        return b"".join(self._carry_frame(frame + DELIMITER) for frame in frames)
+
+    def _carry_frame(self, frame: bytes) -> bytes:
+        chance = self._random.random
+        if chance() < self._fault.lost:
+            return b""
+        if chance() < self._fault.flipped:
+            damaged = bytearray(frame)
+            damaged[self._random.randrange(len(frame))] ^= self._random.randrange(1, 256)
+            frame = bytes(damaged)
+        if chance() < self._fault.doubled:
+            frame += frame
+        if not self._held and chance() < self._fault.swapped:
+            self._held = frame
+            return b""
+        arrived, self._held = frame + self._held, b""
+        return arrived
+
+
+class _Direction:
+    """One direction of the wire: bytes that wait for its capacity, and bytes under way with the times they arrive.
+
+    `waiting_bytes`: how many wait.
+    """
+
+    def __init__(self, name: str, seed: int) -> None:
+        self._name, self._seed = name, seed
+        self._faults: list[tuple[Fault, FrameDamage]] = []
+        self._random = random.Random(seed)
+        self._waiting: deque[tuple[int, bytes]] = deque()
         self._under_way: deque[tuple[int, bytes]] = deque()
-        self._free_us = 0.0
+        self._now_us = 0
+        self._room_bits = 0.0  # capacity so far that no byte has used
+        self.waiting_bytes = 0
 
-    def put(self, data: bytes, now_us: int) -> None:
-        """Take bytes that are sent."""
-        delay_us = 0.0
-        bits_per_second = math.inf
-        for fault, damage in zip(self._faults, self._damage, strict=True):
-            if fault.is_on(now_us):
+    def change(self, faults: Sequence[Fault]) -> None:
+        """Have other faults from now on."""
+        chosen = [each for each in faults if each.direction in (self._name, "both")]
+        self._faults = [(each, FrameDamage(each, self._seed + 2 * number)) for number, each in enumerate(chosen)]
+
+    def put(self, data: bytes, since_us: int) -> None:
+        """Take bytes that are sent. `since_us`: the time of the schedule."""
+        delay_ms = 0.0
+        for fault, damage in self._faults:
+            if fault.is_on(since_us):
                 data = b"" if fault.cut else damage.carry(data)
-                delay_us += 1e3 * (fault.delay_ms + fault.jitter_ms * self._random.random())
-                bits_per_second = min(bits_per_second, fault.bits_per_second or math.inf)
-        if not data:
-            return
-        self._free_us = max(self._free_us, now_us) + 8e6 * len(data) / bits_per_second
-        due_us = round(self._free_us + delay_us)
-        last_us = self._under_way[-1][0] if self._under_way else 0
-        self._under_way.append((max(due_us, last_us), data))
+                delay_ms += fault.delay_ms + fault.jitter_ms * self._random.random()
+        if data:
+            self._waiting.append((round(1e3 * delay_ms), data))
+            self.waiting_bytes += len(data)
 
-    def take(self, now_us: int) -> bytes:
-        """Return the bytes that have arrived by now, once."""
+    def take(self, now_us: int, since_us: int) -> bytes:
+        """Carry bytes up to this time; return those that have arrived, once."""
+        passed_us, self._now_us = max(0, now_us - self._now_us), max(now_us, self._now_us)
+        limits = [fault.bits_per_second for fault, _ in self._faults if fault.is_on(since_us)]
+        bits_per_second = min((each for each in limits if each is not None), default=math.inf)
+        self._room_bits += bits_per_second * passed_us / 1e6 if math.isfinite(bits_per_second) else 0.0
+        while self._waiting:
+            delay_us, data = self._waiting[0]
+            count = len(data) if math.isinf(bits_per_second) else min(len(data), int(self._room_bits // 8))
+            if not count:
+                break
+            self._room_bits = max(0.0, self._room_bits - 8.0 * count)
+            self.waiting_bytes -= count
+            last_us = self._under_way[-1][0] if self._under_way else 0
+            self._under_way.append((max(self._now_us + delay_us, last_us), data[:count]))
+            self._waiting[0] = delay_us, data[count:]
+            if count == len(data):
+                self._waiting.popleft()
+        if not self._waiting:
+            self._room_bits = 0.0  # the unused capacity of an idle wire is lost
         arrived = b""
-        while self._under_way and self._under_way[0][0] <= now_us:
+        while self._under_way and self._under_way[0][0] <= self._now_us:
             arrived += self._under_way.popleft()[1]
         return arrived
 
@@ -98,17 +156,39 @@ class FaultyWire(Device):
     def __init__(
         self,
         controller: Device,
-        faults: Sequence[Fault],
+        faults: Sequence[Fault] = (),
         seed: int = 0,
         on_cut: Callable[[bool], None] | None = None,
     ) -> None:
-        self._controller = controller
-        self._faults, self._on_cut = faults, on_cut
-        self._there = _Direction("to_controller", faults, 2 * seed)
-        self._back = _Direction("to_host", faults, 2 * seed + 1)
+        self.controller = controller
+        self._on_cut = on_cut
+        self._there = _Direction("to_controller", 2 * seed + 1)
+        self._back = _Direction("to_host", 2 * seed + 2)
         self._arrived = b""
-        self._began_us: int | None = None
+        self._now_us = 0
         self._is_cut = False
+        self._began_us: int | None = None
+        self._set(faults)
+
+    @property
+    def waiting_bytes(self) -> int:
+        """How many bytes wait for capacity on the way to the controller."""
+        return self._there.waiting_bytes
+
+    def change(self, *faults: Fault) -> None:
+        """Have other faults; their schedule begins now. What is on its way goes on."""
+        self._began_us = self._now_us
+        self._set(faults)
+
+    def _set(self, faults: Sequence[Fault]) -> None:
+        self._faults = faults
+        self._there.change(faults)
+        self._back.change(faults)
+
+    def is_cut(self, now_us: int) -> bool:
+        """Return whether the cable is out."""
+        since_us = self._since_start(now_us)
+        return any(fault.cut and fault.is_on(since_us) for fault in self._faults)
 
     def receive(self, data: bytes, now_us: int) -> None:
         """Take bytes from the host; the first ones begin the schedule."""
@@ -119,15 +199,16 @@ class FaultyWire(Device):
 
     def advance(self, now_us: int) -> None:
         """Let time pass on the wire and at its far end."""
+        self._now_us = now_us
         since_us = self._since_start(now_us)
-        arrived = self._there.take(since_us)
+        arrived = self._there.take(now_us, since_us)
         if arrived:
-            self._controller.receive(arrived, now_us)
+            self.controller.receive(arrived, now_us)
         else:
-            self._controller.advance(now_us)
-        self._back.put(self._controller.transmit(), since_us)
-        self._arrived += self._back.take(since_us)
-        is_cut = any(fault.cut and fault.is_on(since_us) for fault in self._faults)
+            self.controller.advance(now_us)
+        self._back.put(self.controller.transmit(), since_us)
+        self._arrived += self._back.take(now_us, since_us)
+        is_cut = self.is_cut(now_us)
         if is_cut != self._is_cut:
             self._is_cut = is_cut
             if self._on_cut is not None:
@@ -168,3 +249,61 @@ class RemoteDevice(Device):
         except TransportError as error:
             self.failure = error
             raise
+
+
+class FaultyTransport(Closing):
+    """The host's end of the wire: a transport (device_protocol.transports.Transport) around another one.
+
+    It has no faults until somebody asks for some. `clock`: the host's; for a transport in simulated time, its own.
+    `to_controller`, `to_host`: the damage of each direction; None = none.
+    """
+
+    def __init__(self, transport: Transport, clock: Callable[[], float] = time.monotonic) -> None:
+        self.clock = clock
+        self.to_controller: FrameDamage | None = None
+        self.to_host: FrameDamage | None = None
+        self._transport = transport
+        self._out_until_s = 0.0
+
+    def damage(
+        self, *, lost: float = 0.0, flipped: float = 0.0, doubled: float = 0.0, direction: str = "both", seed: int = 0
+    ) -> None:
+        """From now on, lose, damage or double frames with these probabilities; without arguments, none.
+
+        `direction`: "to_controller", "to_host" or "both". The same seed gives the same faults for the same frames.
+        """
+        fault = Fault(lost=lost, flipped=flipped, doubled=doubled)
+        self.to_controller = None if direction == "to_host" else FrameDamage(fault, seed)
+        self.to_host = None if direction == "to_controller" else FrameDamage(fault, seed + 1)
+
+    def pull_cable(self, seconds: float) -> None:
+        """Pull the cable, and plug it in again after a time."""
+        self._out_until_s = self.clock() + seconds
+
+    def __getattr__(self, name: str) -> Any:
+        """Return what else the transport has, such as its file."""
+        return getattr(self._transport, name)
+
+    def write(self, data: bytes) -> None:
+        """Send all of `data`. Raises TransportError."""
+        self._need_cable()
+        self._transport.write(data if self.to_controller is None else self.to_controller.carry(data))
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return the available bytes, waiting for them at most `timeout_s`. Raises TransportError."""
+        self._need_cable()
+        data = self._transport.read(timeout_s)
+        return data if self.to_host is None else self.to_host.carry(data)
+
+    def reopen(self) -> None:
+        """Close the port or device, and open it again. Raises TransportError while it is absent."""
+        self._need_cable()
+        self._transport.reopen()
+
+    def close(self) -> None:
+        """Release the port; may be called again."""
+        self._transport.close()
+
+    def _need_cable(self) -> None:
+        if self.clock() < self._out_until_s:
+            raise TransportError("the test has pulled the cable")

@@ -15,8 +15,11 @@ import click
 
 from vibrocast import codec
 from vibrocast.evaluation.cost import DECODER_SIZES, DecoderSize
+from vibrocast.evaluation.peers import measured_codecs
 from vibrocast.files import atomic_write
 
+_LIBRARIES = {"opus": "libopus", "amr-nb": "libopencore-amrnb"}
+"""How the names of files in PyAV's wheel begin that hold the decoder of one codec alone."""
 _CORE = Path(__file__).parents[1] / "firmware" / "src" / "core"
 _TARGET = ("-target", "thumb-freestanding-eabihf", "-mcpu=cortex_m4+vfp4d16sp")
 _FLAGS = (
@@ -40,9 +43,9 @@ def count_decoder_size(codec_name: str) -> DecoderSize:
         compiler = f"ziglang {metadata.version('ziglang')} {_FLAGS[0]}"
         note = f"for Cortex-M4 by {compiler}, without memcpy, memset and the compiler's arithmetic routines"
         return DecoderSize(_linked_bytes(functions), note)
-    library = codec.codec_by_name(codec_name).library
-    if not library:
-        reason = "not in the C core" if library is None else "one of many in libavcodec"
+    library = _LIBRARIES.get(codec_name)
+    if library is None:
+        reason = "one of many in libavcodec" if codec_name in codec.PEERS else "not in the C core"
         return DecoderSize(None, f"decoder not counted: {reason}")
     files = [file for file in metadata.files("av") or () if file.name.startswith(library)]
     size = sum(Path(str(file.locate())).stat().st_size for file in files)
@@ -84,7 +87,7 @@ def main(out: Path) -> None:
     """Count the bytes of every codec's decoder and write them as JSON; needs ziglang."""
     if find_spec("ziglang") is None:
         raise click.ClickException("the core is compiled to count it: run `pip install ziglang` first")
-    sizes = {name: asdict(count_decoder_size(name)) for name in codec.CODECS}
+    sizes = {name: asdict(count_decoder_size(name)) for name in measured_codecs()}
     try:
         with atomic_write(out) as path:
             path.write_text(json.dumps(sizes, indent=1) + "\n", encoding="utf-8")

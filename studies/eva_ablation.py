@@ -12,16 +12,16 @@ import click
 import numpy as np
 import torch
 from msgspec.structs import replace
-from torch import Tensor
+from torch import Tensor, nn
 
-from studies.page import FOLDER, OUT, errors_in_one_line, results_folder, write_rows
+from studies import page
 from studies.papers import ABLATION, Ablation
 from vibrocast import progress, workers
 from vibrocast.codec.eva import LatentEncoder, configuration
 from vibrocast.export import model_card, training_data
 from vibrocast.export.configuration import Configuration, ModelChoice, Schedule, Sweep, read
-from vibrocast.export.eva import HOP_SAMPLES, DeadZone, Eva
-from vibrocast.export.priors import ContextPrior, FactorisedPrior
+from vibrocast.export.eva import HOP_SAMPLES, DeadZone
+from vibrocast.export.priors import MIN_SCALE, laplace_bits
 from vibrocast.export.quantise import quantise
 from vibrocast.export.training import Training
 
@@ -38,6 +38,11 @@ PAPER: dict[str, Any] = {
 """The parts of the EVA paper's training. It states no learning rate; of 1e-3, 2e-3 and 8e-3, this one was best."""
 CONTEXTS = "contexts"
 """A cost of this study alone: bits by the magnitudes of neighbouring latents."""
+_NEIGHBOURS = 2
+_COLUMNS = 3
+_AVERAGED_COLUMNS = 24
+_AVERAGE_FORGETS = 1 / 8
+_ESTIMATES = 4
 
 
 @dataclass(frozen=True)
@@ -69,6 +74,54 @@ VARIANTS = (
 )
 
 
+class ContextPrior(nn.Module):
+    """A Laplace density whose scale follows earlier magnitudes: a differentiable stand-in for adaptive coding.
+
+    Four weighted sums of neighbouring magnitudes - two lower channels of this column, five channels of the last three,
+    and a running average - each plus a constant, are combined as powers, with weights for each channel. The sums start
+    as the expected magnitude of firmware/src/core/vc_mdct_model.c.
+    """
+
+    def __init__(self, latents: int) -> None:
+        super().__init__()
+        # Channels k - 2 to k + 2 by columns t - 3 to t, of magnitudes and of their running average.
+        expected = torch.zeros(2, 2 * _NEIGHBOURS + 1, _COLUMNS + 1)
+        expected[0, :, 3] = torch.tensor([8.0, 28.0, 0.0, 0.0, 0.0])
+        expected[0, :, 2] = torch.tensor([1.0, 6.0, 21.0, 18.0, 2.0])
+        expected[0, :, 1] = torch.tensor([1.0, 1.0, 12.0, 3.0, 1.0])
+        expected[0, :, 0] = torch.tensor([1.0, 1.0, 3.0, 1.0, 1.0])
+        expected[1, :, 3] = torch.tensor([1.0, 2.0, 26.0, 2.0, 1.0])
+        spread = torch.tensor([0.25, 0.5, 1.0, 2.0])[:, None, None, None]
+        known = (expected > 0).float()
+        self.register_buffer("known", known, persistent=False)
+        self.root_weight = nn.Parameter(torch.sqrt((expected / 128) ** spread * known))
+        self.root_constant = nn.Parameter(torch.full((_ESTIMATES,), 0.4))
+        self.power = nn.Parameter(torch.tensor([0.1, 0.2, 0.6, 0.1])[:, None].repeat(1, latents))
+        self.offset = nn.Parameter(torch.zeros(latents))
+        average = _AVERAGE_FORGETS * (1 - _AVERAGE_FORGETS) ** torch.arange(_AVERAGED_COLUMNS - 1, -1, -1)
+        self.register_buffer("average", average[None, None], persistent=False)
+
+    def scales(self, contexts: Tensor) -> Tensor:
+        """Return the expected magnitudes of latents (batch, channels, columns) before they are known."""
+        columns = contexts.shape[2]
+        magnitudes = torch.abs(contexts)
+        earlier = nn.functional.pad(magnitudes.reshape(-1, 1, columns), (_AVERAGED_COLUMNS, -1))
+        average = nn.functional.conv1d(earlier, self.get_buffer("average")).reshape(magnitudes.shape)
+        both = nn.functional.pad(torch.stack([magnitudes, average], 1), (_COLUMNS, 0, _NEIGHBOURS, _NEIGHBOURS))
+        weight = self.root_weight**2 * self.get_buffer("known")
+        sums = torch.log(nn.functional.conv2d(both, weight, self.root_constant**2 + 1e-3))
+        exponent = torch.einsum("bekt,ek->bkt", sums, self.power) + self.offset[:, None]
+        return torch.exp(exponent.clamp(max=20.0)) + MIN_SCALE
+
+    def bits(self, values: Tensor, contexts: Tensor) -> Tensor:
+        """Return the bits of each of `values` given the latents before it: all (batch, latents, columns).
+
+        `contexts`: the rounded latents. When a latent is coded, those of its column's lower channels and of all earlier
+        columns are known. In training `values` hold noise in place of rounding.
+        """
+        return laplace_bits(values, self.scales(contexts))
+
+
 class _ContextTraining(Training):
     """Trains with bits that a Laplace density estimates from the magnitudes of neighbouring latents."""
 
@@ -79,7 +132,7 @@ class _ContextTraining(Training):
         self._optimiser = torch.optim.Adam(self._parameters, lr=self._schedule.learning_rate)
 
     def _bits(self, values: Tensor, rounded: Tensor) -> Tensor:
-        return self.contexts.bits(values, rounded, torch.ones(*values.shape[:2], 1))
+        return self.contexts.bits(values, rounded)
 
 
 @dataclass(frozen=True)
@@ -92,25 +145,20 @@ class Measured:
     living: int
 
 
-@click.command()
-@FOLDER
-@OUT
+@page.study
+@page.FOLDER
 def main(folder: Path, out: Path) -> None:
     """Train every variant on FOLDER, which holds the archives of examples/eva.toml, and write a table."""
     tasks = iter([(number, partial(_measured, variant, folder)) for number, variant in enumerate(VARIANTS)])
     measured: dict[int, Measured] = {}
-    with (
-        errors_in_one_line(),
-        progress.bar("training") as update,
-        closing(workers.on_cores(tasks, processes=workers.cores())) as outcomes,
-    ):
+    with progress.bar("training") as update, closing(workers.on_cores(tasks, processes=workers.cores())) as outcomes:
         for number, outcome in outcomes:
             if isinstance(outcome, Exception):
                 raise click.ClickException(f"{VARIANTS[number].name}: {outcome}")
             measured[number] = outcome
             update(len(measured) / len(VARIANTS), VARIANTS[number].name)
     rows = rows_of([measured[number] for number in range(len(VARIANTS))])
-    write_rows(results_folder(out) / ABLATION, rows, Ablation)
+    page.write_rows(page.results_folder(out) / ABLATION, rows, Ablation)
 
 
 def rows_of(measured: Sequence[Measured]) -> list[Ablation]:
@@ -151,7 +199,6 @@ def _measured(variant: Variant, folder: Path) -> Measured:
     with tempfile.TemporaryDirectory() as out:
         training.run(Path(out), lambda part, details="", /: None)
     model, prior = training.state.model.eval(), training.state.prior
-    assert isinstance(model, Eva) and isinstance(prior, FactorisedPrior)
     rate_hz = chosen.training.rate_hz
     traces = training_data.load(chosen.sources, folder, rate_hz)
     trained, held_back = training_data.split(traces, chosen.held_back, chosen.seed)

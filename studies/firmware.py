@@ -9,11 +9,9 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-import click
 import numpy as np
 
 from studies import page
-from studies.page import write_rows
 from vibrocast import codec, extras, models
 from vibrocast.codec import CodedSignal, Signal
 from vibrocast.codec.encoding import middle
@@ -50,7 +48,6 @@ DECODERS = (
     "slp",
     "eva-16",
     "eva-128",
-    "lapped-textures",
     "parametric",
 )
 """Codecs, and families of models that ship."""
@@ -59,6 +56,9 @@ CHANNELS = (1, 2, 4)
 """For how many a decoder is compiled."""
 TABLES = Path(costs.__file__).parent / "data"
 """Folder of the figures as CSV, where an installed planner finds them too."""
+_LOADS, _SIZES, _CONTROLLERS, _DECODING = (
+    TABLES / f"firmware_{name}.csv" for name in ("loads", "sizes", "controller", "decoding")
+)
 BOARD = "stm32f405"
 SMALL = {
     "VC_BUFFER_SAMPLES": 4096,
@@ -349,22 +349,8 @@ def _tables(decoder: str) -> bytes | None:
     return model.tables if model else None
 
 
-def write_page(
-    out: Path,
-    loads: Sequence[Load],
-    sizes: Sequence[Size],
-    controller: Sequence[ControllerLoad],
-    tables: Path = TABLES,
-) -> None:
-    """Write OUT/firmware.md, and its figures as CSV in `tables`. Raises OSError."""
-    out.mkdir(parents=True, exist_ok=True)
-    write_rows(tables / "firmware_loads.csv", loads, Load)
-    write_rows(tables / "firmware_sizes.csv", sizes, Size)
-    write_rows(tables / "firmware_controller.csv", controller, ControllerLoad)
-    page.write(out / "firmware.md", _page(loads, sizes, controller))
-
-
-def _page(loads: Sequence[Load], sizes: Sequence[Size], controller: Sequence[ControllerLoad]) -> str:
+def rendered(loads: Sequence[Load], sizes: Sequence[Size], controller: Sequence[ControllerLoad]) -> str:
+    """Return the page."""
     cores = [name for name in CORES if name != "M4F"]
     decoders = list(dict.fromkeys(load.decoder for load in loads))
     on_m4 = [_on_m4(loads, decoder) for decoder in decoders]
@@ -443,34 +429,23 @@ def _memory(loads: Sequence[Load], sizes: Sequence[Size], decoder: str) -> list[
     return [portable.code_bytes, dsp.code_bytes, dsp.image_bytes, *states, *stacks]
 
 
-def rendered(tables: Path = TABLES) -> str:
-    """Return the page from the figures in `tables`. Raises OSError, PointsError."""
-    return _page(
-        points.read_rows(tables / "firmware_loads.csv", Load),
-        points.read_rows(tables / "firmware_sizes.csv", Size),
-        points.read_rows(tables / "firmware_controller.csv", ControllerLoad),
-    )
-
-
-@click.command()
-@page.OUT
-@click.option("--from-tables", is_flag=True, help="Render the page from its CSV files, without measurements.")
+@page.study
+@page.FROM_TABLES
 def main(out: Path, from_tables: bool) -> None:
     """Count what decoding costs a Cortex-M and write the page OUT/firmware.md."""
-    with page.errors_in_one_line():
-        if from_tables:
-            out.mkdir(parents=True, exist_ok=True)
-            page.write(out / "firmware.md", rendered(), redrawn=True)
-            return
+    if not from_tables:
         with tempfile.TemporaryDirectory() as temporary:
-            folder = Path(temporary)
-            loads = list(measure_loads(folder, DECODERS, list(GENERATORS), SECONDS))
-            sizes = list(measure_sizes(folder, DECODERS))
-            controller = list(measure_controllers(folder, 2.0))
-            decoding = list(measure_decoding(folder, DECODERS, list(GENERATORS), SECONDS))
-        write_page(out, loads, sizes, controller)
-        write_rows(TABLES / "firmware_decoding.csv", decoding, Decoding)
-    click.echo(f"{out / 'firmware.md'}: {len(DECODERS)} decoders")
+            folder, kinds = Path(temporary), list(GENERATORS)
+            measured: list[tuple[Path, list[Any], type[Any]]] = [
+                (_LOADS, list(measure_loads(folder, DECODERS, kinds, SECONDS)), Load),
+                (_SIZES, list(measure_sizes(folder, DECODERS)), Size),
+                (_CONTROLLERS, list(measure_controllers(folder, 2.0)), ControllerLoad),
+                (_DECODING, list(measure_decoding(folder, DECODERS, kinds, SECONDS)), Decoding),
+            ]
+        for path, rows, kind in measured:
+            page.write_rows(path, rows, kind)
+    loads, sizes = points.read_rows(_LOADS, Load), points.read_rows(_SIZES, Size)
+    page.write(out, "firmware", rendered(loads, sizes, points.read_rows(_CONTROLLERS, ControllerLoad)), from_tables)
 
 
 if __name__ == "__main__":

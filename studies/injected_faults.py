@@ -10,13 +10,13 @@ from pathlib import Path
 
 import click
 
+from studies import page
 from studies.faulty_bench import FAULTS, SOUND, Injected, faulty_bench, run_host
-from studies.page import OUT, errors_in_one_line, render, results_folder, write, write_rows
 from vibrocast import progress
 from vibrocast.host.cli import exit_codes
 from vibrocast.host.cli.option_types import Whole
 
-PAGE, TABLE, CLEAN_TABLE = "injected_faults.md", "injected_faults.csv", "clean_runs.csv"
+TABLE, CLEAN_TABLE = "injected_faults.csv", "clean_runs.csv"
 DEVICES = {
     **dict.fromkeys(("sim", "sim-usb", "host"), "latency,throughput,fidelity,response"),
     **dict.fromkeys(("cortex-m4", "stm32f405"), "fidelity,response"),
@@ -137,16 +137,16 @@ def clean_runs(devices: Sequence[str], runs: int, folder: Path) -> Iterator[Clea
                 yield Clean(device, run, ALARMS.get(code, str(code)), reason(said))
 
 
-def page(noticed: Sequence[Noticed], clean: Sequence[Clean]) -> str:
+def rendered(noticed: Sequence[Noticed], clean: Sequence[Clean]) -> str:
     """Return the page with both tables."""
     missed = [each for each in noticed if each.alarm == "none"]
     false_alarms = [each for each in clean if each.alarm != "none"]
-    return render(
+    return page.render(
         "injected_faults", noticed=noticed, clean=clean, missed=missed, false_alarms=false_alarms, limits=LIMITS
     )
 
 
-@click.command()
+@page.study
 @click.option("--runs", type=Whole("NUMBER", 0), default=3, show_default=True, help="Repeat clean runs so often.")
 @click.option(
     "--device",
@@ -157,10 +157,9 @@ def page(noticed: Sequence[Noticed], clean: Sequence[Clean]) -> str:
     show_default=True,
     help="Choose a controller for clean runs; may be repeated.",
 )
-@OUT
 def main(runs: int, devices: tuple[str, ...], out: Path) -> None:
     """Inject faults into a bench, measure sound ones as well, and write the page injected_faults.md."""
-    with errors_in_one_line(), tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder:
         with progress.bar("injecting faults") as update:
             noticed = []
             for each in notice(FAULTS, Path(folder)):
@@ -171,9 +170,8 @@ def main(runs: int, devices: tuple[str, ...], out: Path) -> None:
             for run in clean_runs(devices, runs, Path(folder)):
                 clean.append(run)
                 update(len(clean) / max(1, runs * len(devices)), json.dumps(vars(run)))
-        write_rows(results_folder(out) / TABLE, noticed, Noticed)
-        write_rows(results_folder(out) / CLEAN_TABLE, clean, Clean)
-        write(out / PAGE, page(noticed, clean))
+    tables = ((TABLE, noticed, Noticed), (CLEAN_TABLE, clean, Clean))
+    page.publish(out, "injected_faults", rendered(noticed, clean), tables)
 
 
 if __name__ == "__main__":

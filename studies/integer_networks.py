@@ -7,25 +7,19 @@ from operator import attrgetter
 from pathlib import Path
 from statistics import fmean
 
-import click
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-
-from studies.page import FOLDER, OUT, errors_in_one_line, render, results_folder, write, write_rows
+from studies import page
 from vibrocast import codec, models, progress, textures
 from vibrocast.codec import eva
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.eva_image import EvaImage
 from vibrocast.device_protocol.model_image import ModelImage
-from vibrocast.files import atomic_write
+from vibrocast.evaluation.curves import Curve, Panel, curves
 from vibrocast.models import Model
 from vibrocast.textures import dataset
 
 LIMIT_DB, LIMIT_TO_SNR_DB = 0.3, 20.0
 """A model whose mean SNR is at most the second loses at most the first to its int8 weights, or it does not ship."""
 STEM = "integer_networks"
-_GREYS = ("black", "0.55")
-_MARKERS = "osD^v"
 
 
 @dataclass(frozen=True)
@@ -50,26 +44,31 @@ class Loss:
     worst_db: float
 
 
-@click.command()
-@FOLDER
-@OUT
+@page.study
+@page.FOLDER
 def main(folder: Path, out: Path) -> None:
     """Decode a folder of recordings by every model of EVA that ships, in integers and by ONNX Runtime."""
-    with errors_in_one_line():
-        recordings = [dataset.load(trace) for trace in dataset.entries(folder)]
-        chosen = [model for model in models.shipped() if model.codec_identifier == eva.IDENTIFIER]
-        with progress.bar("decoding twice") as update:
-            rows = []
-            for number, model in enumerate(chosen, 1):
-                rows += list(compared(model, recordings))
-                update(number / len(chosen), model.name)
-        rows.sort(key=attrgetter("family", "model", "recording"))
-        results = results_folder(out)
-        write_rows(results / f"{STEM}.csv", rows, Row)
-        losses = losses_of(rows)
-        with atomic_write(results / f"{STEM}.png") as partial:
-            draw(partial, losses)
-        write(out / f"{STEM}.md", page(losses, len(recordings)))
+    recordings = [dataset.load(trace) for trace in dataset.entries(folder)]
+    chosen = [model for model in models.shipped() if model.codec_identifier == eva.IDENTIFIER]
+    with progress.bar("decoding twice") as update:
+        rows = []
+        for number, model in enumerate(chosen, 1):
+            rows += list(compared(model, recordings))
+            update(number / len(chosen), model.name)
+    rows.sort(key=attrgetter("family", "model", "recording"))
+    losses = losses_of(rows)
+    draw(page.results_folder(out) / f"{STEM}.png", losses)
+    limited = [loss for loss in losses if loss.snr_db <= LIMIT_TO_SNR_DB]
+    text = page.render(
+        STEM,
+        losses=losses,
+        recordings=len(recordings),
+        worst=max(limited, key=attrgetter("mean_db"), default=None),
+        limit_db=LIMIT_DB,
+        limit_to_snr_db=LIMIT_TO_SNR_DB,
+        stem=STEM,
+    )
+    page.publish(out, STEM, text, [(f"{STEM}.csv", rows, Row)])
 
 
 def compared(model: Model, recordings: Sequence[textures.Recording]) -> Iterator[Row]:
@@ -104,35 +103,13 @@ def losses_of(rows: Sequence[Row]) -> list[Loss]:
     return losses
 
 
-def page(losses: Sequence[Loss], recordings: int) -> str:
-    """Return the page in Markdown."""
-    limited = [loss for loss in losses if loss.snr_db <= LIMIT_TO_SNR_DB]
-    return render(
-        STEM,
-        losses=losses,
-        recordings=recordings,
-        worst=max(limited, key=attrgetter("mean_db"), default=None),
-        limit_db=LIMIT_DB,
-        limit_to_snr_db=LIMIT_TO_SNR_DB,
-        stem=STEM,
-    )
-
-
 def draw(path: Path, losses: Sequence[Loss]) -> None:
     """Draw the mean loss of each model over its SNR, a line for each family. Raises OSError."""
-    figure = Figure(figsize=(7, 3.6), layout="constrained", dpi=150)
-    FigureCanvasAgg(figure)
-    axes = figure.subplots()
-    for number, (family, own) in enumerate(groupby(losses, key=attrgetter("family"))):
-        points = sorted((loss.snr_db, loss.mean_db) for loss in own)
-        colour, marker = _GREYS[number % len(_GREYS)], _MARKERS[number % len(_MARKERS)]
-        axes.plot(*zip(*points, strict=True), color=colour, marker=marker, markersize=4)
-        axes.annotate(family, points[-1], xytext=(5, 0), textcoords="offset points", fontsize=8, va="center")
-    axes.hlines(LIMIT_DB, *axes.get_xlim(), color="0.7", linestyle=":")
-    axes.set_xlim(right=axes.get_xlim()[1] + 5)
-    axes.set(xlabel="SNR in integers, dB", ylabel="lost to int8, dB")
-    axes.spines[["top", "right"]].set_visible(False)
-    figure.savefig(path, format="png")
+    lines = []
+    for family, own in groupby(losses, key=attrgetter("family")):
+        snrs_db, lost_db = zip(*sorted((loss.snr_db, loss.mean_db) for loss in own), strict=True)
+        lines.append(Curve(family, snrs_db, lost_db))
+    curves(path, [Panel("", "SNR in integers, dB", "lost to int8, dB", lines, lines=(LIMIT_DB,))])
 
 
 if __name__ == "__main__":

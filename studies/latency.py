@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 import vibrocast
-from studies.page import OUT, errors_in_one_line, render, results_folder, write, write_rows
+from studies import page
 from vibrocast.harness import Latency, MinLatency, find_min_latency, machine, measure_latency, subject
 from vibrocast.host import bench_file, live
 from vibrocast.host.bench_file import Bench, BenchController
@@ -19,8 +19,6 @@ RECORDING = Path("examples/oak.wav")
 # A computer that does other work as well delays some runs: the median of these is shown.
 RUNS = 5
 TARGET_MS = 30.0
-PAGE = "latency.md"
-TABLE = "latency.csv"
 PARTS = {
     "wake": "waking the host's program",
     "encode": "encoding",
@@ -45,8 +43,7 @@ class Row:
     delay_ms: float
 
 
-@click.command()
-@OUT
+@page.study
 @click.option(
     "--device",
     "addresses",
@@ -68,9 +65,8 @@ def main(out: Path, addresses: tuple[str, ...]) -> None:
             searches[address] = find_min_latency(controller, measured.actuator, texture)
         click.echo(f"{address}: {statistics.median(map(_total_ms, runs)):.1f} ms", err=True)
     played = played_parts(RECORDING)
-    with errors_in_one_line():
-        write_rows(results_folder(out) / TABLE, rows(budgets, played), Row)
-        write(out / PAGE, page(budgets, searches, played, machine()))
+    text = rendered(budgets, searches, played, machine())
+    page.publish(out, "latency", text, [("latency.csv", rows(budgets, played), Row)])
 
 
 def live_parts(latency: Latency) -> dict[str, float]:
@@ -112,7 +108,7 @@ def rows(budgets: dict[str, list[Latency]], played: dict[str, float]) -> list[Ro
     return found + [Row("play", "sim", part, round(delay_ms, 2)) for part, delay_ms in parts.items()]
 
 
-def page(
+def rendered(
     budgets: dict[str, list[Latency]],
     searches: dict[str, MinLatency],
     played: dict[str, float],
@@ -120,7 +116,7 @@ def page(
 ) -> str:
     """Return the page. `budgets`: by address, runs with the default playout delay, sorted by their total."""
     middle = {address: _middle(runs) for address, runs in budgets.items()}
-    return render(
+    return page.render(
         "latency",
         machine=machine,
         recording=RECORDING,

@@ -12,8 +12,8 @@ from pathlib import Path
 import click
 import numpy as np
 
+from studies import page
 from studies.latency import PARTS
-from studies.page import OUT, errors_in_one_line, render, results_folder, write, write_rows
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.live_format import recording_format
 from vibrocast.codec.stream import Stream
@@ -28,12 +28,7 @@ from vibrocast.host.event_loop import run_all
 from vibrocast.host.live import LiveStream, paced
 from vibrocast.textures import GENERATORS, Recording
 
-KINDS = {
-    "firmware": "firmware",
-    "null": "packet counters",
-}
 RATE_HZ = 2800
-PAGE = "many_controllers.md"
 TABLE = "many_controllers.csv"
 LIVE_TABLE = "many_live_streams.csv"
 LIVE_STREAMS = (1, 10, 100)
@@ -61,7 +56,6 @@ class Measured:
     `controllers_share`: the same of all processes of the controllers together. `failed`: how many did not finish.
     """
 
-    kind: str
     controllers: int
     channels: int
     host_share: float
@@ -69,13 +63,6 @@ class Measured:
     underruns: int
     lost_packets: int
     failed: int
-
-    def __str__(self) -> str:
-        return (
-            f"{self.controllers} controllers ({self.kind}) of {self.channels} channels: the host takes "
-            f"{self.host_share:.3f} of a core, the controllers {self.controllers_share:.3f}; underruns "
-            f"{self.underruns}, lost packets {self.lost_packets}, failed {self.failed}"
-        )
 
 
 @dataclass(frozen=True)
@@ -108,25 +95,18 @@ def noise(channels: int, seconds: float) -> Stream:
     return encode_recording(Recording(samples, float(RATE_HZ), "um", "noise"), live=True).stream
 
 
-def commands_of(kind: str, count: int, channels: int) -> list[list[str]]:
-    """Return the commands that run `count` controllers, which may have to be compiled first."""
-    if kind == "firmware":
-        return [[str(build("host", {"VC_CHANNELS": channels, "VC_CAPTURE_SAMPLES": 0}))]] * count
-    return [[sys.executable, "-m", "studies.null_controllers", str(count)]]
-
-
 @contextlib.contextmanager
-def ports(commands: Sequence[Sequence[str]], count: int, cores: Sequence[int]) -> Iterator[list[str]]:
-    """Run `count` controllers on some cores; yield the names of their serial ports."""
+def ports(count: int, channels: int, cores: Sequence[int]) -> Iterator[list[str]]:
+    """Run `count` controllers, which may have to be compiled first, on some cores; yield the names of their ports."""
+    program = build("host", {"VC_CHANNELS": channels, "VC_CAPTURE_SAMPLES": 0})
     processes = []
     try:
-        for command in commands:
-            process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        for _ in range(count):
+            process = subprocess.Popen([program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
             processes.append(process)
             if cores:
                 os.sched_setaffinity(process.pid, cores)
-        lines = count // len(commands)
-        yield [process.stdout.readline().strip() for process in processes for _ in range(lines) if process.stdout]
+        yield [process.stdout.readline().strip() for process in processes if process.stdout]
     finally:
         for process in processes:
             process.communicate()
@@ -143,14 +123,13 @@ def pinned() -> Iterator[list[int]]:
         os.sched_setaffinity(0, cores)
 
 
-def measure(kind: str, count: int, channels: int, seconds: float, buffer_s: float) -> Measured:
+def measure(count: int, channels: int, seconds: float, buffer_s: float) -> Measured:
     """Stream to `count` controllers at once, without reading back; this process on one core, theirs on the others."""
     stream = noise(channels, seconds)
     packet_samples = stream.decoder().packet_samples
     settings = player.PlaybackSettings(buffer_s=buffer_s)
-    commands = commands_of(kind, count, channels)
     children_s = os.times().children_user + os.times().children_system
-    with pinned() as others, ports(commands, count, others) as names, contextlib.ExitStack() as stack:
+    with pinned() as others, ports(count, channels, others) as names, contextlib.ExitStack() as stack:
         controllers = [Controller(stack.enter_context(SerialTransport(name))) for name in names]
         works = {
             number: (each, player.play_steps(each, stream.header, stream.packets, packet_samples, settings))
@@ -165,7 +144,6 @@ def measure(kind: str, count: int, channels: int, seconds: float, buffer_s: floa
             print(f"failed: {result}", file=sys.stderr)
     played = [result for result in results if isinstance(result, player.PlaybackResult)]
     return Measured(
-        kind,
         count,
         channels,
         round(took_s / seconds, 3),
@@ -179,8 +157,7 @@ def measure(kind: str, count: int, channels: int, seconds: float, buffer_s: floa
 def measure_live(count: int, seconds: float) -> LiveMeasured:
     """Stream to `count` controllers as a program does that reads blocks of all channels and sends each its own."""
     sources = [GENERATORS[LIVE_TEXTURE](seed=seed, seconds=seconds, rate_hz=RATE_HZ) for seed in range(count)]
-    commands = commands_of("null", count, 1)
-    with pinned() as others, ports(commands, count, others) as names, contextlib.ExitStack() as stack:
+    with pinned() as others, ports(count, 1, others) as names, contextlib.ExitStack() as stack:
         controllers = [Controller(stack.enter_context(SerialTransport(name))) for name in names]
         streams = [LiveStream(*each) for each in zip(controllers, map(recording_format, sources), strict=True)]
         packet_samples, clock = streams[0].packet_samples, controllers[0].clock
@@ -216,16 +193,15 @@ def measure_live(count: int, seconds: float) -> LiveMeasured:
     return LiveMeasured(count, restarts, *(round(float(each), 3) for each in figures))
 
 
-def page(rows: Sequence[Measured], live: Sequence[LiveMeasured], seconds: float, buffer_s: float) -> str:
+def rendered(rows: Sequence[Measured], live: Sequence[LiveMeasured], seconds: float, buffer_s: float) -> str:
     """Return the page with the table."""
-    return render(
+    return page.render(
         "many_controllers",
         rows=rows,
         live=live,
         live_figures=LIVE_FIGURES,
         live_texture=LIVE_TEXTURE,
         rate_hz=RATE_HZ,
-        kinds=KINDS,
         seconds=seconds,
         buffer_s=buffer_s,
         processor=machine()["processor"],
@@ -233,7 +209,7 @@ def page(rows: Sequence[Measured], live: Sequence[LiveMeasured], seconds: float,
     )
 
 
-@click.command()
+@page.study
 @click.option(
     "--controllers",
     "counts",
@@ -250,33 +226,12 @@ def page(rows: Sequence[Measured], live: Sequence[LiveMeasured], seconds: float,
 @click.option(
     "--buffer-s", type=positive("s"), default=player.BUFFER_S, show_default=True, help="Set the buffer of each."
 )
-@click.option(
-    "--kind",
-    "kinds",
-    type=click.Choice(list(KINDS)),
-    multiple=True,
-    default=tuple(KINDS),
-    show_default=True,
-    help="Choose the kind of controllers; may be repeated.",
-)
-@OUT
-def main(
-    counts: tuple[int, ...], channels: int, seconds: float, buffer_s: float, kinds: tuple[str, ...], out: Path
-) -> None:
+def main(counts: tuple[int, ...], channels: int, seconds: float, buffer_s: float, out: Path) -> None:
     """Measure hosts with many controllers, and write the page many_controllers.md."""
-    with errors_in_one_line():
-        rows = []
-        for kind in kinds:
-            for count in counts:
-                rows.append(measure(kind, count, channels, seconds, buffer_s))
-                click.echo(rows[-1])
-        live = []
-        for count in LIVE_STREAMS:
-            live.append(measure_live(count, seconds))
-            click.echo(live[-1])
-        write_rows(results_folder(out) / TABLE, rows, Measured)
-        write_rows(results_folder(out) / LIVE_TABLE, live, LiveMeasured)
-        write(out / PAGE, page(rows, live, seconds, buffer_s))
+    rows = [measure(count, channels, seconds, buffer_s) for count in counts]
+    live = [measure_live(count, seconds) for count in LIVE_STREAMS]
+    tables = ((TABLE, rows, Measured), (LIVE_TABLE, live, LiveMeasured))
+    page.publish(out, "many_controllers", rendered(rows, live, seconds, buffer_s), tables)
 
 
 if __name__ == "__main__":

@@ -4,11 +4,11 @@ import csv
 import itertools
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, TypeVar
+from typing import Any
 
 import click
 import msgspec
@@ -18,8 +18,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy import stats
 
-from studies.page import OUT, errors_in_one_line, render, results_folder, write_rows
-from studies.page import write as write_page
+from studies import page
 from studies.texture_paper import HAND_SPEED_MM_S, STRETCH_MM, generated_profiles
 from vibrocast import pictures, textures
 from vibrocast.files import atomic_write
@@ -484,7 +483,7 @@ def markdown(
     agreeing, rho = simulated.agreement(table)
     found = limits(simulated, table)
     noticed = sum(row.is_noticed for row in table)
-    return render(
+    return page.render(
         "okamoto_study",
         rows={(row.texture, row.family, row.parameter): row for row in rows},
         table=table,
@@ -511,39 +510,28 @@ def markdown(
     )
 
 
-def write(out: Path, studies: int) -> None:
-    """Write OUT/simulated_study.md, and its tables and pictures in OUT/results. Raises StudyError, OSError."""
-    table = read_tables()
-    seeds = range(1, studies + 1)
+@page.study
+@click.option("--studies", type=click.IntRange(2), default=STUDIES, show_default=True, help="Simulate so many.")
+def main(studies: int, out: Path) -> None:
+    """Let simulated observers take part in the texture paper's study, and compare them with its tables."""
+    table, seeds = read_tables(), range(1, studies + 1)
     with TemporaryDirectory() as folder:
         stage = Stage(Path(folder))
         simulated = stage.grades(seeds)
         rows, sensitivities = results(stage, simulated, table), stage.sensitivities(seeds)
         integrated = integrations(stage, simulated, table, seeds)
-    tables = results_folder(out)
-    write_rows(tables / "simulated_study.csv", map(_rounded, rows), Result)
-    write_rows(tables / "simulated_study_sensitivity.csv", map(_rounded, sensitivities), Sensitivity)
+    tables = page.results_folder(out)
     draw_t(tables / "simulated_study.svg", rows)
     draw_sensitivities(tables / "simulated_study_sensitivity.svg", sensitivities)
-    write_page(out / "simulated_study.md", markdown(rows, simulated, table, sensitivities, integrated, studies))
-
-
-Row = TypeVar("Row", Result, Sensitivity)
-
-
-def _rounded(row: Row) -> Row:
-    values: Any = [float(f"{value:.4g}") if isinstance(value, float) else value for value in astuple(row)]
-    return type(row)(*values)
-
-
-@click.command()
-@OUT
-@click.option("--studies", type=click.IntRange(2), default=STUDIES, show_default=True, help="Simulate so many.")
-def main(out: Path, studies: int) -> None:
-    """Let simulated observers take part in the texture paper's study, and compare them with its tables."""
-    with errors_in_one_line():
-        write(out, studies)
-    click.echo(f"{out / 'simulated_study.md'}: {studies} simulated studies of {PARTICIPANTS} observers")
+    text = markdown(rows, simulated, table, sensitivities, integrated, studies)
+    short = [page.rounded(row, ".4g") for row in rows]
+    short_sensitivities = [page.rounded(row, ".4g") for row in sensitivities]
+    page.publish(
+        out,
+        "simulated_study",
+        text,
+        [("simulated_study.csv", short, Result), ("simulated_study_sensitivity.csv", short_sensitivities, Sensitivity)],
+    )
 
 
 if __name__ == "__main__":

@@ -1,15 +1,18 @@
-"""Shared by the scripts: options, errors in one line, and pages and tables that are written whole."""
+"""Shared by the scripts: options, errors in one line, and pages, tables and charts that are written whole."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import wraps
 from pathlib import Path
+from typing import Any
 
 import click
 
 from vibrocast import pages
 from vibrocast.codec import CodecError
 from vibrocast.evaluation import points
-from vibrocast.evaluation.points import Row
+from vibrocast.evaluation.cells import BenchError
+from vibrocast.evaluation.points import PointsError, Record, Row
 from vibrocast.extras import MissingExtraError
 from vibrocast.files import atomic_write
 from vibrocast.firmware.build import BuildError
@@ -18,15 +21,34 @@ from vibrocast.textures import TextureError
 from vibrocast.textures.dataset import DatasetError
 
 FOLDER = click.argument("folder", type=click.Path(exists=True, file_okay=False, path_type=Path))
-OUT = click.option(
+FROM_TABLES = click.option("--from-tables", is_flag=True, help="Write the page from its tables, without measurements.")
+_OUT = click.option(
     "--out",
     type=click.Path(file_okay=False, path_type=Path),
     required=True,
     help="Write the page and its tables into this folder.",
 )
+_ERRORS = (
+    BenchError,
+    BuildError,
+    CodecError,
+    ControllerError,
+    DatasetError,
+    MissingExtraError,
+    PointsError,
+    TextureError,
+)
 
 
-write = pages.write_figures
+def study(main: Callable[..., None]) -> click.Command:
+    """Make a command of a function: it gets the option `out`, and its errors are one line."""
+
+    @wraps(main)
+    def command(**options: Any) -> None:
+        with errors_in_one_line():
+            main(**options)
+
+    return click.command()(_OUT(command))
 
 
 @contextmanager
@@ -36,7 +58,7 @@ def errors_in_one_line() -> Iterator[None]:
         yield
     except OSError as error:
         raise click.ClickException(f"{error.filename}: {error.strerror}" if error.filename else str(error)) from error
-    except (BuildError, ControllerError, CodecError, DatasetError, MissingExtraError, TextureError) as error:
+    except _ERRORS as error:
         raise click.ClickException(str(error)) from error
 
 
@@ -53,6 +75,27 @@ def write_rows(path: Path, rows: Iterable[Row], kind: type[Row]) -> None:
         points.write_rows(partial, rows, kind)
 
 
+def rounded(row: Row, digits: str) -> Row:
+    """Return a row whose numbers have so many digits, as Python's format strings have them."""
+    values = {
+        name: float(f"{value:{digits}}") if isinstance(value, float) else value for name, value in vars(row).items()
+    }
+    return type(row)(**values)
+
+
+def write(out: Path, name: str, text: str, redrawn: bool = False) -> None:
+    """Write OUT/NAME.md; `redrawn` as `pages.write_figures` has it. Raises OSError."""
+    pages.write_figures(out / f"{name}.md", text, redrawn)
+    click.echo(str(out / f"{name}.md"))
+
+
 def render(name: str, **values: object) -> str:
     """Return the page of the template of this name, filled with values."""
     return pages.render(Path(__file__).with_name(f"{name}.md.jinja"), **values)
+
+
+def publish(out: Path, name: str, text: str, tables: Sequence[tuple[str, Sequence[Record], type[Record]]]) -> None:
+    """Write OUT/NAME.md, and each table of (file, rows, kind) in OUT/results. Raises OSError."""
+    for file, rows, kind in tables:
+        write_rows(results_folder(out) / file, rows, kind)
+    write(out, name, text)

@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import click
 import numpy as np
 import polars as pl
 from scipy import signal
 
-from studies import profile_rendering, pvc_slp, texture_paper
-from studies.page import FOLDER, OUT, errors_in_one_line, render, write, write_rows
+from studies import page, pvc_slp, texture_paper
 from studies.pvc_slp import Sensitivity
 from studies.texture_paper import PUBLISHED, SIXTEEN_BITS, Result
 from vibrocast import codec
@@ -30,7 +28,7 @@ from vibrocast.evaluation.comparison import (
     mean_bd_rates,
     pair_bd_rates,
 )
-from vibrocast.evaluation.points import MEASURED, Point, PointsError, Row, read_rows
+from vibrocast.evaluation.points import MEASURED, Point, Row, read_rows
 from vibrocast.evaluation.speed import RATES, RATIO, Speed
 from vibrocast.evaluation.tables import as_rows, frame
 from vibrocast.files import atomic_write
@@ -52,6 +50,9 @@ ABSTRACT_PERCENT = (10.0, 20.0)
 LOUDER_LEVELS = {"wood": 8, "sandpaper": 10, "leather": 12}
 """Levels that the DCT paper's listeners found unexpectedly like the original; its authors suspect a raised energy."""
 SENSED_NM = 400
+PROFILE = Path(__file__).parents[1] / "examples" / "leather_profile.csv"
+POSITION_S = 0.004
+"""Between two positions of the hand."""
 STROKE_MM, STROKE_S = 40.0, 0.8
 """Of the DCT paper's participants."""
 WAVEFORM_RATIOS = (20.0, RATIO, 5.0)
@@ -347,8 +348,8 @@ def louder() -> dict[str, tuple[float, int, int]]:
 
 def sensed() -> float:
     """Return by how much the heights of a profile under a stroke change, in dB, if positions come in SENSED_NM."""
-    stream = profiles.encode(profiles.recording_of(profile_rendering.PROFILE), snr_db=20.0).stream
-    time_s = np.arange(0, 2 * STROKE_S, profile_rendering.POSITION_S)
+    stream = profiles.encode(profiles.recording_of(PROFILE), snr_db=20.0).stream
+    time_s = np.arange(0, 2 * STROKE_S, POSITION_S)
     position_nm = 5e5 * STROKE_MM * (1 - np.cos(np.pi * time_s / STROKE_S))
     exact, rounded = (_heights(stream, time_s, step_nm * np.rint(position_nm / step_nm)) for step_nm in (1, SENSED_NM))
     return float(10 * np.log10(np.sum((rounded - exact) ** 2) / np.sum(exact**2)))
@@ -415,7 +416,7 @@ def waveforms(folder: Path, measurements: Measurements, model_folders: Sequence[
                 )
 
 
-def page(
+def rendered(
     measurements: Measurements,
     claims: Sequence[Claim],
     rows: Sequence[Sensitivity],
@@ -427,7 +428,7 @@ def page(
     others = [name for name in ("mdct", *measurements.learned) if name in measurements.curves and name not in names]
     means = bd_rates(measurements, [*names, *others])
     rates = {(row.codec, row.anchor, row.quality): row for row in as_rows(means)}
-    return render(
+    return page.render(
         "papers",
         claims={paper: [claim for claim in claims if claim.paper == paper] for paper in (EVA, DCT)},
         outcomes=(YES, NO, UNDECIDABLE, NOT_YET, MODEL, NOT_COMPARABLE),
@@ -459,7 +460,7 @@ def note(held_out: Sequence[HeldOut]) -> str:
     rows: dict[tuple[str, str], dict[str, HeldOut]] = {}
     for row in held_out:
         rows.setdefault((row.codec, row.measure), {})[row.peer] = row
-    return render("held_out", peers=peers, rows=rows)
+    return page.render("held_out", peers=peers, rows=rows)
 
 
 def _percent(claim: str, stated: float, here: float | None, words: str, why: str) -> Claim:
@@ -520,9 +521,8 @@ def _the_row(rows: Sequence[Result], surface: str, levels: int, b0_db: float | N
     return next((row for row in rows if (row.surface, row.quantiser, row.levels, row.b0_db) == wanted), None)
 
 
-@click.command()
-@FOLDER
-@OUT
+@page.study
+@page.FOLDER
 @own_models_option
 def main(folder: Path, out: Path, model_folders: tuple[Path, ...]) -> None:
     """Write papers.md and results/note.md from the tables of a benchmark.
@@ -534,30 +534,25 @@ def main(folder: Path, out: Path, model_folders: tuple[Path, ...]) -> None:
     def of_others(name: str, kind: type[Row]) -> list[Row]:
         return read_rows(results / name, kind) if (results / name).exists() else []
 
-    try:
-        with errors_in_one_line():
-            tables: dict[str, Any] = {name: read_rows(results / f"{name}.csv", kind) for name, kind in TABLES.items()}
-            measurements = Measurements(**tables)
-            points = list(pvc_slp.points(folder, measurements))
-            measurements = pvc_slp.with_points(measurements, points)
-            sensitivity = list(pvc_slp.sensitivity(measurements, families(measurements)))
-            ablation = of_others(ABLATION, Ablation)
-            write_rows(results / pvc_slp.POINTS, points, Point)
-            write_rows(results / pvc_slp.TABLE, sensitivity, Sensitivity)
-            claims = [*eva_claims(measurements), *dct_claims(of_others("texture_paper.csv", Result))]
-            write_rows(results / "claims.csv", claims, Claim)
-            samples = frame(waveforms(folder, measurements, model_folders), WaveformSample)
-            title = (
-                f"Decoded over original, at compression ratios near {', '.join(map('{:g}'.format, WAVEFORM_RATIOS))}"
-            )
-            figure = charts.Chart("waveforms", title, samples).write(results, charts.plot_waveforms)
-            write(out / "papers.md", page(measurements, claims, sensitivity, ablation, figure))
-            if held_out := of_others("held_out.csv", HeldOut):
-                with atomic_write(results / "note.md") as partial:  # a part of another page
-                    partial.write_text(note(held_out), encoding="utf-8")
-    except (PointsError, cells.BenchError) as error:
-        raise click.ClickException(str(error)) from error
-    click.echo(f"{out / 'papers.md'}: {len(claims)} claims")
+    tables: dict[str, Any] = {name: read_rows(results / f"{name}.csv", kind) for name, kind in TABLES.items()}
+    measurements = Measurements(**tables)
+    points = list(pvc_slp.points(folder, measurements))
+    measurements = pvc_slp.with_points(measurements, points)
+    sensitivity = list(pvc_slp.sensitivity(measurements, families(measurements)))
+    claims = [*eva_claims(measurements), *dct_claims(of_others("texture_paper.csv", Result))]
+    samples = frame(waveforms(folder, measurements, model_folders), WaveformSample)
+    title = f"Decoded over original, at compression ratios near {', '.join(map('{:g}'.format, WAVEFORM_RATIOS))}"
+    figure = charts.Chart("waveforms", title, samples).write(results, charts.plot_waveforms)
+    text = rendered(measurements, claims, sensitivity, of_others(ABLATION, Ablation), figure)
+    written = (
+        (pvc_slp.POINTS, points, Point),
+        (pvc_slp.TABLE, sensitivity, Sensitivity),
+        ("claims.csv", claims, Claim),
+    )
+    page.publish(out, "papers", text, written)
+    if held_out := of_others("held_out.csv", HeldOut):
+        with atomic_write(results / "note.md") as partial:  # a part of another page
+            partial.write_text(note(held_out), encoding="utf-8")
 
 
 if __name__ == "__main__":

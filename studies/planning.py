@@ -1,6 +1,5 @@
 """Measures what planning saves at equal quality: `python -m studies.planning FOLDER... --out docs/benchmarks`."""
 
-import csv
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -10,10 +9,9 @@ from statistics import fmean
 from typing import Any
 
 import click
-import msgspec
 import numpy as np
 
-from studies.page import OUT, errors_in_one_line, render, results_folder, write, write_rows
+from studies import page
 from vibrocast import codec, progress, textures
 from vibrocast.codec import mdct
 from vibrocast.codec.encoding import DEFAULT_SNR_DB, DEFAULT_STREAM_RATE_HZ, Encoding, encode_recording
@@ -41,7 +39,6 @@ WEIGHTS = {
 _ALL_COSTS = next(iter(WEIGHTS))
 FREE, HELD = "any", "as the default's"
 """Delays: weighed as any other cost; or no longer than that of the default, both with the least margin."""
-PAGE, ROWS = "planning_results.md", "planning.csv"
 
 
 @dataclass(frozen=True)
@@ -186,8 +183,8 @@ def _default_costs(default: Encoding) -> tuple[float, float, float]:
     )
 
 
-def page(rows: Sequence[Saving], left_out: Sequence[str], command: str, measured_at: str | None = None) -> str:
-    """Return the page. `command`: the one that measured. `measured_at`: the version, if it is not this one."""
+def rendered(rows: Sequence[Saving], left_out: Sequence[str], command: str) -> str:
+    """Return the page. `command`: the one that measured."""
     of: defaultdict[tuple[str, str, str], list[Saving]] = defaultdict(list)
     for row in rows:
         of[row.group, row.weights, row.delay].append(row)
@@ -200,7 +197,7 @@ def page(rows: Sequence[Saving], left_out: Sequence[str], command: str, measured
         for group in dict.fromkeys(row.group for row in rows)
     ]
     chosen = Counter((row.chosen.partition(",")[0], row.weights, row.delay) for row in rows)
-    return render(
+    return page.render(
         "planning_results",
         default={"rate_hz": DEFAULT_STREAM_RATE_HZ, "snr_db": DEFAULT_SNR_DB},
         hand_speed_mm_s=HAND_SPEED_MM_S,
@@ -216,23 +213,7 @@ def page(rows: Sequence[Saving], left_out: Sequence[str], command: str, measured
         ],
         left_out=left_out,
         command=command,
-        measured_at=measured_at,
     )
-
-
-def stored(path: Path) -> list[Saving]:
-    """Return the rows of planning.csv. Raises OSError, click.ClickException."""
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            return msgspec.convert(list(csv.DictReader(file)), list[Saving], strict=False)
-    except (csv.Error, ValueError) as error:
-        raise click.ClickException(f"{path}: not a table of this script ({error}); measure again") from error
-
-
-def command(folders: Sequence[Path], unit: str | None) -> str:
-    """Return the command that measures recordings of these folders, without the place of the folders."""
-    given = "" if unit is None else f" --unit {unit}"
-    return f"python -m studies.planning {' '.join(folder.name for folder in folders)}{given} --out docs/benchmarks"
 
 
 def _savings_of(rows: Sequence[Saving]) -> dict[str, Any]:
@@ -256,35 +237,12 @@ def _compared(percents: Sequence[float]) -> str:
     return f"{near} to {far} % {'fewer' if high <= 0 else 'more'}"
 
 
-@click.command()
-@click.argument("folders", nargs=-1, type=click.Path(file_okay=False, exists=True, path_type=Path))
-@OUT
+@page.study
+@click.argument("folders", nargs=-1, required=True, type=click.Path(file_okay=False, exists=True, path_type=Path))
 @click.option("--unit", type=click.Choice(list(textures.INPUT_UNITS)), help="Give the unit of files that state none.")
-@click.option("--measured-at", metavar="VERSION", help="Write the page from the CSV that this version measured.")
-@click.option("--left-out", multiple=True, metavar="REASON", help="State why that version left out a recording.")
-def main(
-    folders: tuple[Path, ...], out: Path, unit: str | None, measured_at: str | None, left_out: tuple[str, ...]
-) -> None:
-    """Plan all recordings of FOLDERS, and write the savings into planning_results.md.
-
-    With --measured-at, plan nothing, and write the page from OUT/results/planning.csv.
-    """
-    if bool(folders) == (measured_at is not None):
-        raise click.UsageError("give either FOLDERS or --measured-at")
-    if measured_at is not None:
-        with errors_in_one_line():
-            rows = stored(results_folder(out) / ROWS)
-            groups = [Path(name) for name in dict.fromkeys(row.group for row in rows)]
-            write(out / PAGE, page(rows, left_out, command(groups, unit), measured_at), redrawn=True)
-    else:
-        _measure(folders, out, unit)
-    click.echo(str(out / PAGE))
-
-
-def _measure(folders: Sequence[Path], out: Path, unit: str | None) -> None:
-    """Plan all recordings of folders, and write the page and its rows. Raises click.ClickException."""
-    with errors_in_one_line():
-        found = [(folder.name, trace) for folder in folders for trace in entries(folder)]
+def main(folders: tuple[Path, ...], out: Path, unit: str | None) -> None:
+    """Plan all recordings of FOLDERS, and write the savings into planning_results.md."""
+    found = [(folder.name, trace) for folder in folders for trace in entries(folder)]
     rows: list[Saving] = []
     left_out: list[str] = []
     with progress.bar("planning") as update:
@@ -296,9 +254,10 @@ def _measure(folders: Sequence[Path], out: Path, unit: str | None) -> None:
                 left_out.append(str(error))
     if not rows:
         raise click.ClickException("none of the recordings can be planned: " + "; ".join(left_out))
-    with errors_in_one_line():
-        write_rows(results_folder(out) / ROWS, rows, Saving)
-        write(out / PAGE, page(rows, left_out, command(folders, unit)))
+    given = "" if unit is None else f" --unit {unit}"
+    names = " ".join(folder.name for folder in folders)
+    command = f"python -m studies.planning {names}{given} --out docs/benchmarks"
+    page.publish(out, "planning_results", rendered(rows, left_out, command), [("planning.csv", rows, Saving)])
 
 
 if __name__ == "__main__":

@@ -3,23 +3,21 @@
 import math
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from statistics import fmean
+from typing import TypeVar
 
-import click
 import numpy as np
 
-from studies import link_drop
-from studies import rate_control_charts as charts
-from studies.page import FOLDER, OUT, errors_in_one_line, render, results_folder, write_rows
-from studies.page import write as write_page
-from studies.rate_control_charts import Held, RefreshCost
+from studies import page
 from vibrocast import codec, progress, textures
 from vibrocast.codec import DEFAULT_CODEC, rate_controlled
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ
 from vibrocast.codec.rate_controlled import RateTarget, added_bytes
+from vibrocast.evaluation.curves import Curve, Panel, curves
 from vibrocast.textures import dataset
 
 RATES_BPS = (500, 1000, 2000, 4000, 8000, 20_000)
@@ -28,18 +26,49 @@ RATE_BUFFERS_S = (codec.rate_control.DEFAULT_RATE_BUFFER_S, 0.25, 1.0)
 REFRESHES_S = (0.25, 0.5, 1.0, 2.0, math.inf)
 MIN_SECONDS = 6.0
 """Recordings are repeated up to so long, so that there are many runs of 2 s in each."""
+_LIMIT_PERCENT = 1.0
+
+Key = TypeVar("Key")
 
 
-@click.command()
-@FOLDER
-@OUT
+@dataclass(frozen=True)
+class Held:
+    """One recording coded at a constant rate, of each channel and with frames.
+
+    `rate_buffer_s`: the rate buffer's size. `rejected`: why the codec cannot, and then nothing else.
+    `furthest_percent`: by how much the run of packets of 2 s that is furthest from the rate differs. `snr_...`: of
+    packets.
+    """
+
+    recording: str
+    codec: str
+    bits_per_second: int
+    rate_buffer_s: float
+    packet_ms: float = 0.0
+    sent_bps: float = 0.0
+    packets_bps: float = 0.0
+    furthest_percent: float | None = None
+    padding_percent: float = 0.0
+    snr_db: float = 0.0
+    snr_deviation_db: float = 0.0
+    snr_low_db: float = 0.0
+    snr_high_db: float = 0.0
+    rejected: str = ""
+
+
+@dataclass(frozen=True)
+class RefreshCost:
+    """Mean SNR over recordings at a rate with a refresh every `refresh_s` seconds."""
+
+    bits_per_second: int
+    refresh_s: float
+    snr_db: float
+
+
+@page.study
+@page.FOLDER
 def main(folder: Path, out: Path) -> None:
     """Measure rate control on a folder of recordings; write page and charts."""
-    with errors_in_one_line():
-        _measure_and_write(folder, out)
-
-
-def _measure_and_write(folder: Path, out: Path) -> None:
     recordings = {trace.name: _repeated(dataset.load(trace)) for trace in dataset.entries(folder)}
     names = [name for name, known in codec.CODECS.items() if known.controls_rate]
     cells: list[tuple[str, str, int, float | None]] = [
@@ -56,9 +85,7 @@ def _measure_and_write(folder: Path, out: Path) -> None:
         for rate_bps, refresh_s in refresh_cells:
             refreshes.append(measure_refreshes(list(recordings.values()), rate_bps, refresh_s))
             update((len(held) + len(refreshes)) / (len(cells) + len(refresh_cells)), "refreshes")
-    command = shlex.join(["python", "-m", "studies.rate_control", *sys.argv[1:]])
-    link_drop_section = link_drop.section(list(recordings.values()), out)
-    write(out, held, refreshes, dataset.printable(folder.name), command, link_drop_section)
+    write(out, held, refreshes, dataset.printable(folder.name))
 
 
 def _repeated(recording: textures.Recording) -> textures.Recording:
@@ -112,42 +139,28 @@ def measure_refreshes(recordings: Sequence[textures.Recording], rate_bps: int, r
     return RefreshCost(rate_bps, refresh_s, fmean(ratio for ratio in ratios_db if ratio is not None))
 
 
-def write(
-    out: Path,
-    held: Sequence[Held],
-    refreshes: Sequence[RefreshCost],
-    data: str,
-    command: str,
-    link_drop_section: str,
-) -> None:
+def write(out: Path, held: Sequence[Held], refreshes: Sequence[RefreshCost], data: str) -> None:
     """Write OUT/rate_control.md, and OUT/results/rate_control*.csv and *.png. Raises OSError."""
-    folder = results_folder(out)
-    write_rows(folder / "rate_control.csv", held, Held)
-    write_rows(folder / "rate_control_refreshes.csv", refreshes, RefreshCost)
+    folder = page.results_folder(out)
     done = [row for row in held if not row.rejected]
     default = [row for row in done if row.rate_buffer_s == RATE_BUFFERS_S[0]]
-    charts.plot_recordings(
-        folder / "rate_control_recordings.png",
-        [row for row in default if row.codec == DEFAULT_CODEC and row.bits_per_second in MAIN_RATES_BPS],
-    )
-    charts.plot_codecs(folder / "rate_control_codecs.png", default)
+    plot_codecs(folder / "rate_control_codecs.png", default)
     by_rate_buffer = [row for row in done if row.codec == DEFAULT_CODEC and row.bits_per_second in MAIN_RATES_BPS]
-    charts.plot_rate_buffers(folder / "rate_control_buffers.png", by_rate_buffer)
-    write_page(out / "rate_control.md", page(held, refreshes, data, command, link_drop_section))
+    plot_rate_buffers(folder / "rate_control_buffers.png", by_rate_buffer)
+    tables = (("rate_control.csv", held, Held), ("rate_control_refreshes.csv", refreshes, RefreshCost))
+    page.publish(out, "rate_control", rendered(held, refreshes, data), tables)
 
 
-def page(
-    held: Sequence[Held], refreshes: Sequence[RefreshCost], data: str, command: str, link_drop_section: str
-) -> str:
-    """Return the page; `link_drop_section`: as `studies.link_drop.section` has it."""
+def rendered(held: Sequence[Held], refreshes: Sequence[RefreshCost], data: str) -> str:
+    """Return the page. `data`: the name of the recordings' folder."""
     default = [row for row in held if not row.rejected and row.rate_buffer_s == RATE_BUFFERS_S[0]]
-    return render(
+    return page.render(
         "rate_control",
         data=data,
         recordings=len({row.recording for row in held}),
         rate_hz=DEFAULT_STREAM_RATE_HZ,
         min_seconds=MIN_SECONDS,
-        command=command,
+        command=shlex.join(["python", "-m", "studies.rate_control", *sys.argv[1:]]),
         furthest=max((row for row in default if row.furthest_percent is not None), key=_deviation),
         codec=DEFAULT_CODEC,
         rates_bps=RATES_BPS,
@@ -158,7 +171,6 @@ def page(
         infinity=math.inf,
         refreshes={rate: [row for row in refreshes if row.bits_per_second == rate] for rate in RATES_BPS},
         refresh_s=codec.rate_control.REFRESH_S,
-        link_drop=link_drop_section,
     )
 
 
@@ -191,6 +203,66 @@ def _silent(rows: Sequence[Held]) -> dict[str, int]:
     silent = {(row.codec, row.bits_per_second) for row in rows}
     silent -= {(row.codec, row.bits_per_second) for row in rows if row.snr_db > 0}
     return dict(sorted(silent))
+
+
+def plot_codecs(path: Path, rows: Sequence[Held]) -> None:
+    """Draw worst deviation, mean SNR and its mean deviation over the rates, a line for each codec. Raises OSError."""
+    recordings = len({row.recording for row in rows})
+    panels: Mapping[str, Callable[[Sequence[Held]], float]] = {
+        "worst over 2 s, %": lambda some: max(abs(row.furthest_percent or 0.0) for row in some),
+        "mean SNR, dB": lambda some: fmean(row.snr_db for row in some),
+        "deviation of SNR, dB": lambda some: fmean(row.snr_deviation_db for row in some),
+    }
+    codecs = _grouped(rows, lambda row: row.codec)
+    whole = {
+        codec: {
+            rate: some
+            for rate, some in _grouped(own, lambda row: float(row.bits_per_second)).items()
+            if len(some) == recordings
+        }
+        for codec, own in codecs.items()
+    }
+    _plot(path, whole, panels, "bit/s, frames included", (_LIMIT_PERCENT,))
+
+
+def plot_rate_buffers(path: Path, rows: Sequence[Held]) -> None:
+    """Draw mean deviations of SNR and rate over the rate buffer's size, a line for each rate. Raises OSError."""
+    panels: Mapping[str, Callable[[Sequence[Held]], float]] = {
+        "deviation of SNR, dB": lambda some: fmean(row.snr_deviation_db for row in some),
+        "worst over 2 s, %": lambda some: fmean(abs(row.furthest_percent or 0.0) for row in some),
+    }
+    rates = _grouped(sorted(rows, key=lambda row: row.bits_per_second), lambda row: row.bits_per_second)
+    lines = {f"{rate} bit/s": _grouped(own, lambda row: row.rate_buffer_s) for rate, own in rates.items()}
+    _plot(path, lines, panels, "rate buffer, s")
+
+
+def _plot(
+    path: Path,
+    lines: Mapping[str, Mapping[float, Sequence[Held]]],
+    values: Mapping[str, Callable[[Sequence[Held]], float]],
+    x_label: str,
+    levels: Sequence[float] = (),
+) -> None:
+    """Draw a panel for each of the values, with a line over the groups of rows. `levels`: of the first."""
+    panels = [
+        Panel(
+            title,
+            x_label,
+            "",
+            [Curve(name, sorted(line), [value(line[x]) for x in sorted(line)]) for name, line in lines.items() if line],
+            log_x=True,
+            lines=levels if not place else (),
+        )
+        for place, (title, value) in enumerate(values.items())
+    ]
+    curves(path, panels, across=1)
+
+
+def _grouped(rows: Iterable[Held], key: Callable[[Held], Key]) -> dict[Key, list[Held]]:
+    groups: dict[Key, list[Held]] = {}
+    for row in rows:
+        groups.setdefault(key(row), []).append(row)
+    return groups
 
 
 if __name__ == "__main__":

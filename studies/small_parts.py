@@ -6,8 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import click
-
 from studies import page
 from vibrocast import codec, extras
 from vibrocast.device_protocol.coded_stream import StreamHeader, pack_file
@@ -23,7 +21,7 @@ try:
 except ModuleNotFoundError as error:
     raise SystemExit(str(extras.explained(error) or error)) from error
 
-DECODERS = ("slp", "parametric", "dct", "mdct", "lapped-textures", "eva-16")
+DECODERS = ("slp", "parametric", "dct", "mdct", "eva-16")
 """Codecs, and the smallest family of models of those that need one."""
 CONTROLLERS = ("small-slp", "small-mdct")
 TABLE = "small_parts.csv"
@@ -141,28 +139,16 @@ def file_codec(decoder: str) -> str:
     return worst_case.codec_of(decoder)[0]
 
 
-def write_page(out: Path, costs: list[Cost]) -> None:
-    """Write the page and its table. Raises OSError."""
-    page.write_rows(page.results_folder(out) / TABLE, costs, Cost)
+@page.study
+def main(out: Path) -> None:
+    """Count flash, RAM, stack and worst-case load of each codec, and write the page small_parts.md."""
+    with tempfile.TemporaryDirectory() as folder:
+        costs = list(measure(Path(folder)))
     controllers = {name: size(name) for name in CONTROLLERS}
     text = page.render(
         "small_parts", costs=costs, processors=PROCESSORS, counted=COUNTED, decoders=DECODERS, controllers=controllers
     )
-    page.write(out / "small_parts.md", text)
-
-
-@click.command()
-@page.OUT
-def main(out: Path) -> None:
-    """Print flash, RAM, stack and worst-case load of each codec, and write them as a page."""
-    costs = []
-    click.echo(f"{'processor':<12}{'decoder':<17}{'flash':>8}{'RAM':>8}{'stack':>7}{'a sample':>10}{'load':>9}")
-    with page.errors_in_one_line(), tempfile.TemporaryDirectory() as folder:
-        for cost in measure(Path(folder)):
-            costs.append(cost)
-            spent = f"{cost.per_sample:>10.0f}{cost.load_percent:>7.1f} %"
-            click.echo(f"{cost.processor:<12}{cost.decoder:<17}{cost.flash:>8}{cost.ram:>8}{cost.stack:>7}{spent}")
-        write_page(out, costs)
+    page.publish(out, "small_parts", text, [(TABLE, costs, Cost)])
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 import numpy as np
 
-from studies.page import OUT, errors_in_one_line, render, results_folder, write, write_rows
+from studies import page
 from vibrocast import codec
 from vibrocast.codec import CodedSignal, Signal, Source
 from vibrocast.codec.interface import Value
@@ -23,7 +23,6 @@ REPEATS = 3
 GIVEN, TO_SNR, TO_RATE = "step given", "to an SNR", "to a rate"
 OPUS_BPS = 8000
 """The rate of Opus at which it comes near SNR_DB, for samples that are labelled 8000 Hz."""
-PAGE, TABLE = "speed.md", "speed.csv"
 
 
 @dataclass(frozen=True)
@@ -44,16 +43,16 @@ class Row:
     encodings: float | None = None
 
 
-@click.command()
-@OUT
+@page.study
 @click.option("--samples", type=int, default=SAMPLES, show_default=True, help="Code this many samples.")
 @click.option("--repeats", type=int, default=REPEATS, show_default=True, help="Take the median of this many runs.")
 def main(out: Path, samples: int, repeats: int) -> None:
     """Measure the speed of codecs and of searches in one run, and write the page speed.md."""
     rows = measure(samples, repeats)
-    with errors_in_one_line():
-        write_rows(results_folder(out) / TABLE, rows, Row)
-        write(out / PAGE, page(rows, samples, repeats))
+    text = page.render(
+        "speed", rows=rows, samples=samples, repeats=repeats, rate_hz=RATE_HZ, snr_db=SNR_DB, machine=machine()
+    )
+    page.publish(out, "speed", text, [("speed.csv", rows, Row)])
 
 
 def measure(samples: int, repeats: int) -> list[Row]:
@@ -113,13 +112,6 @@ def _row(name: str, task: str, signal: Signal, repeats: int, encode: Callable[[]
     ratio_db = None if name == "flac" else codec.snr_db(signal, codec.decode(coded))
     seconds = time_coding(encode, codec.decode, len(signal), repeats)
     return Row(name, task, _rate_bps(coded) / RATE_HZ, ratio_db, *seconds)
-
-
-def page(rows: list[Row], samples: int, repeats: int) -> str:
-    """Return the page."""
-    return render(
-        "speed", rows=rows, samples=samples, repeats=repeats, rate_hz=RATE_HZ, snr_db=SNR_DB, machine=machine()
-    )
 
 
 if __name__ == "__main__":

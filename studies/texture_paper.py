@@ -3,9 +3,8 @@
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import click
 import numpy as np
@@ -14,8 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.fft import dct as fast_dct
 
-from studies.page import OUT, errors_in_one_line, render, results_folder, write_rows
-from studies.page import write as write_page
+from studies import page
 from vibrocast import codec, textures
 from vibrocast.codec import dct
 from vibrocast.codec.core import UNIT
@@ -223,7 +221,12 @@ def spectra(profiles: Mapping[str, textures.Profile]) -> list[Line]:
 
 
 def medians(recordings: Sequence[textures.Recording]) -> list[Median]:
-    """Return the figures of recordings: of each quantiser at several levels, and of linear levels in other blocks."""
+    """Return the figures of recordings: of each quantiser at several levels, and of linear levels in other blocks.
+
+    Without recordings there are none.
+    """
+    if not recordings:
+        return []
     trials = [*itertools.product(QUANTISERS, (DEFAULT_BLOCK,), RECORDING_LEVELS)]
     trials += [("linear", block, 14) for block in RECORDING_BLOCKS if block != DEFAULT_BLOCK]
     return [Median(*trial, *_medians(recordings, *trial)) for trial in trials]
@@ -270,7 +273,7 @@ def markdown(results: Sequence[Result], recordings: Sequence[Median]) -> str:
     cut = {(row.surface, row.b0_db): row for row in results if row.b0_db is not None}
     falling = {curve: falls(_curve(results, *curve)) for curve in itertools.product(names, PAPER_QUANTISERS)}
     materials = [name for name in names if name in PUBLISHED]
-    return render(
+    return page.render(
         "texture_paper",
         hand_speed_mm_s=HAND_SPEED_MM_S,
         stretches=STRETCHES,
@@ -349,31 +352,12 @@ def draw_spectra(path: Path, lines: Sequence[Line]) -> None:
         figure.savefig(partial)
 
 
-def write(out: Path, profiles: Mapping[str, textures.Profile], recordings: Sequence[textures.Recording] = ()) -> None:
-    """Write OUT/texture_paper.md, and its tables and pictures in OUT/results. Raises OSError, CodecError."""
-    folder = results_folder(out)
-    results, lines = measure_all(profiles), spectra(profiles)
-    of_recordings = medians(recordings) if recordings else []
-    write_page(out / "texture_paper.md", markdown(results, of_recordings))
-    if of_recordings:
-        write_rows(folder / "texture_paper_recordings.csv", map(_rounded, of_recordings), Median)
-    write_rows(folder / "texture_paper.csv", map(_rounded, results), Result)
-    write_rows(folder / "texture_paper_spectra.csv", map(_rounded, lines), Line)
-    draw_levels(folder / "texture_paper.png", results)
-    draw_spectra(folder / "texture_paper_spectra.png", lines)
-
-
 def _curve(results: Iterable[Result], surface: str, quantiser: str) -> list[Result]:
     """Return the results of a surface over the number of levels."""
     return [row for row in results if (row.surface, row.quantiser, row.b0_db) == (surface, quantiser, None)]
 
 
-def _rounded(row: Any) -> Any:
-    return type(row)(*(round(value, 4) if isinstance(value, float) else value for value in astuple(row)))
-
-
-@click.command()
-@OUT
+@page.study
 @click.option(
     "--profiles",
     "folder",
@@ -388,13 +372,19 @@ def _rounded(row: Any) -> Any:
 )
 def main(out: Path, folder: Path | None, recordings_folder: Path | None) -> None:
     """Compare the texture paper's figures with those of the codec dct, coded as in the paper."""
-    with errors_in_one_line():
-        profiles = generated_profiles()
-        for path in sorted(folder.glob("*.csv")) if folder else ():
-            profiles[path.stem] = textures.load_profile(path)
-        recordings = [dataset.load(entry) for entry in dataset.entries(recordings_folder)] if recordings_folder else []
-        write(out, profiles, recordings)
-    click.echo(f"{out / 'texture_paper.md'}: {len(profiles)} surfaces")
+    tables = page.results_folder(out)
+    profiles = generated_profiles()
+    for path in sorted(folder.glob("*.csv")) if folder else ():
+        profiles[path.stem] = textures.load_profile(path)
+    recordings = [dataset.load(entry) for entry in dataset.entries(recordings_folder)] if recordings_folder else []
+    results, lines, of_recordings = measure_all(profiles), spectra(profiles), medians(recordings)
+    draw_levels(tables / "texture_paper.png", results)
+    draw_spectra(tables / "texture_paper_spectra.png", lines)
+    kinds = {"texture_paper": (results, Result), "texture_paper_spectra": (lines, Line)}
+    if of_recordings:
+        kinds["texture_paper_recordings"] = of_recordings, Median
+    rows = [(f"{name}.csv", [page.rounded(each, ".4f") for each in some], kind) for name, (some, kind) in kinds.items()]
+    page.publish(out, "texture_paper", markdown(results, of_recordings), rows)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ from dataclasses import astuple, dataclass, replace
 from itertools import product
 from pathlib import Path
 
-import click
 import numpy as np
 import unicorn
 
@@ -42,7 +41,6 @@ except ModuleNotFoundError as error:
 
 DECODERS = (
     "mdct",
-    "lapped-textures",
     "dct",
     "slp",
     "parametric",
@@ -73,7 +71,6 @@ _BETWEEN_STOPS_S = 0.0017
 _STEP_S = 0.002
 _SETTINGS: dict[str, list[Setting]] = {
     "mdct": [{"step": 1e-5, "noise_filling": 0.1}, {"step": 0.01}],
-    "lapped": [{"step": 1e-5, "noise_filling": 0.1}, {"step": 0.01}],
     "dct": [
         {"quantiser": quantiser, "levels": 65535, "entropy": entropy}
         for quantiser, entropy in product(("linear", "log"), ("huffman", "range"))
@@ -360,14 +357,6 @@ def of_longest_block(costs: Sequence[Cost], decoder: str, channels: int) -> Cost
     return max(of_decoder, key=lambda cost: cost.block_cycles)
 
 
-def write_page(out: Path, costs: Sequence[Cost], turns: Sequence[Turn], redrawn: bool = False) -> None:
-    """Write OUT/worst_case.md, and its tables into OUT/results; `redrawn` as write_figures. Raises OSError."""
-    results = page.results_folder(out)
-    page.write_rows(results / COSTS, costs, Cost)
-    page.write_rows(results / TURNS, turns, Turn)
-    page.write(out / "worst_case.md", rendered(costs, turns), redrawn)
-
-
 def rendered(costs: Sequence[Cost], turns: Sequence[Turn]) -> str:
     """Return the page."""
     accepted = [turn for turn in turns if turn.turn_ms is not None]
@@ -390,27 +379,26 @@ def rendered(costs: Sequence[Cost], turns: Sequence[Turn]) -> str:
     )
 
 
-@click.command()
-@page.OUT
-@click.option("--from-tables", is_flag=True, help="Write the page from its tables, without measurements.")
+@page.study
+@page.FROM_TABLES
 def main(out: Path, from_tables: bool) -> None:
     """Search for the streams that take a decoder most time, and play them on an emulated board."""
-    with page.errors_in_one_line():
-        if from_tables:
-            results = page.results_folder(out)
-            costs, turns = points.read_rows(results / COSTS, Cost), points.read_rows(results / TURNS, Turn)
-        else:
-            with progress.bar("streams") as update:
-                found = []
-                for cost, hostile in measured_costs(TRIES):
-                    found.append((cost, hostile))
-                    update(None, cost.decoder)
-                turns = []
-                for turn in measured_turns(found, STOPS):
-                    turns.append(turn)
-                    update(None, f"{turn.decoder} on a board")
-            costs = [cost for cost, _ in found]
-        write_page(out, costs, turns, from_tables)
+    if from_tables:
+        results = page.results_folder(out)
+        stored = points.read_rows(results / COSTS, Cost), points.read_rows(results / TURNS, Turn)
+        page.write(out, "worst_case", rendered(*stored), redrawn=True)
+        return
+    with progress.bar("streams") as update:
+        found = []
+        for cost, hostile in measured_costs(TRIES):
+            found.append((cost, hostile))
+            update(None, cost.decoder)
+        turns = []
+        for turn in measured_turns(found, STOPS):
+            turns.append(turn)
+            update(None, f"{turn.decoder} on a board")
+    costs = [cost for cost, _ in found]
+    page.publish(out, "worst_case", rendered(costs, turns), ((COSTS, costs, Cost), (TURNS, turns, Turn)))
 
 
 if __name__ == "__main__":

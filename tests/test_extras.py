@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from vibrocast import extras
+from vibrocast.firmware import keys
 
 ROOT = Path(__file__).parents[1]
 # Hides the packages of all extras.
@@ -52,7 +53,8 @@ def test_the_base_encodes_decodes_plays_and_uploads(tmp_path: Path) -> None:
         ["info", stream],
         ["decode", stream, out],
         ["play", stream, "--report", str(tmp_path / "taps.json")],
-        ["play", wav, "--codec", "slp", "--snr-db", "10"],
+        ["play", wav, "--snr-db", "10"],
+        ["encode", wav, stream, "--codec", "slp", "--snr-db", "10"],
         ["live", "taps", "--seconds", "0.5"],
         ["codecs"],
         ["models"],
@@ -77,6 +79,7 @@ def test_the_base_simulates() -> None:
 
 def test_a_command_names_the_extra_that_it_needs(tmp_path: Path) -> None:
     oak, out = "examples/oak.wav", str(tmp_path / "out")
+    keys.write_public_key(tmp_path / "vendor.pub.pem", b"\x02" * 32)
     cases = [
         ("bench", ["bench", "examples", "--out", out]),
         ("bench", ["stability", "--out", out]),
@@ -88,8 +91,8 @@ def test_a_command_names_the_extra_that_it_needs(tmp_path: Path) -> None:
         ("firmware", ["play", oak, "--device", "cortex-m4"]),
         ("firmware", ["play", oak, "--device", "stm32f405"]),
         ("firmware", ["status", "--device", "host"]),
-        ("peers", ["play", oak, "--codec", "opus"]),
-        ("peers", ["encode", oak, f"{out}.vct", "--codec", "flac"]),
+        ("keys", ["keys", "new", f"{out}.pem"]),
+        ("keys", ["simulate", "--public-key", str(tmp_path / "vendor.pub.pem")]),
         ("plot", ["play", oak, "--plot", f"{out}.png"]),
     ]
     for (extra, command), (code, errors) in zip(cases, run_without_extras(*(case[1] for case in cases)), strict=True):

@@ -4,6 +4,7 @@ from vibrocast.textures.axes import AXES, REDUCTIONS
 from vibrocast.textures.files import (
     SAVED_SUFFIXES,
     from_array,
+    is_profile,
     load,
     load_for_actuators,
     load_profile,
@@ -32,6 +33,7 @@ __all__ = [
     "from_array",
     "highpass",
     "highpass_of",
+    "is_profile",
     "is_vibration",
     "load",
     "load_for_actuators",

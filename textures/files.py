@@ -12,7 +12,7 @@ from vibrocast.textures import arguments, arrays, hdf5, mat, p1918, wav
 from vibrocast.textures.axes import AXES, DFT321, REDUCTIONS, reduced
 from vibrocast.textures.profiles import Profile
 from vibrocast.textures.recording import INPUT_UNITS, Contents, Recording, TextureError
-from vibrocast.textures.text import Table, known_unit, read_table, signal_of, uniform_step, write_table
+from vibrocast.textures.text import Table, column_names, known_unit, read_table, signal_of, uniform_step, write_table
 
 TEXT_SUFFIXES = (".csv", ".txt", ".tsv")
 KEYED_SUFFIXES = (".npz", ".mat", ".h5", ".hdf5")
@@ -144,6 +144,11 @@ def load_profile(path: str | Path) -> Profile:
         raise TextureError(
             f"{path}: cannot be read: {error.strerror or error}; check the name and your permissions"
         ) from error
+
+
+def is_profile(path: Path) -> bool:
+    """Return whether a file names a column of positions, as a height profile does. Raises TextureError, OSError."""
+    return path.suffix.lower() in TEXT_SUFFIXES and path.is_file() and POSITION_NAME in column_names(path)
 
 
 def save_profile(path: str | Path, profile: Profile) -> None:

@@ -76,6 +76,19 @@ def read_table(path: Path) -> Table:
         raise TextureError(f"{path}: not UTF-8 text; save it as a UTF-8 CSV file") from error
 
 
+def column_names(path: Path) -> list[str]:
+    """Return the names of a text file's columns, in lower case, from its first line that is no comment.
+
+    Empty where that line holds numbers. Raises TextureError for an unknown unit, and OSError.
+    """
+    with path.open(encoding=ENCODING, errors="replace") as file:
+        while line := file.readline(MAX_LINE_CHARACTERS):
+            if line.strip() and not line.lstrip().startswith("#"):
+                fields = [] if _is_numeric(line.partition("#")[0]) else _column_names(line.strip(), None, 0)
+                return [_name_and_unit(field.strip().strip("\"'"), path)[0] for field in fields]
+    return []
+
+
 def write_table(path: Path, recording: Recording) -> None:
     """Write a recording as CSV: its rate in a comment, its unit and axes in the column names. Raises OSError."""
     names = [axis.lower() for axis in recording.axes] or [

@@ -27,7 +27,6 @@ class Style:
 
 CODECS: Mapping[str, Style] = {
     "mdct": Style(BLUE, width=2.8),
-    "lapped": Style(SKY),
     "eva": Style(PURPLE),
     "vcpwq": Style(ORANGE, (0, (5, 1.5))),
     "mpeg": Style(BROWN, (0, (1.5, 1))),

@@ -18,14 +18,11 @@ from vibrocast.host.cli.answers import tell, wants_json
 from vibrocast.host.cli.option_types import FOLDER, INPUT, Whole
 from vibrocast.host.cli.options import (
     BadInput,
-    RecordingOptions,
     allow_programs_option,
-    chosen_highpass_hz,
     command_run,
     grouped,
-    keep_dc_option,
     own_models_option,
-    recording_options,
+    unit_option,
 )
 from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
 from vibrocast.host.cli.sections import OUTPUT, RUN, SectionedCommand, section
@@ -65,22 +62,21 @@ class SplitOptions:
 
     part: str
     split_by: str
-    seed: int
 
 
 @dataclass(frozen=True)
 class RunOptions:
-    """How often and where to measure, and whether to measure again."""
+    """How often and where to measure."""
 
     repeats: int
     scheduler: str | None
-    fresh: bool
 
 
 @dataclass(frozen=True)
 class SignalOptions:
-    """The signal that codecs get."""
+    """The signal that codecs get. `unit`: of the files that state none."""
 
+    unit: str | None
     stream_rate_hz: int | None
     keep_dc: bool
 
@@ -133,30 +129,22 @@ class SignalOptions:
             show_default=True,
             help="Keep these whole in a split; auto follows the manifest.",
         ),
-        click.option(
-            "--seed", type=Whole("NUMBER", 0), default=0, show_default=True, help="Choose another random split."
-        ),
-    ),
-    click.option(
-        "--kinds",
-        "kinds_table",
-        type=INPUT,
-        metavar="FILE",
-        help="Tell kinds of textures apart, by a CSV file of file,kind. Default: those of known sets.",
     ),
 )
-@recording_options
 @section(
     INPUT_SECTION,
     grouped(
         "signal",
         SignalOptions,
+        unit_option,
         click.option(
             "--stream-rate-hz",
             type=Whole("Hz", 1, MAX_RATE_HZ),
             help="Resample all recordings to this rate. Default: each recording's own.",
         ),
-        keep_dc_option,
+        click.option(
+            "--keep-dc", is_flag=True, help=f"Keep the band below {textures.HIGHPASS_HZ:g} Hz: offset, gravity, drift."
+        ),
     ),
 )
 @section(
@@ -176,7 +164,6 @@ class SignalOptions:
             metavar="ADDRESS",
             help="Measure on workers of a Dask scheduler that you trust. Default: on this machine.",
         ),
-        click.option("--fresh", is_flag=True, help="Measure again all that an earlier run has measured."),
     ),
 )
 @section(
@@ -190,11 +177,9 @@ def bench(
     out: Path,
     codecs: CodecOptions,
     peers: Path | None,
-    kinds_table: Path | None,
     split: SplitOptions,
     run: RunOptions,
     signal: SignalOptions,
-    recording: RecordingOptions,
 ) -> None:
     """Measure codecs and trained models on a folder of recordings.
 
@@ -215,21 +200,21 @@ def bench(
     from vibrocast.evaluation.external import ProgramError
     from vibrocast.evaluation.points import Failure, PointsError, check_imported, read_imported, write_rows
 
-    highpass_hz = chosen_highpass_hz(signal.keep_dc, recording.unit)
+    highpass_hz = textures.highpass_of(signal.unit, None if signal.keep_dc else textures.HIGHPASS_HZ)
     try:
         programs = external.read_programs(codecs.program_list, codecs.allow_programs) if codecs.program_list else []
         chosen = cells.methods(codecs.names, programs, trained.known_models(codecs.model_folders))
         found = dataset.read(recordings, leave_out=out)
-        traces = dataset.split(found.entries, split.part, split.seed, split.split_by)
+        traces = dataset.split(found.entries, split.part, by=split.split_by)
         for remark in found.remarks:
             click.echo(remark, err=True)
-        kinds_of = kinds.kinds(traces, kinds_table or kinds.TABLE)
+        kinds_of = kinds.kinds(traces, kinds.TABLE)
         mine = {trace.name for trace in traces}
         units: dict[str, str] = {}
         removed: dict[str, float] = {}
 
         def load(trace: DatasetEntry) -> textures.Recording:
-            passed = dataset.load_highpassed(trace, highpass_hz, signal.stream_rate_hz, **vars(recording))
+            passed = dataset.load_highpassed(trace, highpass_hz, signal.stream_rate_hz, unit=signal.unit)
             units[trace.name], removed[trace.name] = passed.recording.unit, passed.removed_energy
             return passed.recording
 
@@ -248,7 +233,7 @@ def bench(
         work: Any = partial(workers.on_cores, processes=workers.cores())
         if run.scheduler:
             work = partial(workers.on_cluster, address=run.scheduler, version=workers.program_version)
-        with bench.Journal(results / bench.JOURNAL, run.fresh) as journal, progress.bar("measuring") as update:
+        with bench.Journal(results / bench.JOURNAL) as journal, progress.bar("measuring") as update:
             report_progress = progress_reporter(update)
             measured = bench.run(traces, load, chosen, run.repeats, journal, work, report_progress)
     except workers.WorkersError as error:
@@ -272,9 +257,7 @@ def bench(
     speeds = [each for each in timed if not isinstance(each, Failure)]
     measurements = Measurements(points, timings, costs, failures, speeds, kinds_of)
     bench.write(results, measurements)
-    data = recordings.resolve().name + (
-        "" if split.part == "all" else f" ({split.part} part, by {split.split_by}, seed {split.seed})"
-    )
+    data = recordings.resolve().name + ("" if split.part == "all" else f" ({split.part} part, by {split.split_by})")
     cells_on = "a Dask cluster" if run.scheduler else f"{workers.cores()} cores at once"
     machine = f"{cpu_name()}; single cells on {cells_on}"
     description = results_page.Description(dataset.printable(data), machine, command_run())
@@ -283,15 +266,15 @@ def bench(
     show(measurements)
     tried = {point.codec for point in points} | {failure.codec for failure in failures}
     if left_out := [method.name for method in chosen if method.physical and method.name not in tried]:
-        tell(f"left out, because no recording states a physical unit (--unit, --full-scale): {', '.join(left_out)}")
+        tell(f"left out, because no recording states a physical unit (--unit, or a manifest): {', '.join(left_out)}")
     if drifting := [name for name, part in removed.items() if part > MUCH_REMOVED]:
         tell(
             f"removed below {textures.HIGHPASS_HZ:g} Hz: more than {MUCH_REMOVED:.0%} of the energy of {drifting[0]}"
             f"{others(drifting)} (--keep-dc codes it)"
         )
     relative = [name for name, unit in units.items() if unit == "full scale"]
-    if recording.unit not in (None, "full scale") and relative:
-        tell(f"relative to full scale: {relative[0]}{others(relative)}; --unit needs --full-scale or a manifest")
+    if signal.unit not in (None, "full scale") and relative:
+        tell(f"relative to full scale: {relative[0]}{others(relative)}; a manifest gives the full scale of --unit")
     tell(
         f"{out / bench.PAGE}: the charts and tables; their figures are in {results}",
         page=str(out / bench.PAGE),

@@ -11,15 +11,7 @@ from vibrocast.codec import CodecError
 from vibrocast.device_protocol.model_image import ModelImageError
 from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import FOLDER, INPUT
-from vibrocast.host.cli.options import (
-    BadInput,
-    RecordingOptions,
-    command_run,
-    own_models_option,
-    recording_options,
-)
-from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
-from vibrocast.host.cli.sections import OUTPUT, RUN, SectionedCommand, section
+from vibrocast.host.cli.options import BadInput, command_run, own_models_option
 from vibrocast.models import ModelError
 from vibrocast.textures import Recording, TextureError, dataset
 from vibrocast.textures.dataset import DatasetError
@@ -29,35 +21,18 @@ MAX_FAILURES = 5
 OUTCOMES = {"rejected": "rejected", "degraded": "degraded", "fails": "failed"}
 
 
-@click.command(cls=SectionedCommand)
-@section(
-    "Codecs",
-    click.option(
-        "--codecs", "names", metavar="NAME,...", help="Test these codecs or families of models. Default: all."
-    ),
-    own_models_option,
-    click.option(
-        "--peers-edge", type=INPUT, metavar="FILE", help="Add other codecs' results with hard signals, from a CSV file."
-    ),
+@click.command()
+@click.option("--codecs", "names", metavar="NAME,...", help="Test these codecs or families of models. Default: all.")
+@own_models_option
+@click.option(
+    "--peers-edge", type=INPUT, metavar="FILE", help="Add other codecs' results with hard signals, from a CSV file."
 )
-@section(
-    INPUT_SECTION,
-    click.option(
-        "--recordings",
-        type=INPUT,
-        metavar="FOLDER|MANIFEST",
-        help="Map recordings of your own too. Default: none.",
-    ),
+@click.option(
+    "--recordings", type=INPUT, metavar="FOLDER|MANIFEST", help="Map recordings of your own too. Default: none."
 )
-@recording_options
-@section(
-    RUN,
-    click.option("--maps", "map_names", metavar="NAME,...", help="Make these maps, such as recordings. Default: all."),
-    click.option("--quick", is_flag=True, help="Test a few conditions only."),
-)
-@section(
-    OUTPUT, click.option("--out", type=FOLDER, required=True, help="Write the page and its data into this folder.")
-)
+@click.option("--maps", "map_names", metavar="NAME,...", help="Make these maps, such as recordings. Default: all.")
+@click.option("--quick", is_flag=True, help="Test a few conditions only.")
+@click.option("--out", type=FOLDER, required=True, help="Write the page and its data into this folder.")
 def stability(
     out: Path,
     names: str | None,
@@ -66,7 +41,6 @@ def stability(
     recordings: Path | None,
     map_names: str | None,
     quick: bool,
-    recording: RecordingOptions,
 ) -> None:
     """Map where each codec holds and where it fails.
 
@@ -88,7 +62,7 @@ def stability(
             raise BadInput(f"no map {min(unknown)!r}; choose from {', '.join(each.name for each in MAPS)}")
         if "recordings" in chosen_maps and recordings is None:
             raise BadInput("the map of recordings needs them; give a folder or manifest: --recordings")
-        own = load_all(recordings, recording) if recordings else ()
+        own = load_all(recordings) if recordings else ()
         page.folder_in(out)  # so that a folder that cannot be written is an error before the measurement
     except (BenchError, CodecError, DatasetError, ModelError, ModelImageError, PeersError, page.PageError) as error:
         raise BadInput(str(error)) from error
@@ -104,7 +78,7 @@ def stability(
     tell(f"page: {out / page.PAGE}", page=str(out / page.PAGE), failures=[vars(each) for each in failures])
 
 
-def load_all(recordings: Path, options: RecordingOptions) -> tuple[Recording, ...]:
+def load_all(recordings: Path) -> tuple[Recording, ...]:
     """Return the recordings of a folder or manifest that load; the others, and what is skipped, are listed on stderr.
 
     Raises DatasetError where none loads.
@@ -115,7 +89,7 @@ def load_all(recordings: Path, options: RecordingOptions) -> tuple[Recording, ..
     loaded = []
     for entry in found.entries:
         try:
-            loaded.append(replace(dataset.load(entry, **vars(options)), name=entry.name))
+            loaded.append(replace(dataset.load(entry), name=entry.name))
         except TextureError as error:
             click.echo(f"left out: {entry.name}: {error}", err=True)
     if not loaded:

@@ -21,7 +21,8 @@ from vibrocast.host.player import BUFFER_S, play
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.output.rendering import render
 from vibrocast.simulated_device.controller import FLASH_BYTES, Controller, Settings
-from vibrocast.simulated_device.faulty_link import FaultyDirection, MemoryLink
+from vibrocast.simulated_device.faulty_link import MemoryLink
+from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
 from vibrocast.simulated_device.flash import FlashMemory
 
 SECONDS = 5.0
@@ -31,6 +32,7 @@ OFF_PART = 0.01
 HELD_SHARE, FAILED_SHARE = 0.05, 0.5
 MAX_STEP_RATIO = 1.5
 STALLS_EVERY_S = 0.7
+STALLS_UNTIL_S = 60.0
 
 LOSSES_PERCENT = (0.01, 0.1, 0.3, 1.0, 3.0, 10.0, 20.0)
 DAMAGES_PERCENT = (0.1, 1.0, 10.0, 20.0)
@@ -59,22 +61,13 @@ class LinkFaults:
     stall_s: float = 0.0
     drift_ppm: int = 0
 
-
-class StallingLink(MemoryLink):
-    """A link on which, now and then, a write takes long: a busy computer, or a bus that others use."""
-
-    def __init__(self, controller: Controller, stall_s: float) -> None:
-        super().__init__(controller)
-        self._stall_s = stall_s
-        self._random = Random(0)
-        self._next_s = STALLS_EVERY_S
-
-    def write(self, data: bytes) -> None:
-        """Send bytes, late where a stall is due."""
-        if self.clock() >= self._next_s:
-            self.sleep(self._stall_s)
-            self._next_s = self.clock() + STALLS_EVERY_S * self._random.uniform(0.5, 1.5)
-        super().write(data)
+    def of_wire(self) -> Iterator[Fault]:
+        """Yield the faults of the wire."""
+        yield Fault(lost=self.lost, flipped=self.flipped)
+        random, at_s = Random(0), STALLS_EVERY_S
+        while self.stall_s and at_s < STALLS_UNTIL_S:
+            yield Fault(at_s=at_s, for_s=self.stall_s, bits_per_second=1)  # for such a time, that is nothing
+            at_s += self.stall_s + STALLS_EVERY_S * random.uniform(0.5, 1.5)
 
 
 @lru_cache(maxsize=1)
@@ -101,11 +94,7 @@ def measure(rate_point: RatePoint, faults: LinkFaults, buffer_s: float = BUFFER_
     stream, expected = _stream(rate_point)
     played: list[NDArray[np.int16]] = []
     controller = Controller(Settings(drift_ppm=faults.drift_ppm), flash_with(rate_point.image), on_dac=played.append)
-    link: MemoryLink
-    if faults.stall_s:
-        link = StallingLink(controller, faults.stall_s)
-    else:
-        link = MemoryLink(controller, *(FaultyDirection(seed, faults.lost, faults.flipped) for seed in (1, 2)))
+    link = MemoryLink(FaultyWire(controller, tuple(faults.of_wire())))
     packet_samples = stream.decoder().packet_samples
     host = Host(link, link.clock, link.sleep)
     result = play(host, stream.header, stream.packets, packet_samples, loops=LOOPS, buffer_s=buffer_s)

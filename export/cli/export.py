@@ -1,8 +1,6 @@
 """The subcommand `export`: a checkpoint becomes graphs, a model image and a card, in one folder."""
 
 import re
-from collections.abc import Callable
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +9,9 @@ import numpy as np
 
 from vibrocast import models, progress
 from vibrocast.files import atomic_folder
-from vibrocast.firmware.keys import read_private_key
-from vibrocast.host import signatures
 from vibrocast.host.cli.answers import tell
-from vibrocast.host.cli.keys import number_option
 from vibrocast.host.cli.option_types import FOLDER, INPUT
-from vibrocast.host.cli.options import BadInput, command_run, grouped
-from vibrocast.host.cli.sections import OUTPUT, SectionedCommand, section
+from vibrocast.host.cli.options import BadInput, command_run
 
 FILES = {models.CARD, "card.md", "curves.csv", "curves.png", models.ANALYSIS, "synthesis.onnx"}
 """The files in the folder of a model, in addition to its image."""
@@ -37,96 +31,49 @@ def reject_replacing_others(folder: Path) -> None:
         raise BadInput(f"{folder} holds other files than a model's, and would be replaced; give another --out")
 
 
-@dataclass(frozen=True)
-class Signing:
-    """How to sign the image: the file of a private key and the number of the release, both or neither."""
-
-    key: Path | None
-    number: int | None
-
-    def signer(self) -> Callable[[bytes], bytes]:
-        """Return the function that signs a packed image; without a key, it leaves one alone.
-
-        Raises click.UsageError, and as `read_private_key`.
-        """
-        key, number = self.key, self.number
-        if key is not None and number is not None:
-            private_key, chosen = read_private_key(key), number
-            return lambda image: signatures.signed(image, private_key, chosen)
-        if key is not None or number is not None:
-            raise click.UsageError("--sign needs the --number of the release, and --number needs --sign; pass both")
-        return lambda image: image
-
-
-@click.command(cls=SectionedCommand)
+@click.command()
 @click.argument("checkpoint", type=INPUT)
-@section(
-    "Model",
-    click.option(
-        "--name", callback=checked_name, metavar="NAME", help="Name the model. Default: the name of its training."
-    ),
-    click.option(
-        "--version",
-        "model_version",
-        metavar="VERSION",
-        default="1",
-        show_default=True,
-        help="State the version of the model.",
-    ),
-    click.option(
-        "--runtime",
-        type=click.Choice(("core", "onnx", "both")),
-        default="core",
-        show_default=True,
-        help="Pack the integer network (core), the ONNX graph, or both.",
-    ),
-    click.option(
-        "--prior",
-        type=click.Choice(("adaptive", "static")),
-        default="adaptive",
-        show_default=True,
-        help="Adapt the probabilities to each stream, or keep the trained ones.",
-    ),
+@click.option(
+    "--name", callback=checked_name, metavar="NAME", help="Name the model. Default: the name of its training."
 )
-@section(
-    "Model card",
-    click.option(
-        "--data",
-        "data_folder",
-        type=INPUT,
-        metavar="FOLDER",
-        default=".",
-        show_default=True,
-        help="Find the training's data under this folder.",
-    ),
-    click.option(
-        "--training-command",
-        metavar="COMMAND",
-        help="State the command of the training. Default: `vibrocast train NAME.toml`.",
-    ),
+@click.option(
+    "--version",
+    "model_version",
+    metavar="VERSION",
+    default="1",
+    show_default=True,
+    help="State the version of the model.",
 )
-@section(
-    "Signature",
-    grouped(
-        "signing",
-        Signing,
-        click.option(
-            "--sign", "key", type=INPUT, metavar="FILE", help="Sign the image with the private key in this file."
-        ),
-        number_option(required=False),
-    ),
+@click.option(
+    "--runtime",
+    type=click.Choice(("core", "onnx", "both")),
+    default="core",
+    show_default=True,
+    help="Pack the integer network (core), the ONNX graph, or both.",
 )
-@section(OUTPUT, click.option("--out", type=FOLDER, help="Write the model into this folder. Default: ./NAME."))
+@click.option(
+    "--data",
+    "data_folder",
+    type=INPUT,
+    metavar="FOLDER",
+    default=".",
+    show_default=True,
+    help="Find the training's data under this folder.",
+)
+@click.option(
+    "--training-command",
+    metavar="COMMAND",
+    help="State the command of the training. Default: `vibrocast train NAME.toml`.",
+)
+@click.option("--out", type=FOLDER, help="Write the model into this folder. Default: ./NAME.")
 def export(
     checkpoint: Path,
     name: str | None,
     model_version: str,
     out: Path | None,
     runtime: Any,
-    prior: Any,
     data_folder: Path,
     training_command: str | None,
-    signing: Signing,
 ) -> None:
     """Export a checkpoint: ONNX graphs, model image and card.
 
@@ -135,20 +82,10 @@ def export(
 
     The command writes the folder as a whole, and replaces a folder that holds a model.
     """
-    from vibrocast.export import (
-        configuration,
-        lapped_card,
-        lapped_image,
-        model_card,
-        package,
-        training_curves,
-        training_data,
-    )
+    from vibrocast.export import configuration, model_card, package, training_curves, training_data
     from vibrocast.export.checkpoint import ModelError, load
     from vibrocast.export.graphs import GraphError
-    from vibrocast.export.lapped import Lapped
 
-    sign = signing.signer()
     try:
         loaded = load(checkpoint)
         try:
@@ -157,8 +94,6 @@ def export(
             raise ModelError(
                 f"{checkpoint}: the configuration in it is damaged: {error}; train the model again"
             ) from error
-        if isinstance(loaded.model, Lapped) and (runtime, prior) != ("core", "adaptive"):
-            raise ModelError("a model of kind lapped has no ONNX graph and no static prior; drop --runtime and --prior")
         if (done := loaded.progress["step"]) < trained_as.training.steps:
             raise ModelError(
                 f"{checkpoint}: its training was cut at step {done} of {trained_as.training.steps}; continue it with "
@@ -175,33 +110,22 @@ def export(
             traces = training_data.load(trained_as.sources, data_folder, trained_as.training.rate_hz)
             trained, held_back = training_data.split(traces, trained_as.held_back, trained_as.seed)
             signals = [trace.samples.astype(np.float64) for trace in trained]
-            if not isinstance(loaded.model, Lapped):
-                update(0, "integers")
-                made = package.make(loaded, name, model_version, runtime, signals, prior)
-                made = replace(made, image=sign(made.image))
-                image, files = made.image, made.files
-                card = model_card.made(loaded, made, trained, held_back, commands, update)
-                page = model_card.as_markdown(card)
-        if isinstance(loaded.model, Lapped):
-            image = sign(lapped_image.image(loaded.model, name, model_version, signals, trained_as.seed))
-            model = models.Model(name, Path(f"{name}{models.IMAGE_SUFFIX}"), image)
-            files = {str(model.path): image}
-            with progress.bar("measuring") as update:
-                card = lapped_card.made(loaded, model, model_version, (trained, held_back), commands, update)
-            page = lapped_card.as_markdown(card)
+            update(0, "integers")
+            made = package.make(loaded, name, model_version, runtime, signals)
+            card = model_card.made(loaded, made, trained, held_back, commands, update)
     except (ModelError, GraphError) as error:
         raise BadInput(str(error)) from error
     with atomic_folder(out) as partial:
-        for file, data in {**files, **training_curves.files(loaded.curves)}.items():
+        for file, data in {**made.files, **training_curves.files(loaded.curves)}.items():
             (partial / file).write_bytes(data)
         (partial / models.CARD).write_text(model_card.as_json(card), encoding="utf-8")
-        (partial / "card.md").write_text(page, encoding="utf-8")
+        (partial / "card.md").write_text(model_card.as_markdown(card), encoding="utf-8")
     point = card["results"]["point"]
     tell(
-        f"{out}: {name}, image of {len(image)} bytes, {point['snr_db']:.1f} dB at "
+        f"{out}: {name}, image of {len(made.image)} bytes, {point['snr_db']:.1f} dB at "
         f"{point['bits_per_sample']:.2f} bit/sample",
         out=str(out),
         model=name,
-        image_bytes=len(image),
+        image_bytes=len(made.image),
         **point,
     )

@@ -10,7 +10,7 @@ import click
 
 from vibrocast import progress
 from vibrocast.host.cli.answers import tell
-from vibrocast.host.cli.option_types import FOLDER, INPUT, Whole
+from vibrocast.host.cli.option_types import FOLDER, INPUT
 from vibrocast.host.cli.options import BadInput
 
 
@@ -38,7 +38,6 @@ from vibrocast.host.cli.options import BadInput
     help="Write the checkpoints into this folder, under the training's name.",
 )
 @click.option("--resume", is_flag=True, help="Continue a training that was cut.")
-@click.option("--threads", type=Whole("NUMBER", 1), help="Limit the threads of a single training. Default: one a core.")
 @click.option(
     "--scheduler",
     metavar="ADDRESS",
@@ -50,7 +49,6 @@ def train(
     split: str,
     out: Path,
     resume: bool,
-    threads: int | None,
     scheduler: str | None,
 ) -> None:
     """Train a model from a TOML configuration.
@@ -83,7 +81,7 @@ def train(
         }
         if len(trainings) == 1 and not scheduler:
             with progress.bar("training") as update:
-                (outcome,) = (run(update, threads) for run in trainings.values())
+                (outcome,) = (run(update) for run in trainings.values())
             tell(str(outcome), trainings=[str(outcome)])
             return
     except (configuration.ConfigurationError, dataset.DatasetError, ModelError) as error:

@@ -4,7 +4,6 @@
 
 #include "../src/core/vc_codec.h"
 #include "../src/core/vc_decoder_memory.h"
-#include "../src/core/vc_lapped.h"
 #include "targets.h"
 #include "../src/core/vc_mdct.h"
 
@@ -102,30 +101,24 @@ static void overlay(uint8_t *bytes, size_t size, const uint8_t *record, size_t l
         bytes[i] ^= record[i % length];
 }
 
-/* Takes the records of a model. Returns its bytes, NULL for the built-in tables. */
+/* Takes the record of a model. Returns its bytes, NULL for the built-in tables. */
 static uint8_t *take_model(const vc_codec *codec, const uint8_t **data, size_t *length, size_t *model_length)
 {
-    const size_t windows_size = codec == &vc_lapped_codec ? vc_lapped_windows_size() : 0;
-    const size_t tables_size = vc_mdct_tables_size();
-    uint8_t *records[2] = {NULL, NULL}, *model = NULL;
-    size_t lengths[2] = {0, 0};
-    unsigned i;
+    uint8_t *changes = NULL, *model = NULL;
+    size_t changes_length = 0;
     *model_length = 0;
     if (codec == &vc_eva_codec && vc_fuzz_record(data, length, &model, model_length))
         return model;
-    if (codec != &vc_mdct_codec && codec != &vc_lapped_codec)
+    if (codec != &vc_mdct_codec)
         return NULL;
-    for (i = 0; i < 2; i++)
-        (void)vc_fuzz_record(data, length, &records[i], &lengths[i]);
-    if (windows_size + lengths[0] > 0) {
-        *model_length = windows_size + tables_size;
-        model = calloc(1, *model_length);
-        memcpy(model + windows_size, vc_mdct_builtin_tables(), tables_size);
-        overlay(model + windows_size, tables_size, records[0], lengths[0]);
-        overlay(model, windows_size, records[1], lengths[1]);
+    (void)vc_fuzz_record(data, length, &changes, &changes_length);
+    if (changes_length > 0) {
+        *model_length = vc_mdct_tables_size();
+        model = malloc(*model_length);
+        memcpy(model, vc_mdct_builtin_tables(), *model_length);
+        overlay(model, *model_length, changes, changes_length);
     }
-    for (i = 0; i < 2; i++)
-        free(records[i]);
+    free(changes);
     return model;
 }
 

@@ -22,8 +22,8 @@ void vc_fuzz_headers(const uint8_t *data, size_t length);
 /* A model image, as it is and with its CRC-32 put right. */
 void vc_fuzz_images(const uint8_t *data, size_t length);
 /* A stream of the codec of this name, in records: the number of channels and the configuration, the model, then
- * packets; an empty one is lost. The model is that of `eva`; two records of `mdct` and `lapped`, changes of the
- * built-in tables, the windows; and none of other codecs. */
+ * packets; an empty one is lost. The model is that of `eva`; of `mdct`, changes of the built-in tables; and none of
+ * other codecs. */
 #define VC_FUZZ_DECLARED(name) void vc_fuzz_##name(const uint8_t *data, size_t length);
 VC_CODECS(VC_FUZZ_DECLARED)
 /* The decoder library. Records of its setting and of the model image, which is empty for none; then, by the kind:

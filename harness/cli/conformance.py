@@ -14,7 +14,7 @@ from vibrocast.host import devices
 from vibrocast.host.cli import exit_codes
 from vibrocast.host.cli.answers import add, tell, wants_json
 from vibrocast.host.cli.option_types import FOLDER
-from vibrocast.host.cli.options import BadInput, actuator_option, device_option, own_actuator
+from vibrocast.host.cli.options import BadInput, device_option
 
 if TYPE_CHECKING:
     from vibrocast.harness.conformance import Report
@@ -22,11 +22,10 @@ if TYPE_CHECKING:
 
 @click.command()
 @device_option
-@actuator_option
 @click.option("--out", type=FOLDER, help="Write the report into this folder. Default: none is written.")
 @click.option("--no-flash", is_flag=True, help="Write no model image; requirements on them are not applicable.")
 @click.option("--quick", is_flag=True, help="Leave out tests that take more than a second.")
-def conformance(address: str, actuator_name: str | None, out: Path | None, no_flash: bool, quick: bool) -> None:
+def conformance(address: str, out: Path | None, no_flash: bool, quick: bool) -> None:
     """Test a controller against the protocol.
 
     The requirements are those of docs/reference/protocol.md. The tests play textures, and write the spare slot for
@@ -40,10 +39,7 @@ def conformance(address: str, actuator_name: str | None, out: Path | None, no_fl
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)  # an error is better known before the tests than after
     try:
-        with (
-            devices.reach(address, actuator=own_actuator(address, actuator_name)) as transport,
-            progress.bar("testing") as update,
-        ):
+        with devices.reach(address) as transport, progress.bar("testing") as update:
             report = run_suite(TappedLink(transport, may_flash=not no_flash), quick, update)
     except NotTestable as error:
         raise BadInput(str(error)) from error

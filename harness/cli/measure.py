@@ -2,31 +2,18 @@
 
 import json
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from vibrocast.harness import ACTUATOR, JSON, NAMES, PAGE
-from vibrocast.harness.cli.sensor_options import sensitivity_option, volts_option
 from vibrocast.host.cli.answers import add, figures_so_far, tell
 from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import FOLDER, INPUT
-from vibrocast.host.cli.options import (
-    Regression,
-    actuator_option,
-    allow_programs_option,
-    fail_where_missed,
-    grouped,
-)
-from vibrocast.output import actuator_files
-from vibrocast.textures.sensitivity import Sensitivity
-
-if TYPE_CHECKING:
-    from vibrocast.host.bench_file import Bench
-
+from vibrocast.host.cli.options import Regression, allow_programs_option, fail_where_missed
 
 TRACE = "trace.pcapng"
 MAX_SHOWN = 6
@@ -40,52 +27,6 @@ def chosen_names(ctx: click.Context, param: click.Parameter, value: str | None) 
         if name not in NAMES:
             raise click.BadParameter(f"{name!r} is no measurement; give some of {', '.join(NAMES)}", ctx, param)
     return names
-
-
-@dataclass(frozen=True)
-class CalibrationOptions:
-    """An actuator on the first channel and a sensor on it, without a bench file; None = not given."""
-
-    actuator_name: str | None
-    sensor: str | None
-    sensitivity: Sensitivity | None
-    volts_full_scale: float | None
-
-
-calibration_options = grouped(
-    "calibration",
-    CalibrationOptions,
-    actuator_option,
-    click.option("--sensor", metavar="INPUT", help="Choose its sensor: serial:PORT[@BAUD] or audio:CARD:CHANNEL."),
-    sensitivity_option,
-    volts_option,
-)
-
-
-def calibrated(bench: "Bench", given: CalibrationOptions) -> "Bench":
-    """Return the bench with the actuator and the sensor that the options name. Raises click.UsageError."""
-    from vibrocast.host.bench_file import BenchActuator, Sensor
-
-    if given.sensor is None and (given.sensitivity is not None or given.volts_full_scale is not None):
-        raise click.UsageError("--sensitivity and --volts-full-scale describe a sensor; add --sensor")
-    if given.actuator_name is not None:
-        model = actuator_files.find(given.actuator_name)
-        bench = replace(bench, actuators=(BenchActuator(model, bench.first.name, None),))
-    if given.sensor is None:
-        return bench
-    sensitivity = given.sensitivity
-    try:
-        sensor = Sensor(
-            name=given.sensor,
-            kind="laser" if sensitivity is not None and sensitivity.unit == "um" else "accelerometer",
-            controller=bench.first.name,
-            input=given.sensor,
-            sensitivity=None if sensitivity is None else sensitivity.text,
-            volts_full_scale=given.volts_full_scale,
-        )
-    except ValueError as error:
-        raise click.UsageError(f"--sensor: {error}") from error
-    return replace(bench, sensors=(sensor,))
 
 
 def written_since(path: Path, began_ns: int) -> dict[str, Any] | None:
@@ -108,7 +49,6 @@ def written_since(path: Path, began_ns: int) -> dict[str, Any] | None:
     help="Read controllers, actuators, sensors and textures from a TOML file.",
 )
 @allow_programs_option
-@calibration_options
 @click.option(
     "--out",
     type=FOLDER,
@@ -134,7 +74,6 @@ def measure(
     device: str | None,
     bench_path: Path | None,
     allow_programs: bool,
-    calibration: CalibrationOptions,
     out: Path,
     earlier: Path | None,
     names: tuple[str, ...],
@@ -149,11 +88,8 @@ def measure(
     from vibrocast.harness import compare, described, deviations, figures, measure_bench, read_results, warnings
     from vibrocast.host.bench_file import choose_controller, read_bench
 
-    if bench_path and calibration != CalibrationOptions(None, None, None, None):
-        raise click.UsageError("--bench names actuators and sensors; drop it, or --actuator and --sensor")
     bench = None if bench_path is None else read_bench(bench_path, allow_programs)
     bench = choose_controller(bench, device)
-    bench = calibrated(bench, calibration)
     before = None if earlier is None else read_results(earlier)
     trace_failure(out / TRACE)
     figures_so_far(partial(written_since, out / JSON, time.time_ns()))

@@ -5,10 +5,9 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import click
 
@@ -20,8 +19,8 @@ from vibrocast.files import plain
 from vibrocast.harness.frame_lines import line
 from vibrocast.host import devices
 from vibrocast.host.cli.answers import tell, wants_json
-from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, positive
-from vibrocast.host.cli.options import BadInput, checked_address, grouped, link_option, tell_address
+from vibrocast.host.cli.option_types import INPUT, Number, OutputFile
+from vibrocast.host.cli.options import BadInput, checked_address, link_option, tell_address
 from vibrocast.host.tracing import tracer
 
 if TYPE_CHECKING:
@@ -56,10 +55,7 @@ class Screen:
 @address_argument
 @link_option
 @click.option("--web", is_flag=True, help="Show signals, spectra and state on a page for your browser.")
-@click.option(
-    "--port", type=Whole("NUMBER", 0, 65_535), default=0, show_default=True, help="Serve it here; 0 takes a free port."
-)
-def monitor(address: str, link: Path | None, web: bool, port: int) -> None:
+def monitor(address: str, link: Path | None, web: bool) -> None:
     """Show the frames between a host and a controller as they pass.
 
     The command opens the controller at ADDRESS, and prints the address of another port on stderr. Pass that to the
@@ -71,67 +67,41 @@ def monitor(address: str, link: Path | None, web: bool, port: int) -> None:
     --web prints the address of a page instead. It helps where an actuator buzzes strangely.
     """
     if not web:
-        serve(address, link, (), 0, Screen().show)
+        serve(address, link, (), Screen().show)
         return
     from vibrocast.harness.wire_page import wire_page
     from vibrocast.harness.wire_view import WireView
 
     view = WireView()
-    with wire_page(view.document, port) as page:
+    with wire_page(view.document) as page:
         click.echo(f"page: {page}", err=True)
-        serve(address, link, (), 0, view.note)
+        serve(address, link, (), view.note)
 
 
-def _option(kind: Number, name: str, text: str) -> Callable[..., Any]:
-    """Return an option that is 0 by default."""
-    return click.option(name, type=kind, default=0.0, show_default=True, help=text)
-
-
-@dataclass(frozen=True)
-class FaultOptions:
-    """One fault that lasts as long as the wire."""
-
-    lost: float
-    flipped: float
-    delay_ms: float
-    jitter_ms: float
-    bits_per_second: float | None
-
-
-share_option = partial(_option, Number("PART", 0, 1))
-delay_option = partial(_option, Number("ms", 0, 10_000))
+share_option = partial(click.option, type=Number("PART", 0, 1), default=0.0, show_default=True)
 
 
 @click.command()
 @address_argument
 @link_option
-@grouped(
-    "given",
-    FaultOptions,
-    share_option("--lost", "Lose this part of the frames, 0 to 1."),
-    share_option("--flipped", "Damage this part of the frames, 0 to 1."),
-    delay_option("--delay-ms", "Delay each frame."),
-    delay_option("--jitter-ms", "Delay each by up to this much more."),
-    click.option("--rate-bps", "bits_per_second", type=positive("bit/s"), help="Limit the capacity, 8 bits to a byte."),
-)
+@share_option("--lost", help="Lose this part of the frames, 0 to 1.")
+@share_option("--flipped", help="Damage this part of the frames, 0 to 1.")
+@click.option("--delay-ms", type=Number("ms", 0, 10_000), default=0.0, show_default=True, help="Delay each frame.")
 @click.option("--faults", "schedule", type=INPUT, metavar="FILE", help="Take a schedule of faults from a TOML file.")
-@click.option(
-    "--seed", type=Whole("NUMBER", 0, 2**31), default=0, show_default=True, help="Draw other faults at random."
-)
-def proxy(address: str, link: Path | None, given: FaultOptions, schedule: Path | None, seed: int) -> None:
+def proxy(address: str, link: Path | None, lost: float, flipped: float, delay_ms: float, schedule: Path | None) -> None:
     """Put a wire with faults between a host and a controller.
 
     The command opens the controller at ADDRESS, and prints the address of another port. Pass that to any program as its
     --device. The options hold for both directions and all the time. A schedule names faults with their times, and can
-    pull the cable. The same seed gives the same faults for the same frames.
+    pull the cable. The same faults come for the same frames.
     """
     from vibrocast.simulated_device.faulty_wire import Fault, read_faults
 
     faults = () if schedule is None else read_faults(schedule)
-    serve(address, link, (Fault(**vars(given)), *faults), seed, None)
+    serve(address, link, (Fault(lost=lost, flipped=flipped, delay_ms=delay_ms), *faults), None)
 
 
-def serve(address: str, link: Path | None, faults: "Sequence[Fault]", seed: int, see: "See | None") -> None:
+def serve(address: str, link: Path | None, faults: "Sequence[Fault]", see: "See | None") -> None:
     """Serve a controller behind a port of its own until Ctrl-C; raise what broke the way to it.
 
     `see` takes the frames as they pass.
@@ -148,7 +118,7 @@ def serve(address: str, link: Path | None, faults: "Sequence[Fault]", seed: int,
             # Not in the thread of the port, which this waits for.
             threading.Thread(target=getattr(port, "unplug" if is_out else "plug"), daemon=True).start()
 
-        port = serial_port(FaultyWire(remote, faults, seed, pull), link)
+        port = serial_port(FaultyWire(remote, faults, 0, pull), link)
         try:
             with port:
                 tracer.take()

@@ -1,23 +1,23 @@
 """The way to the controller under test: it notes which messages pass, and does harm where a test asks for it."""
 
 import contextlib
+import math
 import time
 from collections.abc import Callable, Iterator
 
 from vibrocast.device_protocol.frames import FrameReader
 from vibrocast.device_protocol.messages import Error, Message, MessageError, unpack
-from vibrocast.device_protocol.transports import Closing, Transport, TransportError
-from vibrocast.simulated_device.faulty_link import FaultyDirection
+from vibrocast.device_protocol.transports import Transport
+from vibrocast.simulated_device.faulty_wire import FaultyTransport
 
 
-class TappedLink(Closing):
-    """A transport (device_protocol.transports.Transport) around another one.
+class TappedLink(FaultyTransport):
+    """A FaultyTransport that notes which messages pass.
 
     `clock`, `sleep`: the host's; for a transport in simulated time, its own. `restart`: takes the power from the
     controller and gives it back; None where nobody can. `may_flash`: whether slots for model images may be written.
     `messages`: names of the types of message that passed either way, whole. `error_codes`: those of the controller.
-    `to_controller`, `to_host`: the faults of each direction, None = none. `late_s`: the most by which this machine woke
-    up late from a wait, since somebody set it to 0.
+    `late_s`: the most by which this machine woke up late from a wait, since somebody set it to 0.
     """
 
     def __init__(
@@ -28,17 +28,13 @@ class TappedLink(Closing):
         restart: Callable[[], None] | None = None,
         may_flash: bool = True,
     ) -> None:
-        self.clock = clock
+        super().__init__(transport, clock)
         self._sleep = sleep
         self.late_s = 0.0
         self.restart = restart
         self.may_flash = may_flash
         self.messages: set[str] = set()
         self.error_codes: set[int] = set()
-        self.to_controller: FaultyDirection | None = None
-        self.to_host: FaultyDirection | None = None
-        self._transport = transport
-        self._is_cut = False
         self._sent, self._received = FrameReader(), FrameReader()
 
     def sleep(self, seconds: float) -> None:
@@ -49,12 +45,12 @@ class TappedLink(Closing):
 
     def cut(self) -> None:
         """Fail, as a pulled cable does, until the transport is opened again."""
-        self._is_cut = True
+        self._out_until_s = math.inf
 
     def heal(self) -> None:
         """End all harm. Raises TransportError where the transport cannot be opened again."""
         self.to_controller = self.to_host = None
-        if self._is_cut:
+        if math.isinf(self._out_until_s):
             self.reopen()
 
     def write(self, data: bytes) -> None:
@@ -62,7 +58,7 @@ class TappedLink(Closing):
         self._need_cable()
         for message in _messages(self._sent, data):
             self.messages.add(type(message).__name__)
-        self._transport.write(data if self.to_controller is None else self.to_controller.carry(data))
+        super().write(data)
 
     def read(self, timeout_s: float) -> bytes:
         """Return what has come, waiting for it at most `timeout_s`. Raises TransportError."""
@@ -79,15 +75,7 @@ class TappedLink(Closing):
     def reopen(self) -> None:
         """Close, and open again. Raises TransportError."""
         self._transport.reopen()
-        self._is_cut = False
-
-    def close(self) -> None:
-        """Release the port."""
-        self._transport.close()
-
-    def _need_cable(self) -> None:
-        if self._is_cut:
-            raise TransportError("the suite has cut the connection")
+        self._out_until_s = 0.0
 
 
 def _messages(reader: FrameReader, data: bytes) -> Iterator[Message]:

@@ -13,28 +13,28 @@ from vibrocast.harness.conformance.probe import Probe, describe, in_state, same_
 from vibrocast.harness.conformance.streams import decoded, decoded_as, need_capture, stream_for
 from vibrocast.host import player
 from vibrocast.host.controller import Controller
-from vibrocast.simulated_device.faulty_link import FaultyDirection
+from vibrocast.simulated_device.faulty_wire import Fault, FrameDamage
 
 _FAULTY_SECONDS = 1.0
 _SEEDS = (5, 15, 25)
 _PACKETS_READY = 4
 # Of each frame, in both directions.
-_CHANCES = {
-    "lost": {"lost": 0.1},
-    "damaged": {"flipped": 0.1},
-    "doubled": {"doubled": 0.3},
-    "reordered": {"swapped": 0.3},
-    "lost and damaged and doubled and reordered": {"lost": 0.05, "flipped": 0.05, "doubled": 0.1, "swapped": 0.1},
+_FAULTS = {
+    "lost": Fault(lost=0.1),
+    "damaged": Fault(flipped=0.1),
+    "doubled": Fault(doubled=0.3),
+    "reordered": Fault(swapped=0.3),
+    "lost and damaged and doubled and reordered": Fault(lost=0.05, flipped=0.05, doubled=0.1, swapped=0.1),
 }
 _DRIFT_SECONDS = 3.0
 _PPM = 1e6
 
 
-class NotedLine(FaultyDirection):
-    """A faulty link that keeps the payloads that arrive."""
+class NotedDamage(FrameDamage):
+    """Damages frames, and keeps the payloads that arrive."""
 
-    def __init__(self, seed: int, chances: dict[str, float]) -> None:
-        super().__init__(seed, **chances)
+    def __init__(self, fault: Fault, seed: int) -> None:
+        super().__init__(fault, seed)
         self.arrived: list[bytes] = []
         self._reader = FrameReader()
 
@@ -56,13 +56,13 @@ def answered_s(probe: Probe) -> float:
 
 
 @section("Playing: Stream data")
-@pytest.mark.parametrize("fault", _CHANCES)
+@pytest.mark.parametrize("fault", _FAULTS)
 def test_faults_on_the_link(probe: Probe, fault: str, record_property: Callable[[str, object], None]) -> None:
     """The controller plays all packets that arrive over a link with frames {fault}, and conceals only the others."""
     need_capture(probe.description)
     stream = stream_for(probe.description, seconds=_FAULTY_SECONDS, buffered=False)
     for seed in _SEEDS:
-        result, missing = play_with_faults(probe, stream, _CHANCES[fault], seed)
+        result, missing = play_with_faults(probe, stream, _FAULTS[fault], seed)
         if not result.underruns:
             break  # otherwise this computer may have paused for too long
     record_property("measured", f"{len(missing)} of {len(stream.packets)} packets did not arrive")
@@ -71,14 +71,12 @@ def test_faults_on_the_link(probe: Probe, fault: str, record_property: Callable[
     decoded_as(probe, decoded(stream, missing=missing), f"with frames {fault}")
 
 
-def play_with_faults(
-    probe: Probe, stream: Stream, chances: dict[str, float], seed: int
-) -> tuple[player.PlaybackResult, list[int]]:
+def play_with_faults(probe: Probe, stream: Stream, fault: Fault, seed: int) -> tuple[player.PlaybackResult, list[int]]:
     """Play a stream on a faulty link; return what happened, and the packets that did not arrive."""
     packet_samples = stream.decoder().packet_samples
     controller = host(probe)
-    there = probe.link.to_controller = NotedLine(seed, chances)
-    probe.link.to_host = FaultyDirection(seed + 1, **chances)
+    there = probe.link.to_controller = NotedDamage(fault, seed)
+    probe.link.to_host = FrameDamage(fault, seed + 1)
     # Captures are read afterwards, and some packets lie ready, so that the host is not late with its data.
     buffer_s = max(answered_s(probe), _PACKETS_READY * packet_samples / stream.header.rate_hz)
     result = player.play(controller, stream.header, stream.packets, packet_samples, buffer_s=buffer_s)

@@ -23,8 +23,6 @@ from vibrocast.host.cli.errors import explained, option_names
 from vibrocast.host.cli.failure_trace import keep_trace
 from vibrocast.host.cli.option_types import OutputFile, reject_overwriting
 
-LOG_LEVELS = ("debug", "info", "warning", "error")
-
 
 class VibrocastCommand(click.Group):
     """A group whose errors, expected or not, are one line on stderr and an exit code."""
@@ -151,8 +149,8 @@ class LogFile(logging.FileHandler):
         raise OSError(error.errno, error.strerror, self.baseFilename) from error
 
 
-def keep_log(path: Path, level: str) -> None:
-    """Append the log of this program to a file. `level`: one of LOG_LEVELS. Raises OSError, then or later."""
+def keep_log(path: Path) -> None:
+    """Append the log of this program to a file. Raises OSError, then or later."""
     handler = LogFile(path, encoding="utf-8")
     formatter = logging.Formatter("%(asctime)s.%(msecs)03dZ %(levelname)s %(name)s: %(message)s", "%Y-%m-%dT%H:%M:%S")
     formatter.converter = time.gmtime
@@ -161,7 +159,7 @@ def keep_log(path: Path, level: str) -> None:
     for earlier in [each for each in logger.handlers if isinstance(each, logging.FileHandler)]:
         logger.removeHandler(earlier)
     logger.addHandler(handler)
-    logger.setLevel(level.upper())
+    logger.setLevel(logging.DEBUG)
 
 
 def fail(message: str, exit_code: int) -> NoReturn:
@@ -188,18 +186,11 @@ def fail(message: str, exit_code: int) -> NoReturn:
 @click.option(
     "--log", "log_path", type=OutputFile(), metavar="FILE", help="Append what happens to a file, with times in UTC."
 )
-@click.option(
-    "--log-level",
-    type=click.Choice(LOG_LEVELS),
-    default="info",
-    show_default=True,
-    help="Choose what --log keeps.",
-)
 @click.pass_context
-def main(ctx: click.Context, debug: bool, trace_path: Path | None, log_path: Path | None, log_level: str) -> None:
+def main(ctx: click.Context, debug: bool, trace_path: Path | None, log_path: Path | None) -> None:
     """Compress vibrotactile textures and play them in real time on an actuator."""
     if log_path is not None:
-        keep_log(log_path, log_level)
+        keep_log(log_path)
         logging.getLogger(__name__).info("vibrocast %s: %s", version("vibrocast"), shlex.join(sys.argv[1:]))
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())

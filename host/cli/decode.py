@@ -16,28 +16,16 @@ from vibrocast.host.cli.steps import files_of, show
 @click.command()
 @click.argument("file", type=INPUT)
 @click.argument("out", type=OutputFile(*textures.SAVED_SUFFIXES))
-@click.option(
-    "--format",
-    "sample_format",
-    type=click.Choice(("float", "16-bit")),
-    default="float",
-    show_default=True,
-    help="Choose the samples of a WAV file.",
-)
 @model_option
 @runtime_option
-def decode(file: Path, out: Path, sample_format: str, model: models.Model | None, runtime: str | None) -> None:
+def decode(file: Path, out: Path, model: models.Model | None, runtime: str | None) -> None:
     """Decode a .vct file into a WAV, CSV, NPY or MAT file.
 
-    The suffix of OUT chooses the format. The file holds physical values, exactly as decoded; a 16-bit WAV file is
-    relative to its peak, which the command prints. WAV, CSV and MAT files state rate and unit, and vibrocast reads both
-    again.
+    The suffix of OUT chooses the format. The file holds physical values, exactly as decoded. WAV, CSV and MAT files
+    state rate and unit, and vibrocast reads both again.
 
     A height profile becomes a CSV file.
     """
-    sixteen_bit = sample_format == "16-bit"
-    if sixteen_bit and out.suffix.lower() != ".wav":
-        raise click.UsageError("--format is for a WAV file; drop it, or name a .wav file")
     reject_overwriting([out], [file, *files_of(model)])
     stream = replace(read_stream(file, model.image if model else None), runtime=runtime)
     if stream.header.spatial and out.suffix.lower() == ".csv":
@@ -46,7 +34,7 @@ def decode(file: Path, out: Path, sample_format: str, model: models.Model | None
         tell_profile(out, profile)
         return
     with progress.bar("decoding") as update:
-        full_scale = write_recording(out, stream, sixteen_bit, progress=update)
+        full_scale = write_recording(out, stream, progress=update)
     header = stream.header
     unit = f"1.0 is {full_scale:g} {header.unit}" if out.suffix.lower() == ".wav" else f"in {header.unit}"
     tell(

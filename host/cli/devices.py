@@ -9,7 +9,7 @@ from vibrocast import models, progress
 from vibrocast.files import plain
 from vibrocast.host import devices, uploader
 from vibrocast.host.cli.answers import add, tell, wants_json
-from vibrocast.host.cli.option_types import INPUT, OutputFile, Whole
+from vibrocast.host.cli.option_types import INPUT, OutputFile
 from vibrocast.host.cli.options import (
     BadInput,
     actuator_option,
@@ -17,7 +17,6 @@ from vibrocast.host.cli.options import (
     device_option,
     link_option,
     own_actuator,
-    runtime_option,
     tell_address,
 )
 from vibrocast.host.cli.steps import show
@@ -79,25 +78,10 @@ def status(address: str, actuator_name: str | None) -> None:
     show_default=True,
     help="Choose the actuator to simulate.",
 )
-@click.option(
-    "--drift-ppm",
-    type=Whole("ppm", -10_000, 10_000),
-    default=0,
-    show_default=True,
-    help="Let the controller's clock run fast.",
-)
 @link_option
 @click.option("--flash-file", type=OutputFile(), help="Keep model images in this file. Default: lost at the end.")
 @click.option("--public-key", type=INPUT, metavar="FILE", help="Take only model images that this key signed.")
-@runtime_option
-def simulate(
-    actuator: str,
-    drift_ppm: int,
-    link: Path | None,
-    flash_file: Path | None,
-    public_key: Path | None,
-    runtime: str | None,
-) -> None:
+def simulate(actuator: str, link: Path | None, flash_file: Path | None, public_key: Path | None) -> None:
     """Run a simulated controller until Ctrl-C.
 
     The command prints the address of its serial port. Pass it to another program as --device. The port is a
@@ -113,7 +97,7 @@ def simulate(
         raise BadInput(f"{flash_file}: no flash memory, which has {FLASH_BYTES} bytes; name a new file")
     flash_memory = FlashMemory(FLASH_BYTES, path=flash_file)
     key = None if public_key is None else read_public_key(public_key)
-    settings = Settings(actuator=ACTUATORS[actuator], drift_ppm=drift_ppm, runtime=runtime, public_key=key)
+    settings = Settings(actuator=ACTUATORS[actuator], public_key=key)
     with serial_port(SimulatedController(settings, flash_memory), link) as port:
         tell_address(port.name)
         while True:

@@ -1,25 +1,31 @@
 """The subcommand `encode`: codes a recording or a height profile into a .vct file."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import click
 
-from vibrocast import progress, textures
-from vibrocast.codec import profiles, rate_controlled
+from vibrocast import codec, progress, textures
+from vibrocast.codec import rate_controlled
 from vibrocast.codec.encoding import Encoding
 from vibrocast.host.cli.answers import add, tell, wants_json
-from vibrocast.host.cli.option_types import INPUT, OutputFile, positive, reject_overwriting
+from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, positive, reject_overwriting
 from vibrocast.host.cli.options import (
     QualityOptions,
     RecordingOptions,
-    quality_options,
-    recording_options,
+    grouped,
+    hand_speed_option,
+    model_option,
+    rate_hz_option,
+    rate_target,
+    snr_db_option,
+    stream_rate_option,
+    unit_option,
 )
-from vibrocast.host.cli.rate_options import RateOptions, rate_controlled_options
-from vibrocast.host.cli.sections import SectionedCommand, section
+from vibrocast.host.cli.sections import CODING, SectionedCommand, section
+from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
 from vibrocast.host.cli.steps import (
     describe_felt_error,
     describe_quality,
@@ -30,75 +36,116 @@ from vibrocast.host.cli.steps import (
 )
 
 
+def parsed_setting(ctx: click.Context, param: click.Parameter, values: Sequence[str]) -> dict[str, str]:
+    """Return a codec's parameters by name, or raise click.BadParameter."""
+    setting: dict[str, str] = {}
+    for text in values:
+        name, sign, value = text.partition("=")
+        if not (name and sign and value):
+            raise click.BadParameter(f"{text!r} names no parameter and value; write NAME=VALUE", ctx, param)
+        if name in setting:
+            raise click.BadParameter(f"{name} is given twice; keep one", ctx, param)
+        setting[name] = value
+    return setting
+
+
 @click.command(cls=SectionedCommand)
 @click.argument("file", type=INPUT)
 @click.argument("out", type=OutputFile(".vct"))
-@recording_options
-@quality_options
-@rate_controlled_options
 @section(
-    "Height profile under a hand",
-    click.option("--spatial", is_flag=True, help="Code a height profile over position, for a moving hand."),
-    click.option(
-        "--slowest-hand-speed-mm-s",
-        type=positive("mm/s"),
-        default=profiles.SLOWEST_MM_S,
-        show_default=True,
-        help="Choose the pitch of heights for this speed, with --spatial.",
-    ),
-    click.option(
-        "--crossfade",
-        is_flag=True,
-        help="Fade the end of the profile into its beginning, with --spatial. Default: it repeats as it is.",
+    INPUT_SECTION,
+    grouped(
+        "recording",
+        RecordingOptions,
+        rate_hz_option,
+        unit_option,
+        click.option("--full-scale", type=positive("VALUE"), help="Give the value of 1.0 in a WAV file, in --unit."),
+        click.option(
+            "--axis",
+            type=click.Choice((*textures.AXES, *textures.REDUCTIONS), case_sensitive=False),
+            help="Take one of three axes, or reduce them; none keeps three. "
+            "Default: dft321 for P1918.1.1 recordings, none for others.",
+        ),
+        hand_speed_option,
     ),
 )
-def encode(
-    file: Path,
-    out: Path,
-    spatial: bool,
-    slowest_hand_speed_mm_s: float,
-    crossfade: bool,
-    quality: QualityOptions,
-    rate: RateOptions,
-    recording: RecordingOptions,
-) -> None:
+@section(
+    CODING,
+    grouped(
+        "quality",
+        QualityOptions,
+        click.option(
+            "--codec",
+            "codec_name",
+            type=click.Choice(sorted(codec.CODECS)),
+            metavar="NAME",
+            help=f"Choose a codec that `vibrocast codecs` lists. Default: that of --model, else {codec.DEFAULT_CODEC}.",
+        ),
+        model_option,
+        click.option(
+            "--setting",
+            callback=parsed_setting,
+            multiple=True,
+            metavar="NAME=VALUE",
+            help="Fix a parameter that `vibrocast codecs` lists; may be repeated.",
+        ),
+        click.option("--rate-bps", type=positive("bit/s"), help="Set the highest rate of the whole .vct file."),
+        snr_db_option,
+        click.option(
+            "--touch",
+            type=Number("strength from 0 to 1", 0, 1),
+            help="Shape the error for touch: 0 = flat, 1 = by the threshold. "
+            f"Default: {codec.DEFAULT_TOUCH:g} for physical units, if the codec can.",
+        ),
+        stream_rate_option,
+    ),
+    click.option("--live", is_flag=True, help="Code short packets, and hold --rate-bps over any 2 s."),
+)
+def encode(file: Path, out: Path, live: bool, quality: QualityOptions, recording: RecordingOptions) -> None:
     """Code a recording into a .vct file.
 
-    --rate-bps and --snr-db apply to the file as a whole. The options of rate control code it as a live stream, and
-    hold a target over time.
+    --rate-bps and --snr-db apply to the file as a whole; give one of them.
+
+    With --live, packets are short, and a link may lose some. --rate-bps counts their frames and holds over any 2 s.
+    With --snr-db as well, the stream keeps this SNR, and the rate is a cap.
+
+    A height profile is coded over position, for a hand at any speed. With --hand-speed-mm-s, it is coded over time.
     """
     reject_overwriting([out], [file, *files_of(quality.model)])
-    target = rate.target(quality.snr_db, quality.rate_bps)
-    if spatial:
-        if target is not None or rate.packet_ms is not None:
-            raise click.UsageError(
-                "a profile has no time, so nothing can be held over time; drop the options of rate control"
-            )
-        profile = profiles.recording_of(file, **vars(recording))
-        encoding = encoded_profile(profile, quality, slowest_hand_speed_mm_s, crossfade)
-        facts = encoding.stream.facts()
-        tell(
-            f"{out}: {facts['size_bytes']} bytes, {facts['length_mm']:.3f} mm, {facts['samples_per_metre']} samples "
-            f"per metre, {facts['bits_per_mm']:.0f} bit/mm",
-            out=str(out),
-            **facts,
-        )
-        encoding.stream.save(out)
+    target = rate_target(quality.rate_bps, quality.snr_db) if live else None
+    if not live and quality.rate_bps is not None and quality.snr_db is not None:
+        raise click.UsageError("--rate-bps and --snr-db exclude each other; give one, or add --live for a capped rate")
+    if recording.hand_speed_mm_s is None and textures.is_profile(file):
+        if live:
+            raise click.UsageError("--live is for a stream over time; drop it, or give --hand-speed-mm-s")
+        write_profile_encoding(out, encoded_profile(file, quality, recording))
         return
-    loaded = textures.load(file, **vars(recording))
+    loaded = textures.load(file, **recording.facts())
     if target is not None:
-        encode_rate_controlled(loaded, out, target, quality.arguments(recording.unit))
+        encode_rate_controlled(loaded, out, target, quality, recording.unit)
         return
-    encoding = encoded(loaded, quality, recording.unit, live=False, packet_s=rate.packet_s)
-    write_encoding(out, encoding)
+    write_encoding(out, encoded(loaded, quality, recording.unit, live), recording.hand_speed_mm_s)
 
 
-def write_encoding(out: Path, encoding: Encoding) -> None:
-    """Write a .vct file, and print its size and quality."""
+def write_profile_encoding(out: Path, encoding: Encoding) -> None:
+    """Write a .vct file of a height profile over position, and print its size."""
+    encoding.stream.save(out)
+    facts = encoding.stream.facts()
+    tell(
+        f"{out}: {facts['size_bytes']} bytes, coded over position: {facts['length_mm']:.3f} mm, "
+        f"{facts['samples_per_metre']} samples per metre, {facts['bits_per_mm']:.0f} bit/mm",
+        out=str(out),
+        **facts,
+    )
+
+
+def write_encoding(out: Path, encoding: Encoding, hand_speed_mm_s: float | None) -> None:
+    """Write a .vct file, and print its size and quality. `hand_speed_mm_s`: over a height profile."""
     encoding.stream.save(out)
     stream = encoding.stream
+    over_time = "" if hand_speed_mm_s is None else f", coded over time at {hand_speed_mm_s:g} mm/s"
     model = f", model {stream.model_name}" if stream.image else ""
-    size = f"{stream.size_bytes} bytes, {stream.bits_per_second:.0f} bit/s{model}"
+    size = f"{stream.size_bytes} bytes, {stream.bits_per_second:.0f} bit/s{over_time}{model}"
     felt = encoding.quality.felt_error
     tell(
         f"{out}: {size}, {describe_quality(encoding.quality)}"
@@ -110,9 +157,14 @@ def write_encoding(out: Path, encoding: Encoding) -> None:
 
 
 def encode_rate_controlled(
-    recording: textures.Recording, out: Path, target: rate_controlled.RateTarget, arguments: dict[str, Any]
+    recording: textures.Recording,
+    out: Path,
+    target: rate_controlled.RateTarget,
+    options: QualityOptions,
+    unit: str | None,
 ) -> None:
     """Code a recording as a live stream into a .vct file, and print the rate and quality reached."""
+    arguments = options.arguments(unit)
     del arguments["rate_bps"], arguments["snr_db"]  # they are in the target
     with progress.bar("encoding") as update:
         stream, outcome = rate_controlled.encode(recording, target, progress=update, **arguments)
@@ -138,12 +190,11 @@ def encode_rate_controlled(
 def describe_rate(target: rate_controlled.RateTarget, outcome: rate_controlled.Outcome) -> str:
     """Return the rate with its frames, and how a target was held, in words."""
     mean = f"{outcome.sent_bps:.0f} bit/s"
-    if target.capped_rate_bps is not None and outcome.peak_bps is not None:
-        return f"{mean} on average, at most {outcome.peak_bps:.0f} over 2 s; limit {target.capped_rate_bps:g}"
-    if target.rate_bps is None:
-        return mean
+    if target.constant_rate_bps is None:
+        peak = "" if outcome.peak_bps is None else f", at most {outcome.peak_bps:.0f} over 2 s"
+        return f"{mean} on average{peak}; limit {target.capped_rate_bps:g}"
     off = "" if outcome.furthest is None else f", at most {100 * abs(outcome.furthest):.2f} % off over 2 s"
-    return f"{mean} of {target.rate_bps:g}{off}"
+    return f"{mean} of {target.constant_rate_bps:g}{off}"
 
 
 def describe_packets(outcome: rate_controlled.Outcome) -> str:

@@ -1,8 +1,6 @@
 """The subcommand `keys`: makes keys, signs model images, checks signatures."""
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -22,12 +20,6 @@ PUBLIC_SUFFIX = ".pub.pem"
 model_argument = click.argument("model", callback=chosen_model)
 
 
-def number_option(*, required: bool) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Return the option of a release's number."""
-    number = Whole("number", 1, MAX_NUMBER)
-    return click.option("--number", type=number, required=required, help="Number the release; no lower one runs later.")
-
-
 @click.group()
 def keys() -> None:
     """Make keys, sign model images and check signatures.
@@ -45,14 +37,15 @@ def new(key: Path) -> None:
     next to it, to vendor.pub.pem. A lost private key cannot be made again.
     """
     private_key = key_files.new_private_key()
+    public_key = key_files.public_key(private_key)
     public_path = key.with_suffix(PUBLIC_SUFFIX)
     for path in (key, public_path):
         if path.exists():
             raise BadInput(f"{path} exists, and a key cannot be made again; name another file")
     key_files.write_private_key(key, private_key)
-    key_files.write_public_key(public_path, key_files.public_key(private_key))
-    public_key = key_files.public_key(private_key).hex()
-    tell(f"{public_path}: public key {public_key}", file=str(public_path), public_key=public_key)
+    key_files.write_public_key(public_path, public_key)
+    shown = public_key.hex()
+    tell(f"{public_path}: public key {shown}", file=str(public_path), public_key=shown)
 
 
 @keys.command()
@@ -66,7 +59,12 @@ def show(key: Path) -> None:
 @keys.command()
 @model_argument
 @click.option("--key", type=INPUT, metavar="FILE", required=True, help="Sign with the private key in this file.")
-@number_option(required=True)
+@click.option(
+    "--number",
+    type=Whole("number", 1, MAX_NUMBER),
+    required=True,
+    help="Number the release; no lower one runs later.",
+)
 @click.option("--out", type=OutputFile(models.IMAGE_SUFFIX), required=True, help="Write the signed image here.")
 def sign(model: models.Model, key: Path, number: int, out: Path) -> None:
     """Sign a model image.

@@ -4,7 +4,6 @@ import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -12,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast import codec, models, progress, textures
-from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, chosen_codec, default_model
+from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, chosen_codec
 from vibrocast.codec.live_format import live_format
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.device_protocol.messages import Status
@@ -21,8 +20,7 @@ from vibrocast.host import live as streaming
 from vibrocast.host import playback as end_to_end
 from vibrocast.host.bench_limits import BenchLimits, missed
 from vibrocast.host.cli.answers import add, tell
-from vibrocast.host.cli.failure_trace import trace_failure
-from vibrocast.host.cli.option_types import Number, OutputFile, Whole, positive
+from vibrocast.host.cli.option_types import Number, Whole, positive
 from vibrocast.host.cli.options import (
     BadInput,
     Chosen,
@@ -31,30 +29,25 @@ from vibrocast.host.cli.options import (
     bench_device_option,
     bench_option,
     check_bench_actuator,
-    chosen_highpass_hz,
-    codec_option,
     fail_where_missed,
     grouped,
-    keep_dc_option,
     model_option,
     own_actuator,
-    setting_option,
-    touch_option,
+    rate_target,
 )
-from vibrocast.host.cli.rate_options import RateOptions, rate_controlled_options
-from vibrocast.host.cli.sections import CODING, CONTROLLER, INPUT, OUTPUT, SectionedCommand, section
+from vibrocast.host.cli.sections import CODING, CONTROLLER, INPUT, SectionedCommand, section
 from vibrocast.host.cli.steps import ANSWERS, describe_card, describe_skin, warn_of_underruns
 from vibrocast.host.controller import ControllerError
 from vibrocast.host.live_watch import CodedSignal, LiveQuality, Timing, Watch, judged
-from vibrocast.host.report import SCHEMA, Provenance, write_json
+from vibrocast.host.report import SCHEMA, Provenance
 from vibrocast.textures.recording import MAX_CHANNELS
 
 if TYPE_CHECKING:
     from vibrocast.host.bench_file import Bench
 
-# By name: the type in NumPy's words, and the number that stands for full scale.
-FORMATS = {"int16": ("<i2", 32768.0), "float32": ("<f4", 1.0)}
 STANDARD_INPUT = "-"
+RAW = np.dtype("<f4")
+"""The type of raw samples."""
 
 
 @dataclass(frozen=True)
@@ -63,10 +56,8 @@ class SampleOptions:
 
     rate_hz: int | None
     seconds: float
-    sample_format: str
     channels: int
     unit: str | None
-    keep_dc: bool
     full_scale: float
 
 
@@ -74,11 +65,9 @@ class SampleOptions:
 class CodingOptions:
     """How each packet is coded."""
 
-    codec_name: str | None
-    setting: codec.Setting
     model: models.Model | None
     snr_db: float | None
-    touch: float | None
+    rate_bps: float | None
 
 
 @dataclass(frozen=True)
@@ -111,14 +100,6 @@ class DelayOptions:
             f"or {streaming.LOW_DELAY_RATE_HZ} with --low-delay.",
         ),
         click.option(
-            "--format",
-            "sample_format",
-            type=click.Choice(list(FORMATS)),
-            default="int16",
-            show_default=True,
-            help="Choose the type of raw samples.",
-        ),
-        click.option(
             "--channels",
             type=Whole("NUMBER", 1, MAX_CHANNELS),
             default=1,
@@ -135,9 +116,8 @@ class DelayOptions:
             type=positive("VALUE"),
             default=1.0,
             show_default=True,
-            help="Give the value of full scale, in --unit.",
+            help="Give the value of 1.0 in raw samples, in --unit.",
         ),
-        keep_dc_option,
     ),
 )
 @section(
@@ -145,18 +125,11 @@ class DelayOptions:
     grouped(
         "coding",
         CodingOptions,
-        codec_option,
         model_option,
-        setting_option,
-        click.option(
-            "--snr-db",
-            type=Number("dB"),
-            help="Set the signal-to-noise ratio of packets, for --capped-rate-bps and --constant-quality.",
-        ),
-        touch_option,
+        click.option("--rate-bps", type=positive("bit/s"), help="Hold this rate; with --snr-db, do not exceed it."),
+        click.option("--snr-db", type=Number("dB"), help="Keep this signal-to-noise ratio, up to --rate-bps."),
     ),
 )
-@rate_controlled_options
 @section(
     CONTROLLER,
     bench_option,
@@ -178,7 +151,6 @@ class DelayOptions:
         ),
     ),
 )
-@section(OUTPUT, click.option("--report", "report_path", type=OutputFile(".json"), help="Write the figures as JSON."))
 def live(
     source: str,
     bench: "Bench | None",
@@ -186,60 +158,44 @@ def live(
     actuator_name: str | None,
     samples: SampleOptions,
     delay: DelayOptions,
-    report_path: Path | None,
     coding: CodingOptions,
-    rate: RateOptions,
 ) -> None:
     """Stream a generated texture or standard input to a controller.
 
-    SOURCE is the name of a texture, or - for raw samples from standard input. Raw samples are little-endian, with
-    interleaved channels. 32768 in int16 and 1.0 in float32 stand for --full-scale.
+    SOURCE is the name of a texture, or - for raw samples from standard input. Raw samples are 32-bit floats,
+    little-endian, with interleaved channels.
 
     A rate counts packets and their frames. If the link becomes slower, the stream lowers its rate.
 
     With --bench, --device may be a name in the file. The exit code is 4 if a limit is missed; without --bench, at most
     1 % of the packets may be lost.
     """
-    target = rate.target(coding.snr_db)
-    if target is None and rate.packet_ms is not None:
-        raise click.UsageError("a live stream without rate control has packets of 4 blocks; drop --packet-ms")
+    target = rate_target(coding.rate_bps, coding.snr_db)
+    if target is None and coding.snr_db is not None:
+        raise click.UsageError("--snr-db needs a rate that the stream does not exceed; add --rate-bps")
     if target is not None and delay.low_delay:
-        raise click.UsageError("--low-delay sends each block at once, at any rate; drop it, or the rate control")
+        raise click.UsageError("--low-delay sends each block at once, at any rate; drop it, or --rate-bps")
     default_rate_hz = streaming.LOW_DELAY_RATE_HZ if delay.low_delay else DEFAULT_STREAM_RATE_HZ
-    rate_hz, full_scale = samples.rate_hz or default_rate_hz, samples.full_scale
-    if source != STANDARD_INPUT:
-        texture = textures.GENERATORS[source](seconds=samples.seconds, rate_hz=rate_hz)
-        peaks, rms = np.max(np.abs(texture.samples), axis=0), np.sqrt(np.mean(np.square(texture.samples), axis=0))
-        signal_format = live_format(rate_hz, texture.unit, peaks.tolist(), rms.tolist())
-    elif sys.stdin is None:
-        raise BadInput("standard input is closed; pipe samples into it, or name a texture")
-    elif samples.unit is None:
-        raise click.UsageError("missing --unit; state the unit of the samples, or drive for a drive signal")
-    else:
-        stream_unit, factor = textures.INPUT_UNITS[samples.unit]
-        full_scale *= factor
-        signal_format = live_format(rate_hz, stream_unit, [full_scale] * samples.channels)
-    highpass_hz = chosen_highpass_hz(samples.keep_dc, samples.unit)
+    rate_hz = samples.rate_hz or default_rate_hz
+    texture = (
+        None if source == STANDARD_INPUT else textures.GENERATORS[source](seconds=samples.seconds, rate_hz=rate_hz)
+    )
+    signal_format = raw_format(samples, rate_hz) if texture is None else texture_format(texture)
+    highpass_hz = textures.highpass_of(samples.unit, textures.HIGHPASS_HZ)
     model = coding.model
-    live_codec = chosen_codec(coding.codec_name, model)
-    setting = coding.setting
-    if live_codec.needs_model and model is None:
-        model = default_model(live_codec)
+    live_codec = chosen_codec(None, model)
     address = chosen.address
     given = own_actuator(address, actuator_name)
     actuator = bench_actuator(bench, chosen) if given is None else given
-    trace_failure(report_path and report_path.with_suffix(".pcapng"))
     with devices.connect(address, actuator=actuator) as controller, progress.bar("streaming") as update:
         check_bench_actuator(bench, chosen, controller.description.actuator)
         if model is not None:
             uploader.provide(controller, address, model.image)
         shortest = live_codec.block_setting(live_codec.blocks[0]) if delay.low_delay and live_codec.blocks else {}
-        live_coding = streaming.LiveCoding(live_codec.name, {**shortest, **setting}, model, coding.touch)
+        live_coding = streaming.LiveCoding(live_codec.name, shortest, model)
         if target is not None:
-            equal = codec.equal_error(live_codec, signal_format) if target.equal_error else {}
             live_coding = replace(
                 live_coding,
-                setting={**equal, **setting},
                 policy=target.policy(signal_format),
                 packet_samples=target.framing(rate_hz).packet_samples,
             )
@@ -247,17 +203,12 @@ def live(
             controller, signal_format, coding=live_coding, playout_delay_s=delay.playout_delay_s
         )
         watch, coded = Watch(stream), CodedSignal(stream)
-        blocks: Iterator[NDArray[np.float64]]
-        total_s = None
-        if source != STANDARD_INPUT:
-            blocks = watch.blocks(texture.samples)
-            total_s = texture.seconds
-        else:
-            blocks = raw_blocks(samples.sample_format, samples.channels, full_scale, streaming.block_samples(stream))
+        total_s = None if texture is None else texture.seconds
+        blocks = (
+            raw_blocks(samples, streaming.block_samples(stream)) if texture is None else watch.blocks(texture.samples)
+        )
         if highpass_hz is not None and textures.is_vibration(signal_format.unit):
             blocks = map(textures.LiveHighPass(rate_hz, highpass_hz), blocks)
-
-        blocks = coded.blocks(blocks)
 
         def show(now: Status) -> None:
             watch.note(now)
@@ -268,7 +219,7 @@ def live(
 
         quality, timing = LiveQuality(), Timing()
         try:
-            result = streaming.play(stream, blocks, progress=show)
+            result = streaming.play(stream, coded.blocks(blocks), progress=show)
             if not result.packets:
                 raise BadInput("standard input ended before its first sample; check the program that writes to it")
             member = end_to_end.member(controller, address, actuator)
@@ -279,12 +230,48 @@ def live(
         finally:
             # Of a stream that was cut, too, but then at once.
             watch.close()
-            document = figures(stream.result(), stream, watch, bench, quality, timing)
-            add(document)
-            if report_path:
-                write_json(report_path, document)
+            add(figures(stream.result(), stream, watch, bench, quality, timing))
+    tell_stream(result, stream, watch, quality, timing)
+    if quality.differs:
+        raise ControllerError(
+            "the controller played something else than was sent, though no packet was lost: its memory, its firmware "
+            "or its actuator differs; flash the firmware again, and check --bench and --actuator"
+        )
+    fail_where_missed(missed(BenchLimits() if bench is None else bench.limits, judged(result, quality, timing)))
+
+
+def texture_format(texture: textures.Recording) -> codec.SignalFormat:
+    """Return the format of a texture that is known as a whole."""
+    peaks, rms = np.max(np.abs(texture.samples), axis=0), np.sqrt(np.mean(np.square(texture.samples), axis=0))
+    return live_format(round(texture.rate_hz), texture.unit, peaks.tolist(), rms.tolist())
+
+
+def raw_format(samples: SampleOptions, rate_hz: int) -> codec.SignalFormat:
+    """Return the format of raw samples. Raises BadInput without standard input, and click.UsageError without a unit."""
+    if sys.stdin is None:
+        raise BadInput("standard input is closed; pipe samples into it, or name a texture")
+    if samples.unit is None:
+        raise click.UsageError("missing --unit; state the unit of the samples, or drive for a drive signal")
+    unit, factor = textures.INPUT_UNITS[samples.unit]
+    return live_format(rate_hz, unit, [samples.full_scale * factor] * samples.channels)
+
+
+def raw_blocks(samples: SampleOptions, block_samples: int) -> Iterator[NDArray[np.float64]]:
+    """Yield blocks of standard input, float64 (n, channels), each as soon as it is there, up to its end."""
+    assert samples.unit is not None, "raw samples have a unit"
+    one = samples.full_scale * textures.INPUT_UNITS[samples.unit][1]
+    sample_bytes = RAW.itemsize * samples.channels
+    while data := sys.stdin.buffer.read(block_samples * sample_bytes):
+        whole = np.frombuffer(data[: len(data) // sample_bytes * sample_bytes], RAW)
+        yield whole.reshape(-1, samples.channels) * np.float64(one)
+
+
+def tell_stream(
+    result: streaming.LiveResult, stream: streaming.LiveStream, watch: Watch, quality: LiveQuality, timing: Timing
+) -> None:
+    """Print how a stream went: rate, losses, quality and times; warn of the wire, the computer and the sound card."""
     delay_ms = 1000 * stream.playout_delay_s
-    if target is not None:
+    if stream.policy is not None:
         tell(
             f"packets {result.payload_bps:.0f} bit/s, with frames {result.wire_bps:.0f} bit/s "
             f"(+{100 * result.wire_adds:.1f} %); packets of {1000 * stream.packet_s:.1f} ms, playout delay "
@@ -319,12 +306,6 @@ def live(
             f"above {delay_ms:.0f}",
             err=True,
         )
-    if quality.differs:
-        raise ControllerError(
-            "the controller played something else than was sent, though no packet was lost: its memory, its firmware "
-            "or its actuator differs; flash the firmware again, and check --bench and --actuator"
-        )
-    fail_where_missed(missed(BenchLimits() if bench is None else bench.limits, judged(result, quality, timing)))
 
 
 def figures(
@@ -363,14 +344,3 @@ def figures(
         "sound_card": None if card is None else asdict(card),
         "minutes": [asdict(minute) for minute in watch.minutes],
     }
-
-
-def raw_blocks(
-    sample_format: str, channels: int, full_scale: float, block_samples: int
-) -> Iterator[NDArray[np.float64]]:
-    """Yield blocks of standard input, float64 (n, channels), each as soon as it is there, up to its end."""
-    kind, one = FORMATS[sample_format]
-    sample_bytes = np.dtype(kind).itemsize * channels
-    while data := sys.stdin.buffer.read(block_samples * sample_bytes):
-        whole = np.frombuffer(data[: len(data) // sample_bytes * sample_bytes], kind)
-        yield whole.reshape(-1, channels) * (full_scale / one)

@@ -5,7 +5,7 @@ import json
 import shlex
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,8 @@ from click.core import ParameterSource
 
 from vibrocast import codec, models, textures
 from vibrocast.codec.encoding import DEFAULT_SNR_DB, DEFAULT_STREAM_RATE_HZ
+from vibrocast.codec.rate_controlled import RateTarget
+from vibrocast.codec.stream import MAX_GAIN_DB
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.device_protocol.messages import ActuatorDescription
 from vibrocast.device_protocol.model_image import ModelImageError
@@ -21,8 +23,6 @@ from vibrocast.host import devices
 from vibrocast.host.cli.answers import wants_json
 from vibrocast.host.cli.exit_codes import BAD_INPUT, LIMIT_MISSED, REGRESSION
 from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, positive
-from vibrocast.host.cli.sections import CODING, section
-from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import Actuator
 
@@ -67,19 +67,6 @@ def chosen_model(ctx: click.Context, param: click.Parameter, value: str | None) 
         return None if value is None else models.find(value)
     except (models.ModelError, ModelImageError) as error:
         raise click.BadParameter(str(error), ctx, param) from error
-
-
-def parsed_setting(ctx: click.Context, param: click.Parameter, values: Sequence[str]) -> dict[str, str]:
-    """Return a codec's parameters by name, or raise click.BadParameter."""
-    setting: dict[str, str] = {}
-    for text in values:
-        name, sign, value = text.partition("=")
-        if not (name and sign and value):
-            raise click.BadParameter(f"{text!r} names no parameter and value; write NAME=VALUE", ctx, param)
-        if name in setting:
-            raise click.BadParameter(f"{name} is given twice; keep one", ctx, param)
-        setting[name] = value
-    return setting
 
 
 def chosen_bench(ctx: click.Context, param: click.Parameter, value: Path | None) -> "Bench | None":
@@ -143,7 +130,7 @@ def grouped(name: str, kind: type[Any], *decorators: Callable[..., Any]) -> Call
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @functools.wraps(command)
         def with_group(*arguments: Any, **values: Any) -> Any:
-            group = kind(**{field.name: values.pop(field.name) for field in fields(kind)})
+            group = kind(**{each.name: values.pop(each.name) for each in fields(kind) if each.name in values})
             return command(*arguments, **values, **{name: group})
 
         decorated: Callable[..., Any] = with_group
@@ -206,28 +193,6 @@ own_models_option = click.option(
     multiple=True,
     help="Add a model that `vibrocast export` wrote; may be repeated.",
 )
-codec_option = click.option(
-    "--codec",
-    "codec_name",
-    type=click.Choice(sorted(codec.CODECS)),
-    metavar="NAME",
-    help=f"Choose a codec that `vibrocast codecs` lists. Default: that of --model, else {codec.DEFAULT_CODEC}.",
-)
-setting_option = click.option(
-    "--setting",
-    callback=parsed_setting,
-    multiple=True,
-    metavar="NAME=VALUE",
-    help="Fix a parameter that `vibrocast codecs` lists; may be repeated.",
-)
-
-touch_option = click.option(
-    "--touch",
-    type=Number("strength from 0 to 1", 0, 1),
-    help="Shape the error for touch: 0 = flat, 1 = by the threshold. "
-    f"Default: {codec.DEFAULT_TOUCH:g} for physical units, if the codec can.",
-)
-
 actuator_option = click.option(
     "--actuator",
     "actuator_name",
@@ -278,113 +243,74 @@ allow_programs_option = click.option(
 
 @dataclass(frozen=True)
 class RecordingOptions:
-    """Facts that the file of a recording may not state, as `textures.load` takes them; None = not given."""
+    """Facts that the file of a recording may not state; None = not given, or no option of the command."""
 
-    rate_hz: float | None
-    unit: str | None
-    full_scale: float | None
-    axis: str | None
-    reduce: str | None
-    key: str | None
-    hand_speed_mm_s: float | None
+    rate_hz: float | None = None
+    unit: str | None = None
+    full_scale: float | None = None
+    axis: str | None = None
+    hand_speed_mm_s: float | None = None
 
-
-def recording_options_with(rate_option: str) -> Callable[[Callable[..., Any]], Any]:
-    """Return the options of RecordingOptions, where the one of the recording's rate has this name."""
-    return section(
-        INPUT_SECTION,
-        grouped(
-            "recording",
-            RecordingOptions,
-            click.option(
-                rate_option, "rate_hz", type=positive("Hz"), help="Give the sample rate of a file that states none."
-            ),
-            click.option(
-                "--unit",
-                type=click.Choice(list(textures.INPUT_UNITS)),
-                help="Give the unit of a file that states none.",
-            ),
-            click.option(
-                "--full-scale", type=positive("VALUE"), help="Give the value of 1.0 in a WAV file, in --unit."
-            ),
-            click.option(
-                "--axis",
-                type=click.Choice(textures.AXES, case_sensitive=False),
-                help="Take one axis of a three-axis recording.",
-            ),
-            click.option(
-                "--reduce",
-                type=click.Choice(textures.REDUCTIONS),
-                help="Reduce three axes to one signal; none keeps them. Default: dft321 for P1918.1.1 recordings only.",
-            ),
-            click.option("--key", metavar="NAME", help="Choose an array of an NPZ, MAT or HDF5 file."),
-            click.option(
-                "--hand-speed-mm-s", type=positive("mm/s"), help="Give the speed of the hand over a height profile."
-            ),
-        ),
-    )
+    def facts(self) -> dict[str, Any]:
+        """Return the arguments of `textures.load`."""
+        chosen = "axis" if self.axis in textures.AXES else "reduce"
+        return {**vars(self), "axis": None, chosen: self.axis}
 
 
-recording_options = recording_options_with("--rate-hz")
+rate_hz_option = click.option("--rate-hz", type=positive("Hz"), help="Give the sample rate of a file that states none.")
+unit_option = click.option(
+    "--unit", type=click.Choice(list(textures.INPUT_UNITS)), help="Give the unit of a file that states none."
+)
+hand_speed_option = click.option(
+    "--hand-speed-mm-s", type=positive("mm/s"), help="Give the speed of the hand over a height profile."
+)
+snr_db_option = click.option(
+    "--snr-db", type=Number("dB"), help=f"Set the signal-to-noise ratio. Default: {DEFAULT_SNR_DB:g}."
+)
+stream_rate_option = click.option(
+    "--stream-rate-hz",
+    type=Whole("Hz", 1, MAX_RATE_HZ),
+    default=DEFAULT_STREAM_RATE_HZ,
+    show_default=True,
+    help="Set the sample rate of the coded stream.",
+)
 
 runtime_option = click.option(
     "--runtime",
     type=click.Choice(codec.RUNTIMES),
     help="Decode by the integer core or by ONNX Runtime. Default: as the model specifies.",
 )
-keep_dc_option = click.option(
-    "--keep-dc", is_flag=True, help=f"Keep the band below {textures.HIGHPASS_HZ:g} Hz: offset, gravity, drift."
+loop_option = click.option(
+    "--loop", "loops", type=Whole("PASSES", 1, 65_535), default=1, show_default=True, help="Repeat the texture."
+)
+gain_option = click.option(
+    "--gain-db",
+    type=Number("dB", -MAX_GAIN_DB, MAX_GAIN_DB),
+    default=0.0,
+    show_default=True,
+    help="Raise or lower the level.",
 )
 
 
 @dataclass(frozen=True)
 class QualityOptions:
-    """How a recording is coded."""
+    """How a recording is coded; None = not given, or no option of the command."""
 
-    codec_name: str | None
-    rate_bps: float | None
-    snr_db: float | None
-    stream_rate_hz: int
-    keep_dc: bool
-    setting: codec.Setting
-    model: models.Model | None
-    touch: float | None
+    codec_name: str | None = None
+    rate_bps: float | None = None
+    snr_db: float | None = None
+    stream_rate_hz: int = DEFAULT_STREAM_RATE_HZ
+    setting: codec.Setting = field(default_factory=dict)
+    model: models.Model | None = None
+    touch: float | None = None
 
     def arguments(self, unit: str | None = None) -> dict[str, Any]:
-        """Return the arguments of `encode_recording` for a recording in a unit. Raises click.UsageError."""
-        if self.rate_bps is not None and self.snr_db is not None:
-            raise click.UsageError("--rate-bps and --snr-db exclude each other; give one of them")
-        arguments = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "keep_dc"}
-        return {**arguments, "highpass_hz": chosen_highpass_hz(self.keep_dc, unit)}
+        """Return the arguments of `encode_recording` for a recording in a unit."""
+        return {**vars(self), "highpass_hz": textures.highpass_of(unit, textures.HIGHPASS_HZ)}
 
 
-quality_options = section(
-    CODING,
-    grouped(
-        "quality",
-        QualityOptions,
-        codec_option,
-        model_option,
-        setting_option,
-        click.option("--rate-bps", type=positive("bit/s"), help="Set the highest rate of the whole .vct file."),
-        click.option(
-            "--snr-db",
-            type=Number("dB"),
-            help=f"Set the signal-to-noise ratio. Default: {DEFAULT_SNR_DB:g} without --rate-bps.",
-        ),
-        touch_option,
-        click.option(
-            "--stream-rate-hz",
-            type=Whole("Hz", 1, MAX_RATE_HZ),
-            default=DEFAULT_STREAM_RATE_HZ,
-            show_default=True,
-            help="Set the sample rate of the coded stream.",
-        ),
-        keep_dc_option,
-    ),
-)
-
-
-def chosen_highpass_hz(keep_dc: bool, unit: str | None) -> float | None:
-    """Return the corner of the high-pass before coding a recording in a unit, None = no high-pass."""
-    return textures.highpass_of(unit, None if keep_dc else textures.HIGHPASS_HZ)
+def rate_target(rate_bps: float | None, snr_db: float | None) -> RateTarget | None:
+    """Return what a live stream holds: a rate alone is constant, and one with an SNR is a cap; None without a rate."""
+    if rate_bps is None or snr_db is None:
+        return None if rate_bps is None else RateTarget(constant_rate_bps=rate_bps)
+    return RateTarget(capped_rate_bps=rate_bps, snr_db=snr_db)

@@ -2,7 +2,7 @@
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from importlib.metadata import version
@@ -12,18 +12,17 @@ from typing import TYPE_CHECKING
 import click
 
 from vibrocast import extras, progress, textures
-from vibrocast.codec import profiles
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ
-from vibrocast.codec.stream import MAX_GAIN_DB, Stream, read_stream
+from vibrocast.codec.stream import Stream, read_stream
 from vibrocast.device_protocol.coded_stream import StreamError, packet_sequence
 from vibrocast.device_protocol.messages import MessageError
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import devices, player
-from vibrocast.host.bench_limits import missed
+from vibrocast.host.bench_limits import Judged, missed
 from vibrocast.host.cli.answers import add, answer, wants_json
 from vibrocast.host.cli.errors import DeviceFailure, explained
 from vibrocast.host.cli.failure_trace import trace_failure
-from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, positive, reject_overwriting
+from vibrocast.host.cli.option_types import INPUT, OutputFile, positive, reject_overwriting
 from vibrocast.host.cli.options import (
     BadInput,
     Chosen,
@@ -34,13 +33,18 @@ from vibrocast.host.cli.options import (
     check_bench_actuator,
     devices_option,
     fail_where_missed,
+    gain_option,
     grouped,
+    hand_speed_option,
+    loop_option,
+    model_option,
     own_actuator,
-    quality_options,
-    recording_options,
-    runtime_option,
+    rate_hz_option,
+    snr_db_option,
+    unit_option,
 )
-from vibrocast.host.cli.sections import CONTROLLER, OUTPUT, PLAYBACK, SectionedCommand, section
+from vibrocast.host.cli.sections import CODING, CONTROLLER, OUTPUT, PLAYBACK, SectionedCommand, section
+from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
 from vibrocast.host.cli.steps import (
     ANSWERS,
     describe_actuator,
@@ -58,7 +62,7 @@ from vibrocast.host.controller import ControllerError
 from vibrocast.host.limits import check_limits, playable
 from vibrocast.host.report import SCHEMA, Provenance, Report, Touch, UnfinishedReport, write_json
 from vibrocast.output import actuator_files
-from vibrocast.output.actuator import ACTUATORS
+from vibrocast.output.actuator import ACTUATORS, Actuator
 
 if TYPE_CHECKING:
     from vibrocast.host import hand_playback as position_playback
@@ -69,14 +73,25 @@ SILENT_DB = -200.0
 """Re detection threshold: below it the output is at rest."""
 
 
+def chosen_hand(ctx: click.Context, param: click.Parameter, value: str | None) -> float | Path | None:
+    """Return the length of a stroke in mm, or the file of a movement, or raise click.BadParameter."""
+    if value is None:
+        return None
+    try:
+        number = float(value)
+    except ValueError:
+        return Path(value)
+    return positive("mm").convert(number, param, ctx)
+
+
 @dataclass(frozen=True)
 class PlaybackOptions:
-    """How a texture is played."""
+    """How a texture is played. `hand`: the length of its stroke in mm, or the file of its movement."""
 
     loops: int
     gain_db: float
     actuator_name: str | None
-    runtime: str | None
+    hand: float | Path | None
 
 
 @dataclass(frozen=True)
@@ -85,21 +100,12 @@ class OutputOptions:
 
     report_path: Path | None
     plot_path: Path | None
-    read_back: bool
-
-
-@dataclass(frozen=True)
-class HandOptions:
-    """The movement of a hand over a profile."""
-
-    positions_path: Path | None
-    stroke_mm: float | None
 
 
 @click.command(cls=SectionedCommand)
 @click.argument("file", type=INPUT)
-@recording_options
-@quality_options
+@section(INPUT_SECTION, grouped("recording", RecordingOptions, rate_hz_option, unit_option, hand_speed_option))
+@section(CODING, grouped("quality", QualityOptions, model_option, snr_db_option))
 @section(CONTROLLER, bench_option, devices_option)
 @grouped(
     "playback",
@@ -112,36 +118,16 @@ class HandOptions:
             metavar="NAME|FILE",
             help=f"Model the actuator: {', '.join(ACTUATORS)} or a TOML file. Default: as the controller states.",
         ),
-        runtime_option,
     ),
     section(
         PLAYBACK,
+        loop_option,
+        gain_option,
         click.option(
-            "--loop", "loops", type=Whole("PASSES", 1, 65_535), default=1, show_default=True, help="Repeat the texture."
-        ),
-        click.option(
-            "--gain-db",
-            type=Number("dB", -MAX_GAIN_DB, MAX_GAIN_DB),
-            default=0.0,
-            show_default=True,
-            help="Raise or lower the level.",
-        ),
-    ),
-)
-@section(
-    PLAYBACK,
-    grouped(
-        "hand",
-        HandOptions,
-        click.option(
-            "--positions",
-            "positions_path",
-            type=INPUT,
-            metavar="FILE",
-            help="Move a hand over a profile, as a CSV file of time_s,position_mm.",
-        ),
-        click.option(
-            "--stroke-mm", type=positive("mm"), help="Stroke a profile there and back, --loop times, to this length."
+            "--hand",
+            callback=chosen_hand,
+            metavar="MM|FILE",
+            help="Stroke a height profile there and back, or move as a CSV file of time_s,position_mm.",
         ),
     ),
 )
@@ -152,14 +138,6 @@ class HandOptions:
         OutputOptions,
         click.option("--report", "report_path", type=OutputFile(".json"), help="Write the figures as JSON."),
         click.option("--plot", "plot_path", type=OutputFile(".png", ".svg", ".pdf"), help="Draw the signals."),
-        click.option(
-            "--no-read-back",
-            "read_back",
-            is_flag=True,
-            default=True,
-            flag_value=False,
-            help="Read no samples back, and compare none.",
-        ),
     ),
 )
 def play(
@@ -169,116 +147,113 @@ def play(
     playback: PlaybackOptions,
     outputs: OutputOptions,
     quality: QualityOptions,
-    hand: HandOptions,
     recording: RecordingOptions,
 ) -> None:
     """Play a recording or a .vct file on one or several controllers.
 
     A recording is coded for a link that may lose packets: packets are short, and one in 0.25 s can be decoded alone.
-    At the same rate, `vibrocast encode` reaches a higher SNR. Its .vct file plays as it is.
+    At the same rate, `vibrocast encode` reaches a higher SNR, and it has more options. Its .vct file plays as it is.
 
     With several --device, a controller that fails does not stop the others. The command prints a line for each.
 
     A height profile is played over time if you give --hand-speed-mm-s alone. It is played by the position of a hand if
-    you give --positions, or --stroke-mm. Then --hand-speed-mm-s is the highest speed of the stroke.
+    you give --hand: the length of its stroke, --loop times, or a file of its movement. --hand-speed-mm-s is the highest
+    speed of the stroke.
 
     With --bench, --device may be a name in the file, and the exit code is 4 if a limit is missed.
     """
-    from vibrocast.host import playback as end_to_end
-
     if outputs.plot_path is not None:
         extras.require("plot")
     reject_overwriting([outputs.report_path, outputs.plot_path], [file, *files_of(quality.model)])
-    # The firmware decodes by one of the runtimes alone: so do the others, to be compared with the same.
-    runtime = next(
-        filter(None, [devices.decoding_runtime(each.address, playback.runtime) for each in chosen]), playback.runtime
-    )
     given = None if playback.actuator_name is None else actuator_files.find(playback.actuator_name)
     names = dict(zip(devices.unique_names([each.address for each in chosen]), chosen, strict=True))
     actuators = {name: given or bench_actuator(bench, each) for name, each in names.items()}
-    run = Run(file.name, names, bench, outputs.report_path)
-    if len(chosen) > 1 and (hand.positions_path or hand.stroke_mm or outputs.plot_path):
-        raise click.UsageError("--positions, --stroke-mm and --plot are for one controller; give one --device")
-    if hand.positions_path or hand.stroke_mm:
-        if not outputs.read_back:
-            raise click.UsageError("a profile under a hand is always read back; drop --no-read-back")
-        if playback.gain_db:
-            raise click.UsageError("a profile under a hand has its own level; drop --gain-db")
-        ((name, controlled),) = names.items()
-        own_actuator(controlled.address, playback.actuator_name)
-        from vibrocast.host import hand_playback as position_playback
+    run = Run(file.name, names, actuators, bench, outputs)
+    if len(chosen) > 1 and (playback.hand or outputs.plot_path):
+        raise click.UsageError("--hand and --plot are for one controller; give one --device")
+    if playback.hand is None:
+        figures = play_over_time(run, file, quality, recording, playback)
+    else:
+        figures = play_under_hand(run, file, quality, recording, playback)
+    fail_where_missed([] if bench is None else missed(bench.limits, figures))
 
-        movement = position_playback.chosen_movement(
-            hand.positions_path, hand.stroke_mm, recording.hand_speed_mm_s, playback.loops
-        )
-        stream, texture = spatial_stream(file, quality, replace(recording, hand_speed_mm_s=None))
-        with (
-            run.reported_where_cut(),
-            devices.connect(controlled.address, runtime, actuators[name]) as controller,
-            progress.bar("playing") as update,
-        ):
-            check_bench_actuator(bench, controlled, controller.description.actuator)
-            stroke = position_playback.play_and_compare(
-                end_to_end.member(controller, controlled.address, actuators[name]),
-                file.name,
-                replace(stream, runtime=runtime),
-                movement,
-                texture,
-                None if bench is None else bench.sha256,
-                update,
-            )
-        tell_stroke(stroke, outputs)
-        fail_where_missed([] if bench is None else missed(bench.limits, stroke.report.judged()))
-        return
-    source = read_source(file, quality, recording, runtime)
-    sessions = {name: devices.connect(each.address, runtime, actuators[name]) for name, each in names.items()}
+
+def play_under_hand(
+    run: "Run", file: Path, quality: QualityOptions, recording: RecordingOptions, playback: PlaybackOptions
+) -> Iterable[Judged]:
+    """Play a height profile by the position of a hand on one controller, print how it went, and return the figures."""
+    from vibrocast.host import hand_playback as position_playback
+    from vibrocast.host import playback as end_to_end
+
+    if playback.gain_db:
+        raise click.UsageError("a profile under a hand has its own level; drop --gain-db")
+    assert playback.hand is not None, "a hand moves"
+    ((name, chosen),) = run.names.items()
+    own_actuator(chosen.address, playback.actuator_name)
+    movement = position_playback.chosen_movement(playback.hand, recording.hand_speed_mm_s, playback.loops)
+    stream, texture = spatial_stream(file, quality, replace(recording, hand_speed_mm_s=None))
+    actuator = run.actuators[name]
+    with (
+        run.reported_where_cut(),
+        devices.connect(chosen.address, actuator=actuator) as controller,
+        progress.bar("playing") as update,
+    ):
+        check_bench_actuator(run.bench, chosen, controller.description.actuator)
+        member = end_to_end.member(controller, chosen.address, actuator)
+        sha256 = run.provenance.bench_sha256
+        stroke = position_playback.play_and_compare(member, file.name, stream, movement, texture, sha256, update)
+    tell_stroke(stroke, run.outputs)
+    return stroke.report.judged()
+
+
+def play_over_time(
+    run: "Run", file: Path, quality: QualityOptions, recording: RecordingOptions, playback: PlaybackOptions
+) -> Iterable[Judged]:
+    """Play a recording or a stream on all controllers, print how it went, and return the figures."""
+    from vibrocast.host import playback as end_to_end
+
+    source = read_source(file, quality, recording)
+    channels, rate_hz = (
+        (source.header.channels, source.header.rate_hz)
+        if isinstance(source, Stream)
+        else (source.channels, quality.stream_rate_hz)
+    )
     with run.reported_where_cut():
+        sessions = {
+            name: devices.connect(each.address, actuator=run.actuators[name]) for name, each in run.names.items()
+        }
         with devices.open_all(sessions) as (controllers, failures):
-            # A stream that the controller cannot play need not be encoded first.
-            for name, controller in list(controllers.items()):
-                check_bench_actuator(bench, names[name], controller.description.actuator)
+            members: dict[str, end_to_end.Member] = {}
+            for name, controller in controllers.items():
+                check_bench_actuator(run.bench, run.names[name], controller.description.actuator)
                 try:
-                    if isinstance(source, Stream):
-                        check_limits(controller, source.header.channels, source.header.rate_hz)
-                    else:
-                        check_limits(controller, source.channels, quality.stream_rate_hz)
+                    # A stream that the controller cannot play need not be encoded first.
+                    check_limits(controller, channels, rate_hz)
                 except StreamError as error:
                     failures[name] = error
-            members = {
-                name: end_to_end.member(controller, names[name].address, actuators[name])
-                for name, controller in controllers.items()
-                if name not in failures
-            }
+                else:
+                    members[name] = end_to_end.member(controller, run.names[name].address, run.actuators[name])
             outcomes: dict[str, end_to_end.Outcome | Exception] = {}
             if members:
                 if isinstance(source, Stream):
                     stream, encoding = source, None
                 else:
-                    encoding = encoded(source, quality, recording.unit, live=True, runtime=runtime)
+                    encoding = encoded(source, quality, recording.unit, live=True)
                     stream = encoding.stream
                 stream = stream.with_gain(playback.gain_db)
                 with progress.bar("playing") as update:
                     tell = playing(update, stream.bits_per_second, run.latest)
-                    outcomes = end_to_end.play_together(
-                        members, file.name, stream, encoding, playback.loops, tell, outputs.read_back
-                    )
-        outcomes = {name: run.traced((outcomes | failures)[name]) for name in names}
+                    outcomes = end_to_end.play_together(members, file.name, stream, encoding, playback.loops, tell)
+        outcomes = {name: run.traced((outcomes | failures)[name]) for name in run.names}
         (outcome, *others) = outcomes.values()
         if isinstance(outcome, Exception) and not others:
             raise outcome
     if others or isinstance(outcome, Exception):
         report_each(run, outcomes)
     else:
-        tell_outcome(run, outcome, outputs, stream)
+        tell_outcome(run, outcome, stream)
     reports = [each.report for each in outcomes.values() if not isinstance(each, Exception)]
-    fail_where_missed(
-        [] if bench is None else [line for each in reports for line in missed(bench.limits, each.judged())]
-    )
-
-
-def keep_frames(report_path: Path | None) -> None:
-    """Keep the last frames next to the report if the playback fails."""
-    trace_failure(report_path and report_path.with_suffix(".pcapng"))
+    return [figure for report in reports for figure in report.judged()]
 
 
 @dataclass(frozen=True)
@@ -290,12 +265,14 @@ class Run:
 
     file: str
     names: Mapping[str, Chosen]
+    actuators: Mapping[str, Actuator | None]
     bench: "Bench | None"
-    report_path: Path | None
+    outputs: OutputOptions
     latest: dict[str, player.Progress] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        keep_frames(self.report_path)
+        report_path = self.outputs.report_path
+        trace_failure(report_path and report_path.with_suffix(".pcapng"))
 
     @cached_property
     def provenance(self) -> Provenance:
@@ -336,12 +313,12 @@ class Run:
         """Write the reports, and make them the answer in JSON; of several controllers, as a list. Raises OSError."""
         documents = [asdict(each) for each in reports]
         document = documents if len(documents) > 1 else documents[0]
-        if self.report_path:
-            write_json(self.report_path, document)
+        if self.outputs.report_path:
+            write_json(self.outputs.report_path, document)
         answer(document)
 
 
-def tell_outcome(run: Run, outcome: "end_to_end.Outcome", outputs: OutputOptions, given: Stream) -> None:
+def tell_outcome(run: Run, outcome: "end_to_end.Outcome", given: Stream) -> None:
     """Print what one controller played, write it and draw it; `given`: the stream before it was fitted.
 
     Raises ControllerError if it played something else than was sent.
@@ -350,25 +327,24 @@ def tell_outcome(run: Run, outcome: "end_to_end.Outcome", outputs: OutputOptions
 
     report = outcome.report
     run.tell_reports([report])
-    if outputs.plot_path:
-        picture.draw(outputs.plot_path, f"{report.file} on {report.device.address}", outcome.caption, outcome.traces)
+    if run.outputs.plot_path:
+        picture.draw(
+            run.outputs.plot_path, f"{report.file} on {report.device.address}", outcome.caption, outcome.traces
+        )
     if not wants_json():
         show(summary(outcome, given))
     if report.touch.level_db <= 0:
-        click.echo("warning: nobody would feel this; raise --gain-db, or check --unit and --full-scale", err=True)
+        click.echo("warning: nobody would feel this; raise --gain-db, or encode it with the right --unit", err=True)
     if report.sound_card:
         warn_of_underruns(report.sound_card)
     if report.differs:
         raise ControllerError(
             "the controller played something else than was sent: the lines above count underruns and lost packets; if "
-            "there are any, use a shorter cable or a less busy machine, else the --runtime by which the controller "
-            "decodes"
+            "there are any, use a shorter cable or a less busy machine, else flash the firmware again"
         )
 
 
-def read_source(
-    file: Path, quality: QualityOptions, recording: RecordingOptions, runtime: str | None
-) -> Stream | textures.Recording:
+def read_source(file: Path, quality: QualityOptions, recording: RecordingOptions) -> Stream | textures.Recording:
     """Return a .vct file, or a recording that is to be coded. Raises BadInput, CodecError and TextureError."""
     from vibrocast.host import playback as end_to_end
 
@@ -376,10 +352,15 @@ def read_source(
     if file.suffix.lower() == ".vct":
         coded = coded_already(file, quality, replace(recording, unit=None) if recording.unit == "drive" else recording)
         if coded.header.spatial:
-            raise BadInput(f"{file}: coded over position; give --positions, or --stroke-mm and --hand-speed-mm-s")
-        source = replace(playable(coded), runtime=runtime)
+            raise BadInput(f"{file}: coded over position; give --hand, and --hand-speed-mm-s for a stroke")
+        source = playable(coded)
     else:
-        source = textures.load_for_actuators(file, **vars(recording))
+        source = textures.load(file, **recording.facts())
+        if source.axes:
+            raise BadInput(
+                f"{file}: three axes of one texture; encode it with --axis x, y or z, dft321 or norm, or none for one "
+                "actuator for each axis; then play the .vct file"
+            )
     end_to_end.check_unit(source.header.unit if isinstance(source, Stream) else source.unit, recording.unit)
     return source
 
@@ -427,11 +408,10 @@ def spatial_stream(
     if file.suffix.lower() == ".vct":
         stream, texture = coded_already(file, quality, recording), None
     else:
-        profile = profiles.recording_of(file, **vars(recording))
-        encoding = encoded_profile(profile, quality, profiles.SLOWEST_MM_S)
+        encoding = encoded_profile(file, quality, recording)
         stream, texture = encoding.stream, encoding.recording
     if not stream.header.spatial:
-        raise BadInput(f"{file}: coded over time, not over position; encode the profile again with --spatial")
+        raise BadInput(f"{file}: coded over time, not over position; encode the profile without --hand-speed-mm-s")
     return stream, texture
 
 

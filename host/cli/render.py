@@ -6,7 +6,6 @@ from pathlib import Path
 import click
 
 from vibrocast import textures
-from vibrocast.codec.stream import MAX_GAIN_DB
 from vibrocast.files import atomic_write
 from vibrocast.host import devices
 from vibrocast.host.cli.answers import tell
@@ -15,13 +14,14 @@ from vibrocast.host.cli.options import (
     BadInput,
     QualityOptions,
     RecordingOptions,
+    gain_option,
     grouped,
-    quality_options,
-    recording_options_with,
-    runtime_option,
+    hand_speed_option,
+    model_option,
+    snr_db_option,
+    unit_option,
 )
 from vibrocast.host.cli.play import read_source
-from vibrocast.host.cli.sections import CONTROLLER, PLAYBACK, SectionedCommand, section
 from vibrocast.host.cli.steps import encoded, files_of
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import ACTUATORS, MAX_FULL_SCALE_VOLTS, MIN_FULL_SCALE_VOLTS
@@ -35,56 +35,38 @@ class DriveOptions:
     actuator_name: str
     dac_rate_hz: int
     full_scale_volts: float | None
-    runtime: str | None
-    loops: int
     gain_db: float
 
 
-@click.command(cls=SectionedCommand)
+@click.command()
 @click.argument("file", type=INPUT)
 @click.argument("out", type=OutputFile(".wav"))
-@recording_options_with("--recording-rate-hz")
-@quality_options
+@grouped("recording", RecordingOptions, unit_option, hand_speed_option)
+@grouped("quality", QualityOptions, model_option, snr_db_option)
 @grouped(
     "drive",
     DriveOptions,
-    section(
-        CONTROLLER,
-        click.option(
-            "--actuator",
-            "actuator_name",
-            metavar="NAME|FILE",
-            required=True,
-            help=f"Choose the actuator: {', '.join(ACTUATORS)} or a TOML file.",
-        ),
-        click.option(
-            "--rate-hz",
-            "dac_rate_hz",
-            type=Whole("Hz", 1000, 384_000),
-            default=48_000,
-            show_default=True,
-            help="Set the sample rate of the drive signal.",
-        ),
-        click.option(
-            "--full-scale-volts",
-            type=Number("V", MIN_FULL_SCALE_VOLTS, MAX_FULL_SCALE_VOLTS),
-            help="Give the volts at the actuator for 1.0. Default: its highest.",
-        ),
-        runtime_option,
+    click.option(
+        "--actuator",
+        "actuator_name",
+        metavar="NAME|FILE",
+        required=True,
+        help=f"Choose the actuator: {', '.join(ACTUATORS)} or a TOML file.",
     ),
-    section(
-        PLAYBACK,
-        click.option(
-            "--loop", "loops", type=Whole("PASSES", 1, 65_535), default=1, show_default=True, help="Repeat the texture."
-        ),
-        click.option(
-            "--gain-db",
-            type=Number("dB", -MAX_GAIN_DB, MAX_GAIN_DB),
-            default=0.0,
-            show_default=True,
-            help="Raise or lower the level.",
-        ),
+    click.option(
+        "--rate-hz",
+        "dac_rate_hz",
+        type=Whole("Hz", 1000, 384_000),
+        default=48_000,
+        show_default=True,
+        help="Set the sample rate of the drive signal.",
     ),
+    click.option(
+        "--full-scale-volts",
+        type=Number("V", MIN_FULL_SCALE_VOLTS, MAX_FULL_SCALE_VOLTS),
+        help="Give the volts at the actuator for 1.0. Default: its highest.",
+    ),
+    gain_option,
 )
 def render(file: Path, out: Path, drive: DriveOptions, quality: QualityOptions, recording: RecordingOptions) -> None:
     """Write the drive signal of a recording as a WAV file.
@@ -96,13 +78,13 @@ def render(file: Path, out: Path, drive: DriveOptions, quality: QualityOptions, 
     actuator = devices.on_sound_card(
         actuator_files.find(drive.actuator_name), drive.dac_rate_hz, drive.full_scale_volts
     )
-    source = read_source(file, quality, recording, drive.runtime)
+    source = read_source(file, quality, recording)
     if isinstance(source, textures.Recording):
-        source = encoded(source, quality, recording.unit, live=True, runtime=drive.runtime).stream
+        source = encoded(source, quality, recording.unit, live=True).stream
     stream = source.with_gain(drive.gain_db)
     try:
         codes, limited = rendered_codes(
-            stream.header, stream.decode_integers(), stream.decoder().delay_samples, actuator, loops=drive.loops
+            stream.header, stream.decode_integers(), stream.decoder().delay_samples, actuator, loops=1
         )
     except (ValueError, OverflowError) as error:
         raise BadInput(

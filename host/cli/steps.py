@@ -12,7 +12,7 @@ from vibrocast.codec.stream import CodingQuality
 from vibrocast.codec.threshold import FeltError
 from vibrocast.files import plain
 from vibrocast.host.cli.answers import add, wants_json
-from vibrocast.host.cli.options import QualityOptions
+from vibrocast.host.cli.options import QualityOptions, RecordingOptions
 from vibrocast.host.report import ActuatorUse, Report, StrokeReport
 from vibrocast.host.skin_quality import SkinQuality
 from vibrocast.output.actuator import FOLLOWED_DB
@@ -24,34 +24,24 @@ def files_of(model: models.Model | None) -> list[Path]:
     return [model.path] if model else []
 
 
-def encoded(
-    recording: textures.Recording,
-    quality: QualityOptions,
-    unit: str | None,
-    live: bool,
-    runtime: str | None = None,
-    packet_s: float | None = None,
-) -> Encoding:
+def encoded(recording: textures.Recording, quality: QualityOptions, unit: str | None, live: bool) -> Encoding:
     """Encode a recording, whose --unit this is, show how far it is, and say what was not met."""
     with progress.bar("encoding") as update:
-        encoding = encode_recording(
-            recording, live=live, progress=update, runtime=runtime, packet_s=packet_s, **quality.arguments(unit)
-        )
-    return _noted(encoding)
+        return _noted(encode_recording(recording, live=live, progress=update, **quality.arguments(unit)))
 
 
-def encoded_profile(
-    recording: textures.Recording, quality: QualityOptions, slowest_mm_s: float, crossfade: bool = False
-) -> Encoding:
+def encoded_profile(file: Path, quality: QualityOptions, recording: RecordingOptions) -> Encoding:
     """Encode a height profile as a spatial stream, show how far it is, and say what was not met."""
     if quality.rate_bps is not None or quality.stream_rate_hz != DEFAULT_STREAM_RATE_HZ:
         raise click.UsageError(
-            "a profile has no time, so no rates; give --snr-db and --slowest-hand-speed-mm-s instead"
+            f"{file}: a height profile has no time, so no rates; give --snr-db, or --hand-speed-mm-s to code it over "
+            "time"
         )
     arguments = quality.arguments()
     del arguments["rate_bps"], arguments["stream_rate_hz"], arguments["highpass_hz"]  # heights keep their own rules
+    profile = profiles.recording_of(file, **recording.facts())
     with progress.bar("encoding") as update:
-        return _noted(profiles.encode(recording, slowest_mm_s, crossfade=crossfade, progress=update, **arguments))
+        return _noted(profiles.encode(profile, progress=update, **arguments))
 
 
 def _noted(encoding: Encoding) -> Encoding:

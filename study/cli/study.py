@@ -10,11 +10,10 @@ from vibrocast import extras, progress
 from vibrocast.files import atomic_write
 from vibrocast.host import devices
 from vibrocast.host.cli.answers import tell
-from vibrocast.host.cli.option_types import FOLDER, INPUT, Number, Whole
+from vibrocast.host.cli.option_types import FOLDER, INPUT, Whole
 from vibrocast.host.cli.options import BadInput, device_option
-from vibrocast.host.cli.sections import CONTROLLER, OUTPUT, RUN, SectionedCommand, section
 from vibrocast.output import actuator_files
-from vibrocast.output.actuator import ACTUATORS, Actuator
+from vibrocast.output.actuator import Actuator
 from vibrocast.study import stimuli as stimuli_module
 from vibrocast.study.study_file import Study, read_study
 from vibrocast.study.trials import Stimulus, StimulusPlayer
@@ -23,12 +22,6 @@ STUDY_FILE = "study.toml"
 STIMULI = "stimuli"
 
 study_argument = click.argument("study_path", metavar="STUDY", type=INPUT)
-actuator_option = click.option(
-    "--actuator",
-    "actuator_name",
-    metavar="NAME|FILE",
-    help=f"Match levels for {', '.join(ACTUATORS)} or a TOML file. Default: the study's.",
-)
 out_option = click.option("--out", type=FOLDER, required=True, help="Keep stimuli and results in this folder.")
 
 
@@ -40,17 +33,16 @@ def study() -> None:
     """
 
 
-@study.command(cls=SectionedCommand)
+@study.command()
 @study_argument
-@section(CONTROLLER, device_option, actuator_option)
-@section(OUTPUT, click.option("--out", type=FOLDER, help="Keep the stimuli in this folder, for `study run`."))
-def check(study_path: Path, address: str, actuator_name: str | None, out: Path | None) -> None:
+@device_option
+def check(study_path: Path, address: str) -> None:
     """Prepare all stimuli, and reject sets that cannot be compared.
 
     Levels are matched at the skin. Limits of the actuator must act on all conditions of a texture alike.
     """
     read = read_study(study_path)
-    actuator = driven(address, chosen_actuator(read, actuator_name))
+    actuator = driven(address, chosen_actuator(read))
     prepared = prepare(read, actuator)
     click.echo(f"{'stimulus':42} {'level dB':>9} {'gain dB':>8} {'limited %':>9} {'SNR dB':>7}")
     for each in prepared:
@@ -61,24 +53,19 @@ def check(study_path: Path, address: str, actuator_name: str | None, out: Path |
             f"{ratio:>7}"
         )
     reject_problems(read, actuator, prepared)
-    if out is not None:
-        keep(out, study_path, prepared, actuator)
     tell(f"{len(prepared)} stimuli can be compared on {actuator.name}")
 
 
-@study.command(cls=SectionedCommand)
+@study.command()
 @study_argument
-@section(
-    RUN,
-    click.option(
-        "--participant", type=Whole("NUMBER", 1, 9999), required=True, help="Number the participant; give no names."
-    ),
-    click.option("--terminal", is_flag=True, help="Ask in the terminal. Default: in a browser."),
-    click.option("--host", default="127.0.0.1", show_default=True, help="Serve the pages at this address."),
-    click.option("--port", type=Whole("PORT", 0, 65_535), default=8017, show_default=True, help="Serve at this port."),
+@click.option(
+    "--participant", type=Whole("NUMBER", 1, 9999), required=True, help="Number the participant; give no names."
 )
-@section(CONTROLLER, device_option, actuator_option)
-@section(OUTPUT, out_option)
+@click.option("--terminal", is_flag=True, help="Ask in the terminal. Default: in a browser.")
+@click.option("--host", default="127.0.0.1", show_default=True, help="Serve the pages at this address.")
+@click.option("--port", type=Whole("PORT", 0, 65_535), default=8017, show_default=True, help="Serve at this port.")
+@device_option
+@out_option
 def run(
     study_path: Path,
     participant: int,
@@ -86,7 +73,6 @@ def run(
     host: str,
     port: int,
     address: str,
-    actuator_name: str | None,
     out: Path,
 ) -> None:
     """Lead a participant through a study, in a browser or terminal.
@@ -100,7 +86,7 @@ def run(
     if not terminal:
         extras.require("study", "starlette", "uvicorn")
     read = read_study(study_path)
-    actuator = chosen_actuator(read, actuator_name)
+    actuator = chosen_actuator(read)
     prepared = prepared_once(read, driven(address, actuator), study_path, out)
     with open_player(address, actuator, prepared, read) as player:
         session = Session(read, prepared, participant, participant_folder(out, participant), player, address)
@@ -125,28 +111,17 @@ def run(
             session.close()
 
 
-@study.command(cls=SectionedCommand)
+@study.command()
 @study_argument
-@section(
-    RUN,
-    click.option(
-        "--participants",
-        type=Whole("NUMBER", 1, 1000),
-        default=10,
-        show_default=True,
-        help="Set the number of simulated participants.",
-    ),
-    click.option(
-        "--noise",
-        type=Number("JND", 0, 100),
-        default=1.0,
-        show_default=True,
-        help="Set the observers' internal noise, in just noticeable differences.",
-    ),
+@click.option(
+    "--participants",
+    type=Whole("NUMBER", 1, 1000),
+    default=10,
+    show_default=True,
+    help="Set the number of simulated participants.",
 )
-@section(CONTROLLER, actuator_option)
-@section(OUTPUT, out_option)
-def simulate(study_path: Path, participants: int, noise: float, actuator_name: str | None, out: Path) -> None:
+@out_option
+def simulate(study_path: Path, participants: int, out: Path) -> None:
     """Let simulated observers take part, to test and plan a study.
 
     A simulated observer is no person: use it to find mistakes in a study, not to answer its question.
@@ -155,9 +130,9 @@ def simulate(study_path: Path, participants: int, noise: float, actuator_name: s
     from vibrocast.study.simulation import SkinOf, simulate_participant
 
     read = read_study(study_path)
-    actuator = chosen_actuator(read, actuator_name)
+    actuator = chosen_actuator(read)
     prepared = prepared_once(read, actuator, study_path, out)
-    skin_of, settings = SkinOf(prepared, actuator), ObserverSettings(noise=noise)
+    skin_of, settings = SkinOf(prepared, actuator), ObserverSettings()
     with progress.bar("simulating") as update:
         for number in range(1, participants + 1):
             simulate_participant(read, prepared, skin_of, number, participant_folder(out, number), settings)
@@ -169,25 +144,26 @@ def simulate(study_path: Path, participants: int, noise: float, actuator_name: s
     )
 
 
-@study.command(cls=SectionedCommand)
+@study.command()
 @click.argument("folder", type=INPUT)
-@section(OUTPUT, click.option("--out", type=FOLDER, help="Write the report into this folder. Default: FOLDER/report."))
-def report(folder: Path, out: Path | None) -> None:
-    """Analyse the answers of a study: tables, charts and one page."""
+def report(folder: Path) -> None:
+    """Analyse the answers of a study: tables, charts and one page.
+
+    The command writes them into FOLDER/report.
+    """
     extras.require("study")
     from vibrocast.study.report import write_report
 
-    page = str(write_report(folder, out or folder / "report"))
+    page = str(write_report(folder, folder / "report"))
     tell(page, page=page)
 
 
-def chosen_actuator(read: Study, name: str | None) -> Actuator:
-    """Return the actuator that the option or the study file names. Raises BadInput where neither does."""
-    chosen = name or read.actuator
-    if chosen is None:
-        raise BadInput(f"{read.name}: no actuator; give --actuator, or actuator in the study file")
-    path = Path(read.folder) / chosen
-    return actuator_files.find(path if name is None and path.is_file() else chosen)
+def chosen_actuator(read: Study) -> Actuator:
+    """Return the actuator that the study file names. Raises BadInput where it names none."""
+    if read.actuator is None:
+        raise BadInput(f"{read.name}: no actuator; name one by the key actuator of the study file")
+    path = Path(read.folder) / read.actuator
+    return actuator_files.find(path if path.is_file() else read.actuator)
 
 
 def driven(address: str, actuator: Actuator) -> Actuator:

@@ -11,24 +11,11 @@ from typing import Any
 
 import click
 import pytest
-from click.testing import CliRunner, Result
 
+from tests.command import OAK, ROOT, answer, failure, run
 from vibrocast.harness.measurements import MEASUREMENTS
 from vibrocast.host.cli.command_line import main
 from vibrocast.host.cli.commands import subcommands
-
-ROOT = Path(__file__).parents[2]
-OAK = str(ROOT / "examples" / "oak.wav")
-
-
-def run(*arguments: object) -> Result:
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
-
-
-def answer(*arguments: object) -> Any:
-    result = run(*arguments, "--json")
-    assert result.exit_code == 0, result.output
-    return json.loads(result.stdout)
 
 
 def test_every_subcommand_has_the_option() -> None:
@@ -65,18 +52,18 @@ def test_what_was_played_is_a_report() -> None:
 
 
 def test_an_error_is_in_the_answer() -> None:
-    result = run("play", OAK, "--device", "serial:nowhere", "--json")
-    assert result.exit_code == 3
-    told = json.loads(result.stdout)
-    assert told["exit_code"] == 3 and "cannot open serial port nowhere" in told["error"]
+    told = failure(3, "play", OAK, "--device", "serial:nowhere")
+    assert "cannot open serial port nowhere" in told["error"]
 
 
-def test_a_log_has_levels_and_a_file(tmp_path: Path) -> None:
+def test_a_log_is_kept_in_a_file(tmp_path: Path) -> None:
     log = tmp_path / "bench.log"
     assert run("--log", log, "play", OAK).exit_code == 0
-    assert run("--log", log, "--log-level", "error", "play", OAK, "--device", "serial:nowhere").exit_code == 3
+    assert run("--log", log, "play", OAK, "--device", "serial:nowhere").exit_code == 3
     lines = log.read_text().splitlines()
-    assert all(re.match(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z (INFO|ERROR) vibrocast\.", line) for line in lines)
+    assert all(
+        re.match(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z (DEBUG|INFO|ERROR) vibrocast\.", line) for line in lines
+    )
     assert any("session with simulated" in line for line in lines)
     assert any("set up: codec" in line for line in lines)
     assert next(line for line in lines if "ERROR" in line).endswith("exit code 3")
@@ -92,14 +79,14 @@ def test_an_interrupted_command_answers_with_the_figures_so_far(
         raise KeyboardInterrupt
 
     def cut(*arguments: object) -> Any:
-        result = run(*arguments, "--json")
-        told = json.loads(result.stdout)
-        assert (result.exit_code, told["error"], told["exit_code"]) == (130, "interrupted", 130), result.output
+        told = failure(130, *arguments)
+        assert told["error"] == "interrupted"
         return told
 
     with monkeypatch.context() as patch:
         patch.setattr("vibrocast.host.live_watch.Watch.note", interrupted)
-        assert 0 < cut("live", "rough", "--seconds", "30")["seconds"] < 30
+        told = cut("live", "rough", "--seconds", "30")
+        assert 0 < told["seconds"] < 30 and told["snr_db"] is None
     out = tmp_path / "out"
     out.mkdir()
     (out / "measured.json").write_text('{"earlier": "run"}')
@@ -138,27 +125,24 @@ def test_a_command_that_is_killed_while_a_library_computes_answers_in_json() -> 
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (("measure", "--only", "foo", "--json"), "is no measurement"),
-        (("live", "rough", "--seconds", "nan", "--json"), "finite number"),
-        (("proxy", "sim", "--lost", "2", "--json"), "from 0 to 1"),
-        (("play", OAK, "--no-such-option", "--json"), "No such option"),
-        (("play", OAK, "--report", "/nope/r.json", "--json"), "the folder /nope does not exist"),
-        (("play", "--json", OAK, "--bench", "{bench}"), "min_snr_db"),
-        (("no-such-command", "--json"), "No such command"),
-        (("keys", "no-such-command", "--json"), "No such command"),
-        (("--trace", "frames.txt", "devices", "--json"), "must end in"),
-        (("--log", "/nope/log", "devices", "--json"), "the folder /nope does not exist"),
+        (("measure", "--only", "foo"), "is no measurement"),
+        (("live", "rough", "--seconds", "nan"), "finite number"),
+        (("proxy", "sim", "--lost", "2"), "from 0 to 1"),
+        (("play", OAK, "--no-such-option"), "No such option"),
+        (("play", OAK, "--report", "/nope/r.json"), "the folder /nope does not exist"),
+        (("play", OAK, "--bench", "{bench}"), "min_snr_db"),
+        (("no-such-command",), "No such command"),
+        (("keys", "no-such-command"), "No such command"),
+        (("--trace", "frames.txt", "devices"), "must end in"),
+        (("--log", "/nope/log", "devices"), "the folder /nope does not exist"),
     ],
 )
 def test_an_option_that_cannot_be_read_is_an_error_in_the_answer(
-    arguments: tuple[str, ...], told: str, tmp_path: Path
+    arguments: tuple[object, ...], told: str, tmp_path: Path
 ) -> None:
     bench = tmp_path / "bench.toml"
     bench.write_text('[[controllers]]\nname = "it"\naddress = "sim"\n[limits]\nmin_snr_db = nan\n')
-    result = run(*(argument.format(bench=bench) for argument in arguments))
-    answered = json.loads(result.stdout)
-    assert (result.exit_code, answered["exit_code"]) == (2, 2)
-    assert told in answered["error"]
+    assert told in failure(2, *(str(argument).format(bench=bench) for argument in arguments))["error"]
 
 
 def test_json_behind_two_dashes_is_an_argument() -> None:

@@ -6,8 +6,6 @@ import json
 import os
 import re
 import signal
-import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
@@ -18,8 +16,9 @@ import click
 import numpy as np
 import pytest
 import soundfile
-from click.testing import CliRunner, Result
+from click.testing import CliRunner
 
+from tests.command import OAK, ROOT, answer, fails, run, started, succeeds, titles
 from vibrocast import codec, models, textures
 from vibrocast.codec.stream import read_stream
 from vibrocast.device_protocol.messages import State
@@ -35,31 +34,10 @@ from vibrocast.output.actuator import ACTUATORS, Codes
 from vibrocast.simulated_device.controller import Controller
 from vibrocast.simulated_device.pty_port import PtyPort
 
-ROOT = Path(__file__).parents[2]
 SHARED = ROOT / ".." / "shared" / "data"
-IMAGE = str(ROOT / "models" / "mdct-textures" / "mdct-textures.vcmi")
+IMAGE = ROOT / "models" / "mdct-textures" / "mdct-textures.vcmi"
+PROFILE = ROOT / "examples" / "leather_profile.csv"
 RATE_HZ = 2800
-
-
-def vibrocast(*arguments: object) -> Result:
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
-
-
-def succeeds(*arguments: object) -> str:
-    result = vibrocast(*arguments)
-    assert result.exit_code == 0, result.output
-    return result.stdout
-
-
-def fails(exit_code: int, *arguments: object) -> str:
-    """Return the error, which is one line, for a person, without a traceback."""
-    result = vibrocast(*arguments)
-    assert result.exit_code == exit_code, result.output
-    # On a busy machine, lines of progress come before it.
-    (error,) = [line for line in result.stderr.splitlines(keepends=True) if not re.match(r"\w+ \d+ %", line)]
-    assert error.startswith("error: ")
-    assert "unexpected" not in error
-    return error
 
 
 @pytest.fixture
@@ -75,6 +53,13 @@ def texture(tmp_path: Path) -> Path:
 def coded(texture: Path, tmp_path: Path) -> Path:
     path = tmp_path / "texture.vct"
     succeeds("encode", texture, path)
+    return path
+
+
+@pytest.fixture
+def three_axes(tmp_path: Path) -> Path:
+    path, samples = tmp_path / "axes.csv", np.random.default_rng(0).normal(size=(560, 3))
+    textures.save(path, textures.Recording(samples, RATE_HZ, "m/s^2", "axes", textures.AXES))
     return path
 
 
@@ -98,25 +83,9 @@ def watched() -> Iterator[Watched]:
         yield controller
 
 
-def started(*arguments: object) -> subprocess.Popen[str]:
-    """Start the command as a process of its own, which Ctrl-C interrupts even where the tests run in the background."""
-    code = (
-        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
-        "from vibrocast.host.cli.entry import main; main()"
-    )
-    return subprocess.Popen(
-        [sys.executable, "-c", code, *map(str, arguments)],
-        cwd=ROOT,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-
-
-@pytest.mark.parametrize("device", ["sim", "sim-usb"])
-def test_play_reports_and_draws(device: str, texture: Path, tmp_path: Path) -> None:
+def test_play_reports_and_draws(texture: Path, tmp_path: Path) -> None:
     report_path, plot_path = tmp_path / "report.json", tmp_path / "plot.png"
-    output = succeeds("play", texture, "--device", device, "--report", report_path, "--plot", plot_path)
+    output = succeeds("play", texture, "--report", report_path, "--plot", plot_path)
     assert "decoded as sent" in output
     assert "\x1b" not in output
     report = json.loads(report_path.read_text())
@@ -130,7 +99,7 @@ def test_play_reports_and_draws(device: str, texture: Path, tmp_path: Path) -> N
     assert report["wire_bytes"] > report["stream_bytes"]
     latency = report["latency_ms"]
     assert latency["end_to_end"] > latency["algorithmic"] + latency["buffered"] > 0
-    assert report["device"]["address"] == device
+    assert report["device"]["address"] == "sim"
     assert report["actuator"]["name"] == "piezo-stack"
     assert plot_path.stat().st_size > 10_000
     assert "packets          45.7 ms each, only the first can be decoded alone" in output
@@ -142,7 +111,7 @@ def test_several_controllers_play_at_once_though_one_is_missing(
 ) -> None:
     report_path = tmp_path / "reports.json"
     devices = ["--device", "sim", "--device", "sim-usb", "--device", "sim"]
-    result = vibrocast("play", texture, *devices, *missing, "--report", report_path)
+    result = run("play", texture, *devices, *missing, "--report", report_path)
     assert result.exit_code == (NO_DEVICE if missing else 0), result.output
     lines = [line for line in result.stdout.splitlines() if "DAC as computed yes" in line]
     assert [line.split("  ")[0] for line in lines] == ["sim", "sim-usb", "sim (2)"]
@@ -153,42 +122,19 @@ def test_several_controllers_play_at_once_though_one_is_missing(
         assert result.stderr.splitlines()[-1].startswith("error: 1 of 4 controllers"), result.stderr
 
 
-@pytest.mark.parametrize(
-    ("arguments", "reason"),
-    [
-        (["--device", "serial:/dev/x", "--device", "serial:/dev/x"], "given twice"),
-        (["--device", "sim", "--device", "host", "--plot", "a.png"], "for one controller"),
-    ],
-)
-def test_what_several_controllers_cannot_do_is_rejected(arguments: list[str], reason: str, texture: Path) -> None:
-    assert reason in fails(2, "play", texture, *arguments)
-
-
 def test_report_page_explains_every_field() -> None:
     page = (ROOT / "docs" / "reference" / "report.md").read_text()
     missing = [field.name for field in dataclasses.fields(Report) if f"`{field.name}" not in page]
     assert missing == []
 
 
-def test_play_loops_over_several_channels(tmp_path: Path) -> None:
-    path, report_path = tmp_path / "two.wav", tmp_path / "report.json"
-    samples = np.random.default_rng(4).normal(size=(400, 2))
-    textures.save(path, textures.Recording(samples, RATE_HZ, "um", "two"))
-    succeeds("play", path, "--loop", 3, "--snr-db", 10, "--report", report_path, "--plot", tmp_path / "two.svg")
-    report = json.loads(report_path.read_text())
-    assert (report["loops"], report["channels"]) == (3, 2)
-    assert report["decoded_equals_offline"] is True
-    assert report["dac_equals_offline"] is True
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("samples", "level"), [(1, 1.0), (17, 0.5), (500, 0.0), (500, 1.0)])
 def test_plays_extremes(samples: int, level: float, tmp_path: Path) -> None:
-    path, report_path = tmp_path / "extreme.wav", tmp_path / "report.json"
-    soundfile.write(path, np.full((samples, 1), level), RATE_HZ, subtype="FLOAT")
-    succeeds("play", path, "--unit", "drive", "--report", report_path, "--plot", tmp_path / "plot.png")
-    report = json.loads(report_path.read_text())
-    assert report["dac_equals_offline"] is True
+    path = tmp_path / "extreme.wav"
+    soundfile.write(path, np.full((samples, 2), level), RATE_HZ, subtype="FLOAT")
+    report = answer("play", path, "--unit", "drive", "--loop", 3, "--plot", tmp_path / "plot.svg")
+    assert (report["loops"], report["channels"], report["dac_equals_offline"]) == (3, 2, True)
     assert (report["snr_db"] is None) == (level == 0)
 
 
@@ -196,19 +142,27 @@ def test_plays_a_coded_file(coded: Path, tmp_path: Path) -> None:
     report_path = tmp_path / "report.json"
     output = succeeds("play", coded, "--report", report_path, "--plot", tmp_path / "plot.png")
     assert "each, only the first can be decoded alone" in output
-    longer = tmp_path / "longer.wav"
-    textures.save(longer, textures.GENERATORS["rough"](seconds=0.5))
-    assert "packets          45.7 ms each, one in 0.23 s can be decoded alone" in succeeds("play", longer)
     report = json.loads(report_path.read_text())
     assert report["stream_bytes"] == coded.stat().st_size
     assert report["snr_db"] is None
     assert report["decoded_equals_offline"] is True
+    longer = tmp_path / "longer.wav"
+    textures.save(longer, textures.GENERATORS["rough"](seconds=0.5))
+    assert "packets          45.7 ms each, one in 0.23 s can be decoded alone" in succeeds("play", longer)
 
 
-def test_plays_a_height_profile_at_a_hand_speed() -> None:
-    profile = ROOT / "examples" / "leather_profile.csv"
-    assert "DAC as computed" in succeeds("play", profile, "--hand-speed-mm-s", 50)
-    assert "the speed of the hand over it" in fails(2, "play", profile)
+def test_a_height_profile_is_over_position_unless_a_hand_speed_is_given(tmp_path: Path) -> None:
+    assert "DAC as computed" in succeeds("play", PROFILE, "--hand-speed-mm-s", 50)
+    assert "the speed of the hand over it" in fails(2, "play", PROFILE)
+    out = tmp_path / "out.vct"
+    assert "coded over position: " in succeeds("encode", PROFILE, out)
+    assert read_stream(out).header.spatial
+    assert "coded over position; give --hand" in fails(2, "play", out)
+    assert "coded over time at 50 mm/s" in succeeds("encode", PROFILE, out, "--hand-speed-mm-s", 50)
+    assert not read_stream(out).header.spatial
+    assert "coded over time, not over position" in fails(2, "play", out, "--hand", 5, "--hand-speed-mm-s", 50)
+    assert "a stream over time" in fails(2, "encode", PROFILE, out, "--live")
+    assert "and no other option" in fails(2, "encode", PROFILE, out, "--unit", "um")
 
 
 @pytest.mark.parametrize("suffix", [".wav", ".csv", ".npy", ".mat"])
@@ -219,39 +173,40 @@ def test_decodes_into_every_format(suffix: str, coded: Path, tmp_path: Path) -> 
     options: dict[str, Any] = {"rate_hz": RATE_HZ, "unit": "m/s^2"} if suffix == ".npy" else {}
     np.testing.assert_array_equal(textures.load(out, **options).samples, read_stream(coded).decode())
     succeeds("encode", out, tmp_path / "again.vct", *(("--rate-hz", RATE_HZ, "--unit", "g") if options else ()))
-    if suffix != ".wav":
-        assert "--format is for a WAV file" in fails(2, "decode", coded, out, "--format", "16-bit")
 
 
-def test_axes_are_chosen_or_reduced(tmp_path: Path) -> None:
-    path, out = tmp_path / "three.csv", tmp_path / "out.vct"
-    samples = np.random.default_rng(3).normal(size=(RATE_HZ // 5, 3))
-    textures.save(path, textures.Recording(samples, RATE_HZ, "m/s^2", "three", textures.AXES))
-    for options, channels in ((("--reduce", "dft321"), 1), (("--reduce", "none"), 3), (("--axis", "x"), 1)):
-        succeeds("encode", path, out, *options)
+def test_axes_are_chosen_or_reduced(three_axes: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.vct"
+    for options, channels in (((), 3), (("--axis", "none"), 3), (("--axis", "dft321"), 1), (("--axis", "x"), 1)):
+        succeeds("encode", three_axes, out, *options)
         assert read_stream(out).header.channels == channels
+    assert f"{three_axes}: three axes of one texture; encode it with --axis" in fails(2, "play", three_axes)
 
 
 def test_encode_info_decode(texture: Path, tmp_path: Path) -> None:
     coded_path, wav_path = tmp_path / "out.vct", tmp_path / "out.wav"
-    assert "SNR " in succeeds("encode", texture, coded_path, "--snr-db", 30, "--keep-dc")
-    facts = json.loads(succeeds("info", coded_path, "--json"))
+    assert "SNR 30." in succeeds("encode", texture, coded_path, "--snr-db", 30.2)
+    facts = answer("info", coded_path)
     assert (facts["codec"], facts["rate_hz"], facts["unit"], facts["samples"]) == ("mdct", RATE_HZ, "m/s^2", 560)
     assert facts["size_bytes"] == coded_path.stat().st_size
     assert "mdct" in succeeds("info", coded_path)
-    for sample_format in ("float", "16-bit"):
-        assert "m/s^2" in succeeds("decode", coded_path, wav_path, "--format", sample_format)
-        decoded = textures.load(wav_path)
-        original = textures.load(texture)
-        error = np.sum((decoded.samples - original.samples) ** 2) / np.sum(original.samples**2)
-        assert -10 * np.log10(error) == pytest.approx(30, abs=0.3)
+    assert "m/s^2" in succeeds("decode", coded_path, wav_path)
+    assert textures.load(wav_path).samples.shape == textures.load(texture).samples.shape
 
 
 def test_encode_to_a_rate_and_at_another_stream_rate(tmp_path: Path) -> None:
     out = tmp_path / "oak.vct"
-    succeeds("encode", ROOT / "examples" / "oak.wav", out, "--rate-bps", 3000, "--stream-rate-hz", 2000)
+    succeeds("encode", OAK, out, "--rate-bps", 3000, "--stream-rate-hz", 2000)
     assert 2940 <= 8 * out.stat().st_size / 4 <= 3000
-    assert json.loads(succeeds("info", out, "--json"))["rate_hz"] == 2000
+    assert answer("info", out)["rate_hz"] == 2000
+
+
+def test_encode_live_codes_as_play_does(tmp_path: Path) -> None:
+    out = tmp_path / "oak.vct"
+    succeeds("encode", OAK, out, "--live")
+    live = read_stream(out)
+    assert live.decoder().packet_samples == 128
+    assert answer("play", OAK)["stream_bytes"] == live.size_bytes
 
 
 def test_a_setting_is_used_as_it_is(texture: Path, tmp_path: Path) -> None:
@@ -267,42 +222,28 @@ def test_lists_the_codecs() -> None:
     listed = succeeds("codecs")
     assert "mdct" in listed
     assert all(name in listed for known in codec.CODECS.values() for name in known.parameters)
-    assert set(json.loads(succeeds("codecs", "--json"))) == set(codec.CODECS)
+    assert set(answer("codecs")) == set(codec.CODECS)
 
 
-@pytest.mark.parametrize("kind", sorted(textures.GENERATORS))
-def test_generate(kind: str, tmp_path: Path) -> None:
+def test_generate(tmp_path: Path) -> None:
     one, again, other = tmp_path / "one.wav", tmp_path / "again.wav", tmp_path / "other.wav"
     for path, seed in ((one, 1), (again, 1), (other, 2)):
-        succeeds("generate", kind, path, "--seed", seed, "--seconds", 0.5, "--hand-speed-mm-s", 80)
-    assert one.read_bytes() == again.read_bytes()
+        succeeds("generate", "rough", path, "--seed", seed, "--seconds", 0.5, "--hand-speed-mm-s", 80)
+    assert one.read_bytes() == again.read_bytes() != other.read_bytes()
     assert textures.load(one).seconds == 0.5
-
-
-def test_generate_with_a_hand_speed_that_varies(tmp_path: Path) -> None:
-    steady, varying = tmp_path / "steady.wav", tmp_path / "varying.wav"
-    succeeds("generate", "grating", steady, "--seconds", 1)
-    succeeds("generate", "grating", varying, "--seconds", 1, "--speed-variation", 0.3)
-    speed_mm_s = textures.varying_speed(1, RATE_HZ, 50, 0.3)
-    expected = textures.GENERATORS["grating"](seconds=1, hand_speed_mm_s=speed_mm_s).samples
-    np.testing.assert_allclose(textures.load(varying).samples, expected, atol=0.01)
-    assert np.abs(textures.load(varying).samples - textures.load(steady).samples).max() > 10
 
 
 def test_generate_a_height_profile(tmp_path: Path) -> None:
     path = tmp_path / "wood.csv"
     assert "39.9857 mm" in succeeds("generate", "wood", path, "--seconds", 1, "--hand-speed-mm-s", 40)
     assert path.read_text().startswith("position_um,height_um\n0,")
-    succeeds("encode", path, tmp_path / "out.vct", "--hand-speed-mm-s", 60)
     assert "choose one of grating, ridges" in fails(2, "generate", "taps", tmp_path / "taps.csv")
-    assert "--speed-variation" in fails(2, "generate", "wood", path, "--speed-variation", 0.3)
 
 
 def test_devices_and_status() -> None:
-    listed = succeeds("devices")
-    assert "sim-usb" in listed
+    assert "sim-usb" in succeeds("devices")
     assert "piezo-stack" in succeeds("status")
-    facts = json.loads(succeeds("status", "--device", "sim-usb", "--json"))
+    facts = answer("status", "--device", "sim-usb")
     assert facts["status"]["state"] == "idle"
     assert facts["codecs"] == list(codec.CODECS)
 
@@ -312,7 +253,6 @@ def test_flash_then_play_a_stream_for_that_image(texture: Path, tmp_path: Path, 
     assert "model mdct-textures" in succeeds("encode", texture, coded_path, "--model", IMAGE)
     rejection = fails(1, "play", coded_path, "--device", watched.address)
     assert "runs none; upload it first" in rejection
-    assert "drop --codec." in fails(2, "play", coded_path, "--codec", "mdct")
     command = re.search("`vibrocast (flash .*)`", rejection)
     assert command is not None
     assert "confirmed" in succeeds(*command.group(1).split())
@@ -320,12 +260,9 @@ def test_flash_then_play_a_stream_for_that_image(texture: Path, tmp_path: Path, 
     assert "DAC as computed" in succeeds("play", coded_path, "--device", watched.address)
 
 
-def test_a_simulated_controller_is_flashed_with_the_model_that_it_plays(texture: Path, tmp_path: Path) -> None:
-    report_path = tmp_path / "report.json"
-    output = succeeds("play", texture, "--model", "mdct-textures", "--report", report_path)
-    assert "codec mdct, model mdct-textures" in output
-    report = json.loads(report_path.read_text())
-    assert report["model"] == "mdct-textures"
+def test_a_simulated_controller_is_flashed_with_the_model_that_it_plays(texture: Path) -> None:
+    report = answer("play", texture, "--model", "mdct-textures")
+    assert (report["codec"], report["model"]) == ("mdct", "mdct-textures")
     assert "confirmed" in report["device"]["model_images"][0]
 
 
@@ -337,13 +274,13 @@ def test_a_model_of_ones_own_is_named_by_its_file(texture: Path, tmp_path: Path)
         assert "give its folder or its file as --model" in fails(2, *command)
         succeeds(*command, "--model", own)
     assert "not coded for" in fails(2, "decode", coded_path, tmp_path / "out.wav", "--model", "mdct-textures")
-    assert json.loads(succeeds("info", coded_path, "--json"))["model"] is None
-    assert json.loads(succeeds("info", coded_path, "--json", "--model", own))["model"] == "own"
+    assert answer("info", coded_path)["model"] is None
+    assert answer("info", coded_path, "--model", own)["model"] == "own"
 
 
 def test_models_lists_what_ships() -> None:
     assert re.search(r"mdct-textures +mdct +\d+", succeeds("models"))
-    cards = json.loads(succeeds("models", "--json"))
+    cards = answer("models")
     assert list(cards) == [model.name for model in models.shipped()]
     assert cards["mdct-textures"]["training"]["seed"] == 1
 
@@ -361,14 +298,12 @@ def test_simulate_cleans_up_when_it_is_killed(number: signal.Signals) -> None:
 
 
 def test_simulate_serves_other_programs_until_interrupted(texture: Path, tmp_path: Path) -> None:
-    process = started("simulate", "--actuator", "lra", "--drift-ppm", "100", "--flash-file", tmp_path / "flash.bin")
+    process = started("simulate", "--actuator", "lra", "--flash-file", tmp_path / "flash.bin")
     try:
         assert process.stdout is not None
         address = process.stdout.readline().strip()
         assert address.startswith("serial:/")
-        report_path = tmp_path / "report.json"
-        succeeds("play", texture, "--device", address, "--report", report_path, "--plot", tmp_path / "plot.png")
-        report = json.loads(report_path.read_text())
+        report = answer("play", texture, "--device", address)
         assert report["actuator"]["name"] == "lra"
         assert report["dac_equals_offline"] is True
         succeeds("flash", IMAGE, "--device", address)
@@ -417,7 +352,7 @@ def test_play_says_where_it_is_where_there_is_no_terminal(tmp_path: Path, monkey
     monkeypatch.setattr("vibrocast.progress.LINE_INTERVAL_S", 0.0)
     path = tmp_path / "texture.wav"
     textures.save(path, textures.GENERATORS["rough"](seconds=0.5))
-    result = vibrocast("play", path, "--snr-db", 5)
+    result = run("play", path, "--snr-db", 5)
     assert result.exit_code == 0
     lines = result.stderr.splitlines()
     assert lines[0].startswith("encoding ")
@@ -430,41 +365,49 @@ def test_no_arguments_and_help_and_version() -> None:
     assert "version" in succeeds("--version")
 
 
-def test_rejects_bad_usage(texture: Path, coded: Path, tmp_path: Path) -> None:
-    assert "No such command" in fails(2, "dance")
-    assert "exclude each other" in fails(2, "play", texture, "--rate-bps", 1000, "--snr-db", 10)
-    assert "coded already" in fails(2, "play", coded, "--snr-db", 10)
-    assert "finite" in fails(2, "play", texture, "--snr-db", "nan")
-    assert "--rate-bps" in fails(2, "play", texture, "--rate-bps", -5)
-    assert "--loop" in fails(2, "play", texture, "--loop", 0)
-    assert "cannot be met" in fails(2, "encode", texture, tmp_path / "out.vct", "--rate-bps", 1)
-    assert "does not exist" in fails(2, "play", texture, "--report", tmp_path / "none" / "out.json")
-    assert ".png" in fails(2, "play", texture, "--plot", tmp_path / "plot.bmp")
-    assert ".vct" in fails(2, "encode", texture, tmp_path / "out.wav")
-    out = tmp_path / "out.vct"
-    assert "NAME=VALUE" in fails(2, "encode", texture, out, "--setting", "step")
-    assert "no parameter pace" in fails(2, "encode", texture, out, "--setting", "pace=1")
-    assert "step is coarse" in fails(2, "encode", texture, out, "--setting", "step=coarse")
-    assert "fixes the quality" in fails(2, "encode", texture, out, "--setting", "step=1", "--snr-db", 10)
-    assert "flac has one quality only" in fails(2, "encode", texture, out, "--codec", "flac", "--snr-db", 10)
-    assert "step is given twice" in fails(2, "encode", texture, out, "--setting", "step=1", "--setting", "step=2")
-    assert "neither off nor on" in fails(2, "encode", texture, out, "--codec", "dct", "--setting", "threshold=Off")
-    assert "coded already" in fails(2, "play", coded, "--setting", "step=1")
-    assert "sim-usb" in fails(2, "play", texture, "--device", "hand")
-    assert "serial:PORT" in fails(2, "status", "--device", "serial:")
-    assert "hexadecimal" in fails(2, "status", "--device", "usb:nonsense")
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("dance",), "No such command"),
+        (("encode", "{texture}", "{out}", "--rate-bps", 1000, "--snr-db", 10), "exclude each other"),
+        (("encode", "{texture}", "{out}", "--rate-bps", -5), "--rate-bps"),
+        (("encode", "{texture}", "{out}", "--rate-bps", 1), "cannot be met"),
+        (("encode", "{texture}", "{out}.wav"), ".vct"),
+        (("encode", "{texture}", "{out}", "--setting", "step"), "NAME=VALUE"),
+        (("encode", "{texture}", "{out}", "--setting", "pace=1"), "no parameter pace"),
+        (("encode", "{texture}", "{out}", "--setting", "step=coarse"), "step is coarse"),
+        (("encode", "{texture}", "{out}", "--setting", "step=1", "--snr-db", 10), "fixes the quality"),
+        (("encode", "{texture}", "{out}", "--setting", "step=1", "--setting", "step=2"), "step is given twice"),
+        (("encode", "{texture}", "{out}", "--codec", "dct", "--setting", "threshold=Off"), "neither off nor on"),
+        (("encode", "{texture}", "{out}", "--codec", "slp", "--touch", 1), "slp cannot shape its error for touch"),
+        (("play", "{coded}", "--snr-db", 10), "coded already; drop --snr-db"),
+        (("play", "{coded}", "--unit", "g"), "coded already; drop --unit"),
+        (("play", "{texture}", "--report", "{folder}/none/out.json"), "does not exist"),
+        (("play", "{texture}", "--report", "{texture}"), ".json"),
+        (("play", "{texture}", "--plot", "plot.bmp"), ".png"),
+        (("play", "{texture}", "--device", "hand"), "sim-usb"),
+        (("play", "{texture}", "--device", "serial:/dev/x", "--device", "serial:/dev/x"), "given twice"),
+        (("play", "{texture}", "--device", "sim", "--device", "host", "--plot", "a.png"), "for one controller"),
+        (("play", "{texture}", "--actuator", "none"), "no actuator of that name"),
+        (("play", "{texture}", "--hand", "-3"), "a finite number above 0"),
+        (("status", "--device", "serial:"), "serial:PORT"),
+        (("status", "--device", "usb:nonsense"), "hexadecimal"),
+        (("flash", "{texture}"), "model image"),
+    ],
+)
+def test_rejects_bad_usage(arguments: tuple[object, ...], told: str, texture: Path, coded: Path) -> None:
+    names = {"texture": texture, "coded": coded, "out": texture.with_name("out.vct"), "folder": texture.parent}
+    assert told in fails(2, *(str(argument).format(**names) for argument in arguments))
+    assert not names["out"].exists()
 
 
-def test_names_the_controllers_limits_before_encoding(
-    texture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_names_the_controllers_limits_before_encoding(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     wide, coded = tmp_path / "wide.wav", tmp_path / "wide.vct"
     soundfile.write(wide, np.ones((100, 16)), RATE_HZ, subtype="FLOAT")
     succeeds("encode", wide, coded)
     monkeypatch.setattr("vibrocast.host.cli.steps.encode_recording", None)
     for path in (wide, coded):
         assert "16 channels, the controller has 8" in fails(2, "play", path, "--unit", "drive")
-    assert "100 to 48000 Hz" in fails(2, "play", texture, "--stream-rate-hz", 99)
 
 
 @pytest.mark.parametrize("name", ["out.vct", "out.wav"])
@@ -483,11 +426,10 @@ def test_says_where_there_is_no_room(
     assert not (tmp_path / name).exists()
 
 
-def test_rejects_to_overwrite_what_it_reads(texture: Path, coded: Path, tmp_path: Path) -> None:
+def test_rejects_to_overwrite_what_it_reads_or_to_write_twice(texture: Path, coded: Path, tmp_path: Path) -> None:
     before = texture.read_bytes()
-    assert ".json" in fails(2, "play", texture, "--report", texture)
     named_json, linked = tmp_path / "image.json", tmp_path / "linked.json"
-    named_json.write_bytes(Path(IMAGE).read_bytes())
+    named_json.write_bytes(IMAGE.read_bytes())
     linked.hardlink_to(texture)
     assert "same file" in fails(2, "play", coded, "--model", named_json, "--report", named_json)
     assert "same file" in fails(2, "play", texture, "--report", linked)
@@ -497,15 +439,12 @@ def test_rejects_to_overwrite_what_it_reads(texture: Path, coded: Path, tmp_path
     out = tmp_path / "out.wav"
     out.symlink_to(tmp_path / ".." / tmp_path.name / coded.name)
     assert "same file" in fails(2, "decode", coded, out)
-    assert texture.read_bytes() == before
-    assert coded.exists()
-
-
-def test_rejects_one_name_for_two_outputs(texture: Path, tmp_path: Path) -> None:
     report_path, plot_path = tmp_path / "out.json", tmp_path / "out.png"
     plot_path.symlink_to(report_path)
     assert "same file" in fails(2, "play", texture, "--report", report_path, "--plot", plot_path)
     assert not report_path.exists()
+    assert texture.read_bytes() == before
+    assert coded.exists()
 
 
 @pytest.mark.parametrize("name", ["texture.wav", "pipe"])
@@ -526,26 +465,20 @@ def test_rejects_bad_input(texture: Path, coded: Path, tmp_path: Path) -> None:
     soundfile.write(not_a_number, np.array([0.0, np.nan]), RATE_HZ, subtype="FLOAT")
     no_rate.write_text("1\n2\n3\n")
     ragged.write_text("1,2\n3\n")
-    fails(2, "play", tmp_path / "missing.wav")
-    fails(2, "play", tmp_path)
-    fails(2, "play", garbage)
-    fails(2, "play", truncated)
-    fails(2, "info", flipped)
-    fails(2, "decode", flipped, tmp_path / "out.wav")
-    fails(2, "decode", texture, tmp_path / "out.wav")
-    fails(2, "info", tmp_path)
-    fails(2, "info", tmp_path / "missing.vct")
+    for path in (tmp_path / "missing.wav", tmp_path, garbage, truncated):
+        fails(2, "play", path)
+    for path in (flipped, tmp_path, tmp_path / "missing.vct"):
+        fails(2, "info", path)
+    for path in (flipped, texture):
+        fails(2, "decode", path, tmp_path / "out.wav")
     fails(2, "encode", not_a_number, out)
     fails(2, "encode", ragged, out, "--rate-hz", 2800, "--unit", "um")
     assert "does not state its sample rate" in fails(2, "encode", no_rate, out)
     assert "does not state its unit" in fails(2, "encode", no_rate, out, "--rate-hz", 2800)
-    fails(2, "encode", texture, out, "--rate-hz", 44_100)
-    fails(2, "encode", texture, out, "--unit", "um")
-    fails(2, "encode", texture, out, "--hand-speed-mm-s", 10)
-    fails(2, "encode", texture, out, "--stream-rate-hz", 10**9)
+    for facts in (("--rate-hz", 44_100), ("--unit", "um"), ("--hand-speed-mm-s", 10), ("--stream-rate-hz", 10**9)):
+        fails(2, "encode", texture, out, *facts)
     fails(2, "generate", "rough", tmp_path / "out.wav", "--seconds", 1e12)
     fails(2, "generate", "taps", tmp_path / "out.wav", "--rate-hz", 2**31, "--seconds", 1e-8)
-    fails(2, "flash", garbage)
     assert "no file" in fails(2, "info", "/dev/zero")
     assert "no file" in fails(2, "decode", "/dev/zero", tmp_path / "out.wav")
     assert "no file" in fails(2, "flash", "/dev/zero")
@@ -571,11 +504,11 @@ def test_unexpected_errors_are_one_line_and_debug_shows_them(texture: Path, monk
         raise ZeroDivisionError("two\nlines")
 
     monkeypatch.setattr("vibrocast.host.cli.steps.encode_recording", breaks)
-    result = vibrocast("play", texture)
+    result = run("play", texture)
     assert result.exit_code == 1
     assert "unexpected ZeroDivisionError: two lines" in result.stderr
     assert "--debug" in result.stderr
-    assert isinstance(vibrocast("--debug", "play", texture).exception, ZeroDivisionError)
+    assert isinstance(run("--debug", "play", texture).exception, ZeroDivisionError)
 
 
 @pytest.mark.skipif(not SHARED.exists(), reason="the shared recordings are not beside this checkout")
@@ -598,51 +531,18 @@ def test_play_asks_for_the_unit_of_a_file_that_states_none(tmp_path: Path) -> No
     soundfile.write(plain, 0.1 * np.random.default_rng(0).normal(size=560), RATE_HZ)
     succeeds("encode", plain, coded_path)
     for path in (plain, coded_path):
-        assert "encode it with --unit (and --full-scale), or pass --unit drive" in fails(2, "play", path)
+        assert "pass --unit drive" in fails(2, "play", path)
         assert "re detection threshold" in succeeds("play", path, "--unit", "drive")
-
-
-def test_an_offset_does_not_change_the_quality(texture: Path, tmp_path: Path) -> None:
-    moved, recording = tmp_path / "moved.wav", textures.load(texture)
-    textures.save(moved, replace(recording, samples=recording.samples + 9.81))
-    told = [succeeds("encode", path, tmp_path / "out.vct", "--snr-db", 15) for path in (texture, moved)]
-    figures = [re.search(r"SNR (\S+) dB; removed: (\S+) % of the energy below 20 Hz", text) for text in told]
-    assert figures[0] and figures[1]
-    assert figures[0][1] == figures[1][1] and float(figures[1][2]) > 98 > float(figures[0][2])
-    assert "removed" not in succeeds("encode", moved, tmp_path / "out.vct", "--keep-dc")
-
-
-@pytest.mark.parametrize("options", [("--hand-speed-mm-s", 50), ("--spatial",)])
-def test_an_offset_of_heights_changes_no_byte(options: tuple[object, ...], tmp_path: Path) -> None:
-    profile, written = textures.surface_profile("rough", seconds=0.3), []
-    for name, offset_um in (("flat", 0.0), ("high", 1000.0)):
-        path = tmp_path / f"{name}.csv"
-        textures.save_profile(path, replace(profile, heights_um=profile.heights_um.round(3) + offset_um))
-        assert "removed" not in succeeds("encode", path, tmp_path / "out.vct", *options)
-        written.append((tmp_path / "out.vct").read_bytes())
-    assert written[0] == written[1]
-
-
-def test_play_asks_how_one_actuator_plays_three_axes(tmp_path: Path) -> None:
-    path, samples = tmp_path / "axes.csv", np.random.default_rng(0).normal(size=(560, 3))
-    textures.save(path, textures.Recording(samples, RATE_HZ, "m/s^2", "axes", textures.AXES))
-    told = fails(2, "play", path)
-    assert f"{path}: three axes of one texture; pass --reduce dft321, norm or none (one actuator" in told
-    for choice, channels in (("--reduce=none", 3), ("--reduce=dft321", 1), ("--reduce=norm", 1), ("--axis=y", 1)):
-        assert f"{channels} channel(s)" in succeeds("play", path, choice)
-    succeeds("encode", path, tmp_path / "axes.vct")
-    assert "3 channel(s)" in succeeds("play", tmp_path / "axes.vct")
+    assert "give --full-scale too" in fails(2, "encode", plain, coded_path, "--unit", "g")
+    assert "SNR 1" in succeeds("encode", plain, coded_path, "--unit", "g", "--full-scale", 8)
 
 
 @pytest.mark.parametrize(
     ("content", "cause"),
     [
         ("", "name is missing"),
-        ("actuators = 3", "not one actuator"),
-        ("actuators = []", "not one actuator"),
         ("[[actuators]]\n[[actuators]]", "not one actuator"),
         ('model = "lra"\ncorner_hz = nan', "a number from 2 to 5000, not nan"),
-        ('model = "lra"\nvolts = 1e300', "a number from 0.1 to 2000, not 1e+300"),
         ('model = "lra"\ncorner = 80', "there is no key corner"),
         ("\0", "not a TOML file"),
     ],
@@ -657,18 +557,10 @@ def test_a_file_that_describes_no_actuator_is_an_error_of_one_line(
 
 
 def test_a_level_beyond_any_stream_is_rejected(texture: Path) -> None:
-    for gain_db in (-1e9, -401, 401, 1e9):
+    for gain_db in (-401, 401):
         assert "--gain-db" in fails(2, "play", texture, f"--gain-db={gain_db}")
-    assert "finite" in fails(2, "play", texture, "--gain-db", "nan")
     assert "(silence)" in succeeds("play", texture, "--gain-db", -200)
     assert re.search(r"stroke [1-9]\d+, voltage", succeeds("play", texture, "--gain-db", 200))
-
-
-def test_the_actuator_that_measure_writes_is_taken(texture: Path, tmp_path: Path) -> None:
-    path = tmp_path / "measured.toml"
-    measured = replace(ACTUATORS["lra"], name="measured", corner_hz=161.0)
-    path.write_text(actuator_toml(measured, "one") + "channel = 1\n")
-    assert "measured follows within 1 dB" in succeeds("play", texture, "--actuator", path)
 
 
 def test_one_channel_of_eight_that_is_felt_is_enough(tmp_path: Path) -> None:
@@ -676,7 +568,7 @@ def test_one_channel_of_eight_that_is_felt_is_enough(tmp_path: Path) -> None:
     for loud, felt in ((1.0, True), (1e-3, False)):
         levels = np.array([1e-3, 0, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, loud])
         textures.save(path, textures.Recording(noise * levels, RATE_HZ, "m/s^2", "eight"))
-        told = vibrocast("play", path)
+        told = run("play", path)
         assert told.exit_code == 0 and ("nobody would feel this" in told.stderr) is not felt
 
 
@@ -684,16 +576,21 @@ def test_level_and_actuator_are_your_own(texture: Path, tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text('name = "mine"\nmodel = "voice-coil"\ncorner_hz = 80\n')
     loud = succeeds("play", texture, "--actuator", tmp_path / "mine.toml")
     assert re.search(r"touch +peak \+\d+ dB re detection threshold", loud) and "mine follows within 1 dB" in loud
-    quiet = vibrocast("play", texture, "--gain-db", -80)
+    quiet = run("play", texture, "--gain-db", -80)
     assert "nothing exceeds the detection threshold" in quiet.stdout and "raise --gain-db" in quiet.stderr
-    assert "no actuator of that name" in fails(2, "play", texture, "--actuator", "none")
+    measured = replace(ACTUATORS["lra"], name="measured", corner_hz=161.0)
+    (tmp_path / "measured.toml").write_text(actuator_toml(measured, "one") + "channel = 1\n")
+    assert "measured follows within 1 dB" in succeeds("play", texture, "--actuator", tmp_path / "measured.toml")
 
 
-def test_help_lists_options_and_commands_by_section() -> None:
-    titles = [line for line in succeeds("play", "--help").splitlines() if re.fullmatch(r"[A-Z][\w ]+:", line)]
-    assert titles == [
-        f"{title}:" for title in ("Input", sections.CODING, sections.CONTROLLER, "Playback", "Output")
-    ] + ["Options:"]
+@pytest.mark.parametrize("name", ["encode", "play", "live", "bench"])
+def test_help_lists_options_by_section(name: str) -> None:
+    known = (sections.INPUT, sections.CODING, sections.CONTROLLER, sections.PLAYBACK, sections.RUN, sections.OUTPUT)
+    found = titles(succeeds(name, "--help"))
+    assert len(found) > 2 and set(found) <= {f"{title}:" for title in (*known, "Codecs", "Recordings", "Options")}
+
+
+def test_help_lists_commands_by_section() -> None:
     main_help = succeeds("--help")
     for title in SECTIONS:
         section = main_help.split(f"{title}:\n")[1].split("\n\n")[0]
@@ -719,11 +616,28 @@ def test_help_prints_units_and_ranges_for_people(name: str) -> None:
     assert len(subcommands()[name].summary) <= 67, "a line of `vibrocast --help`"
 
 
+def test_a_scene_needs_few_options() -> None:
+    """All commands have at most 140 options without --json; those that everyone uses have at most 13 each."""
+    ctx, counts = click.Context(main), {"": 0}
+
+    def count(name: str, command: click.Command) -> None:
+        options = [each for each in command.params if isinstance(each, click.Option) and "--json" not in each.opts]
+        counts[name] = len(options)
+        if isinstance(command, click.Group):
+            for inner in command.list_commands(ctx):
+                found = command.get_command(ctx, inner)
+                assert found is not None
+                count(f"{name} {inner}".strip(), found)
+
+    count("", main)
+    assert sum(counts.values()) <= 140
+    assert max(counts[name] for name in ("play", "live", "encode")) <= 13
+
+
 @pytest.mark.parametrize(
     ("arguments", "error"),
     [
         (["--rate-hz", "-5"], "-5 cannot be used; give a finite number above 0."),
-        (["--rate-hz", "0"], "0 cannot be used; give a finite number above 0."),
         (["--snr-db", "nan"], "nan cannot be used; give a finite number."),
         (["--snr-db", "much"], "much cannot be used; give a finite number."),
         (["--gain-db", "500"], "500 cannot be used; give a finite number from -400 to 400."),
@@ -737,8 +651,8 @@ def test_an_unusable_number_is_reported_in_one_line(arguments: list[str], error:
 
 
 def test_play_tells_what_is_coded_what_is_felt_and_what_the_actuator_follows(tmp_path: Path) -> None:
-    report_path, oak = tmp_path / "out.json", ROOT / "examples" / "oak.wav"
-    coded, felt, actuator = succeeds("play", oak, "--report", report_path).splitlines()[:3]
+    report_path = tmp_path / "out.json"
+    coded, felt, actuator = succeeds("play", OAK, "--report", report_path).splitlines()[:3]
     assert re.fullmatch(r"coded +SNR 14\.\d+ dB; removed: 0\.\d+ % of the energy below 20 Hz", coded)
     assert re.fullmatch(r"felt error +at most \+\d+ dB re threshold, at \d+ Hz; the texture there \+\d+ dB", felt)
     follows = r"piezo-stack follows within 1 dB from 20 to \d+ Hz"
@@ -752,28 +666,22 @@ def test_play_tells_what_is_coded_what_is_felt_and_what_the_actuator_follows(tmp
     assert (report["schema"], report["bad_frames"], report["run"]["bench_sha256"]) == (3, 0, None)
 
 
-@pytest.mark.parametrize("actuator", ["lra", "voice-coil"])
-def test_play_says_where_the_actuator_is_the_limit(actuator: str, tmp_path: Path) -> None:
-    report_path, oak = tmp_path / "out.json", ROOT / "examples" / "oak.wav"
-    printed = succeeds("play", oak, "--actuator", actuator, "--report", report_path)
+def test_play_says_where_the_actuator_is_the_limit(tmp_path: Path) -> None:
+    report_path = tmp_path / "out.json"
+    printed = succeeds("play", OAK, "--actuator", "lra", "--report", report_path)
     report = json.loads(report_path.read_text())
     assert f"; {report['skin_note']}" in printed
     assert report["skin_note"].startswith("the actuator is the limit: ")
-    skin = report["skin"]
-    assert skin["weighted_snr_db"] == pytest.approx(skin["weighted_playing_snr_db"], abs=1)
 
 
 def test_a_recording_is_coded_for_touch(tmp_path: Path) -> None:
-    oak, out = ROOT / "examples" / "oak.wav", tmp_path / "oak.vct"
-    sizes = {}
+    out, sizes = tmp_path / "oak.vct", {}
     for touch in (0, 0.25, 1):
-        assert re.search(r"SNR 1[56]\.\d+ dB", succeeds("encode", oak, out, "--touch", touch, "--snr-db", 16))
+        assert re.search(r"SNR 1[56]\.\d+ dB", succeeds("encode", OAK, out, "--touch", touch, "--snr-db", 16))
         sizes[touch] = out.stat().st_size
-    succeeds("encode", oak, out, "--snr-db", 16)
+    succeeds("encode", OAK, out, "--snr-db", 16)
     assert sizes[0] < sizes[0.25] == out.stat().st_size < sizes[1]
-    assert "coded already; drop --touch" in fails(2, "play", out, "--touch", 1)
-    assert "slp cannot shape its error for touch" in fails(2, "encode", oak, out, "--codec", "slp", "--touch", 1)
-    assert "felt error" in succeeds("encode", oak, out, "--touch", 1, "--constant-rate-bps", 3000)
+    assert "felt error" in succeeds("encode", OAK, out, "--touch", 1, "--live", "--rate-bps", 3000)
 
 
 def test_limits_of_a_bench_file_judge_a_playback(texture: Path, tmp_path: Path) -> None:

@@ -1,8 +1,6 @@
 """Tests of Ctrl-C and a kill while a command computes for long: it ends at once, and leaves no file half written."""
 
 import signal
-import subprocess
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.command import started
 from vibrocast import models, textures
 from vibrocast.codec import Framing
 from vibrocast.codec.encoding import encoder_model
@@ -20,16 +19,9 @@ from vibrocast.codec.stream import image_hash
 from vibrocast.device_protocol.coded_stream import StreamHeader, pack_file, renumbered
 from vibrocast.device_protocol.model_image import ModelImage
 
-ROOT = Path(__file__).parents[2]
 WIDEST = "eva-128-1"
 PACKET_SAMPLES = HOP * (MAX_PACKET_COLUMNS // 2)  # a controller takes half the longest packet of a file
 PACKETS = 2000
-COMMAND = """
-import signal
-signal.signal(signal.SIGINT, signal.default_int_handler)
-from vibrocast.host.cli.entry import main
-main()
-"""
 
 
 @pytest.fixture(scope="module")
@@ -71,13 +63,7 @@ COMMANDS = {
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_long_command_ends_when_it_is_interrupted(name: str, number: signal.Signals, folder: Path) -> None:
     before = set(folder.iterdir())
-    with subprocess.Popen(
-        [sys.executable, "-c", f"import sys; sys.path.insert(0, {str(ROOT)!r})\n{COMMAND}", *COMMANDS[name]],
-        cwd=folder,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as process:
+    with started(*COMMANDS[name], folder=folder) as process:
         time.sleep(5)
         assert process.poll() is None
         process.send_signal(number)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.test_command_line import fails, started, succeeds
+from tests.command import fails, started, succeeds
 from vibrocast import models
 from vibrocast.device_protocol.model_image import ModelImage, unsigned
 from vibrocast.firmware import keys

@@ -1,23 +1,19 @@
 """`vibrocast play`: what it answers and leaves where a playback does not come to its end, and on which controllers."""
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner, Result
 
+from tests.command import OAK, failure, run
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import devices
 from vibrocast.host import playback as end_to_end
-from vibrocast.host.cli.command_line import main
 from vibrocast.output.actuator import Actuator
 
-OAK = str(Path(__file__).parents[2] / "examples" / "oak.wav")
-
-
-def run(*arguments: object) -> Result:
-    return CliRunner().invoke(main, ["play", OAK, *map(str, arguments)])
+play = partial(run, "play", OAK)
 
 
 @pytest.mark.parametrize(
@@ -28,9 +24,7 @@ def test_several_controllers_end_with_the_exit_code_that_failures_share(
 ) -> None:
     """And the answer has an error, which a list could not have."""
     monkeypatch.setattr("vibrocast.host.report.Report.differs", differs)
-    result = run("--device", "serial:nowhere", "--device", other, "--json")
-    told = json.loads(result.stdout)
-    assert (result.exit_code, told["exit_code"]) == (exit_code, exit_code), result.output
+    told = failure(exit_code, "play", OAK, "--device", "serial:nowhere", "--device", other)
     assert "controllers failed: serial:nowhere" in told["error"]
     absent, second = told["results"]
     assert absent["device"] == {"address": "serial:nowhere"} and "cannot open serial port nowhere" in absent["error"]
@@ -51,19 +45,18 @@ def test_a_playback_that_is_cut_leaves_report_and_trace(
 
     monkeypatch.setattr("vibrocast.host.playback.play_together", play_and_cut)
     report = tmp_path / "cut.json"
-    result = run("--report", report, "--json")
-    assert result.exit_code == exit_code, result.output
+    answered = failure(exit_code, "play", OAK, "--report", report)
     told = json.loads(report.read_text())
     assert told["error"] == (str(cut) or "interrupted")
     assert told["device"] == {"address": "sim"} and told["played_s"] == pytest.approx(4.0, abs=0.1)
     assert told["underruns"] >= 0 and told["lost_packets"] >= 0 and told["schema"] == 3
-    assert json.loads(result.stdout) == {**told, "exit_code": exit_code}
+    assert answered == {**told, "exit_code": exit_code}
     assert (tmp_path / "cut.pcapng").exists()
 
 
 @pytest.mark.parametrize("command", [("play", OAK), ("live", "rough", "--seconds", "0.3")])
 def test_controllers_at_one_address_have_each_its_own_actuator(
-    command: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    command: tuple[object, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench = tmp_path / "two.toml"
     bench.write_text(
@@ -85,9 +78,9 @@ def test_controllers_at_one_address_have_each_its_own_actuator(
     monkeypatch.setattr("vibrocast.host.devices.connect", noted)
     for given, names in ((("right",), ["lra"]), (("sim",), ["piezo-stack"]), ((), ["piezo-stack"])):
         chosen = [part for name in given for part in ("--device", name)]
-        result = CliRunner().invoke(main, [*command, "--bench", str(bench), *chosen])
+        result = run(*command, "--bench", bench, *chosen)
         assert (result.exit_code, opened) == (0, names), result.output
         opened.clear()
     if command[0] == "play":
-        result = run("--bench", bench, "--device", "left", "--device", "right", "--json")
+        result = play("--bench", bench, "--device", "left", "--device", "right", "--json")
         assert [each["actuator"]["name"] for each in json.loads(result.stdout)] == ["piezo-stack", "lra"]

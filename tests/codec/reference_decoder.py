@@ -417,15 +417,3 @@ class ReferenceDecoder:
             self.overlap = added[:, self.hop :]
         samples = signal.reshape(-1, len(self.channels))
         return self.rotation.delayed(samples) if self.rotation else samples
-
-
-class LappedReferenceDecoder(ReferenceDecoder):
-    """Section "`lapped`"."""
-
-    def __init__(self, configuration: bytes, channels: int, payload: bytes) -> None:
-        self.windows = np.frombuffer(payload[:960], "<i2") / 32768
-        super().__init__(configuration, channels, payload[960:])
-
-    def window(self) -> NDArray[np.float64]:
-        half = self.windows[2 * (self.hop - 16) :][: 2 * self.hop]
-        return np.concatenate([half, half[::-1]])

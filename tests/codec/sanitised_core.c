@@ -1,8 +1,8 @@
 /* Runs the core over a corpus from stdin, for a build with address and undefined-behaviour sanitisers: `core mdct`,
- * `core dct`, `core slp`, `core eva`, `core lapped`, `core parametric` or `core output`.
+ * `core dct`, `core slp`, `core eva`, `core parametric` or `core output`.
  *
  * Input: records of one byte kind (0: packet, 1: concealment), two bytes length (little endian), then the bytes. The
- * first record is the configuration, its kind the number of channels; of `eva`, `lapped` and `mdct` the model stands
+ * first record is the configuration, its kind the number of channels; of `eva` and `mdct` the model stands
  * before it, empty where `mdct` is to take its own tables. Every packet is decoded, and its bytes are encoded as
  * coefficients, values or samples.
  *
@@ -15,7 +15,6 @@
 
 #include "core/vc_dct.h"
 #include "core/vc_eva.h"
-#include "core/vc_lapped.h"
 #include "vibrocast/output.h"
 #include "vibrocast/status.h"
 #include "core/vc_parametric.h"
@@ -211,33 +210,6 @@ static int run_eva(void)
     return 0;
 }
 
-static int run_lapped(void)
-{
-    vc_lapped_decoder *decoder = malloc(vc_lapped_decoder_size());
-    uint8_t *model, *bytes;
-    int16_t *samples;
-    size_t model_length, length;
-    int kind;
-    unsigned channels;
-    if (!read_record(&kind, &model, &model_length) || !read_record(&kind, &bytes, &length))
-        return 2;
-    channels = (unsigned)kind;
-    if (vc_lapped_decoder_init(decoder, bytes, length, channels, model, model_length) != VC_OK)
-        return 0;
-    free(bytes);
-    samples = malloc((size_t)vc_lapped_decoder_packet_samples(decoder) * channels * sizeof *samples);
-    while (read_record(&kind, &bytes, &length)) {
-        if (kind == 1 || vc_lapped_decode(decoder, bytes, length, samples) < 0)
-            (void)vc_lapped_decode(decoder, NULL, 0, samples);
-        free(bytes);
-    }
-    free(samples);
-    free(model);
-    free(decoder);
-    puts("done");
-    return 0;
-}
-
 static int run_parametric(void)
 {
     vc_parametric_decoder *decoder = malloc(vc_parametric_decoder_size());
@@ -371,7 +343,6 @@ int main(int count, char **arguments)
     return strcmp(codec, "dct") == 0          ? run_dct()
            : strcmp(codec, "slp") == 0        ? run_slp()
            : strcmp(codec, "eva") == 0        ? run_eva()
-           : strcmp(codec, "lapped") == 0     ? run_lapped()
            : strcmp(codec, "parametric") == 0 ? run_parametric()
            : strcmp(codec, "output") == 0     ? run_output()
                                               : run_mdct();

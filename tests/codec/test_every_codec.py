@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tests.codec.eva_models import tiny_model
 from tests.codec.signals import RATE_HZ, edge_signals, texture
-from vibrocast import codec, models, textures
+from vibrocast import codec, textures
 from vibrocast.codec import CodecError, Decoder, Signal
 from vibrocast.codec.core import CoreDecoder
 from vibrocast.codec.encoding import encode_recording
@@ -26,7 +26,7 @@ RATE_POINTS = {rate_point_set: name for name, known in codec.CODECS.items() for 
 
 
 # Codecs without built-in tables need a model.
-MODELS = {"eva": tiny_model(), "lapped": models.find("lapped-textures")}
+MODELS = {"eva": tiny_model()}
 
 
 def model_of(name: str) -> codec.Model | None:
@@ -211,7 +211,7 @@ def test_a_gap_fades_and_a_refresh_ends_it(name: str) -> None:
 
 
 @pytest.mark.parametrize("runtime", codec.RUNTIMES)
-@pytest.mark.parametrize("name", ["mdct", "dct", "slp", "eva", "lapped", "parametric"])
+@pytest.mark.parametrize("name", ["mdct", "dct", "slp", "eva", "parametric"])
 def test_a_copied_decoder_goes_on_by_itself(name: str, runtime: str) -> None:
     stream = coded(name, texture(3000, 2), live=True)
     identifier = codec.codec_by_name(name).identifier

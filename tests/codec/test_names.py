@@ -12,7 +12,7 @@ PACKAGES = ("device_protocol", "evaluation", "host", "output", "simulated_device
 SOURCES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
 SOURCES += sorted((ROOT / "vibrocast").glob("*.py"))
 MODULES = {path.stem for path in (ROOT / "codec").glob("*.py") if "\nCODEC" in path.read_text(encoding="utf-8")}
-MODULES = MODULES - {"registry"} | {"eva_image", "libav"}
+MODULES = MODULES - {"registry"} | {"eva_image"}
 ABOUT_ONE_CODEC = {
     "evaluation/charts.py": "the curves that charts emphasise",
     "evaluation/comparison.py": "the curves that others are compared with",

@@ -1,28 +1,24 @@
-"""`vibrocast encode` with a policy: constant and capped rates, constant quality, and what cannot be asked for."""
+"""`vibrocast encode --live`: constant and capped rates, and what cannot be asked for."""
 
 import re
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
+from tests.command import OAK, run
 from vibrocast import textures
 from vibrocast.codec import rate_controlled
 from vibrocast.codec.rate_controlled import RateTarget
 from vibrocast.codec.stream import read_stream
-from vibrocast.host.cli.command_line import main
-
-OAK = Path(__file__).parents[2] / "examples" / "oak.wav"
 
 
 def encode(out: Path, *options: str) -> str:
-    result = CliRunner().invoke(main, ["encode", str(OAK), str(out), *options])
-    return result.output
+    return run("encode", OAK, out, "--live", *options).output
 
 
 def test_a_constant_rate_is_reported_with_its_frames(tmp_path: Path) -> None:
     out = tmp_path / "oak.vct"
-    printed = encode(out, "--constant-rate-bps", "1000")
+    printed = encode(out, "--rate-bps", "1000")
     assert "bit/s of 1000" in printed
     added = re.search(r"frames add ([\d.]+) %", printed)
     assert added is not None
@@ -33,28 +29,19 @@ def test_a_constant_rate_is_reported_with_its_frames(tmp_path: Path) -> None:
     assert read_stream(out).seconds == pytest.approx(textures.load(OAK).seconds, abs=0.01)
 
 
-def test_a_capped_rate_and_a_constant_quality_are_reported(tmp_path: Path) -> None:
+def test_a_capped_rate_is_reported(tmp_path: Path) -> None:
     out = tmp_path / "oak.vct"
-    peak = re.search(r"at most (\d+) over 2 s; limit 4000", encode(out, "--capped-rate-bps", "4000", "--snr-db", "12"))
+    printed = encode(out, "--rate-bps", "4000", "--snr-db", "12")
+    peak = re.search(r"at most (\d+) over 2 s; limit 4000", printed)
     assert peak is not None and 3000 < int(peak[1]) <= 4000
-    assert "SNR 12." in encode(out, "--constant-quality", "--snr-db", "12")
-    assert " ms each, SNR" in encode(out, "--constant-quality", "--error-db", "6", "--packet-ms", "50")
+    assert " ms each, SNR 1" in printed
 
 
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (["--constant-rate-bps", "1000", "--snr-db", "4"], "a constant rate sets the quality itself"),
-        (["--constant-rate-bps", "1000", "--rate-bps", "4"], "exclude each other"),
-        (["--capped-rate-bps", "1000", "--constant-quality"], "exclude each other"),
-        (["--capped-rate-bps", "1000"], "--capped-rate-bps needs a quality; give either --snr-db or --error-db"),
-        (["--constant-quality", "--snr-db", "4", "--error-db", "0"], "give either --snr-db or --error-db"),
-        (["--constant-quality", "--snr-db", "4", "--rate-buffer-s", "1"], "--rate-buffer-s is for a rate"),
-        (["--spatial", "--packet-ms", "20"], "a profile has no time"),
-        (["--equal-error"], "--equal-error is for rate control; add one of --constant-rate-bps"),
-        (["--constant-rate-bps", "1000", "--packet-ms", "20"], "longer packets"),
-        (["--constant-rate-bps", "9000", "--codec", "opus"], "have one quality"),
-        (["--constant-rate-bps", "9000", "--codec", "slp", "--equal-error"], "choose another codec"),
+        (["--rate-bps", "100"], "choose 264 bit/s or more"),
+        (["--rate-bps", "9000", "--codec", "parametric"], "have one quality"),
     ],
 )
 def test_an_impossible_target_is_reported(tmp_path: Path, options: list[str], told: str) -> None:

@@ -8,24 +8,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.codec.signals import RATE_HZ, texture
-from tests.codec.test_lapped import MODEL, encoder_of
 from tests.codec.test_mdct import TABLES, coded, in_turn
 from vibrocast import codec
-from vibrocast.codec import CodecError, Framing, lapped, mdct
+from vibrocast.codec import CodecError, Framing, mdct
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.coded_stream import StreamError, packet_sequence
 from vibrocast.textures import GENERATORS, Recording
 
 
-def decoded(chosen: codec.Codec, stream: tuple[bytes, list[bytes]], channels: int, tables: bytes) -> codec.Decoded:
-    decoder = chosen.make_decoder(stream[0], channels, tables)
+def decoded(stream: tuple[bytes, list[bytes]], channels: int, tables: bytes) -> codec.Decoded:
+    decoder = mdct.MdctDecoder(stream[0], channels, tables)
     return np.concatenate([decoder.decode(packet) for packet in stream[1]])
 
 
-def refresh_samples(chosen: codec.Codec, stream: tuple[bytes, list[bytes]], channels: int, tables: bytes) -> list[int]:
+def refresh_samples(stream: tuple[bytes, list[bytes]], channels: int, tables: bytes) -> list[int]:
     """Return where the refreshes begin, in samples."""
-    length = chosen.make_decoder(stream[0], channels, tables).packet_samples
+    length = mdct.MdctDecoder(stream[0], channels, tables).packet_samples
     return [length * number for number, packet in enumerate(stream[1]) if packet_sequence(packet)[1]]
 
 
@@ -60,9 +59,9 @@ def test_shorter_packets_decode_to_the_same_samples(
     after = mdct.repack(before[0], channels, tables, before[1], packet_samples)
     assert mdct.MdctDecoder(after[0], channels, tables).packet_samples <= packet_samples
     assert [packet_sequence(packet)[0] for packet in after[1]] == list(range(len(after[1])))
-    expected, samples = (decoded(mdct.CODEC, each, channels, tables) for each in (before, after))
+    expected, samples = (decoded(each, channels, tables) for each in (before, after))
     np.testing.assert_array_equal(samples[: len(expected)], expected)
-    assert refresh_samples(mdct.CODEC, after, channels, tables) == refresh_samples(mdct.CODEC, before, channels, tables)
+    assert refresh_samples(after, channels, tables) == refresh_samples(before, channels, tables)
 
 
 def test_a_stream_split_in_two_steps_is_that_of_one_step() -> None:
@@ -71,24 +70,13 @@ def test_a_stream_split_in_two_steps_is_that_of_one_step() -> None:
     assert mdct.repack(halves[0], 2, None, halves[1], 128) == mdct.repack(configuration, 2, None, packets, 128)
 
 
-@pytest.mark.parametrize("hop", mdct.HOPS)
-def test_shorter_packets_of_lapped_decode_to_the_same_samples(hop: int) -> None:
-    encoder = encoder_of(2, 0.05, Framing(12 * hop, 1), hop)
-    before = encoder.configuration, encoder.encode(texture(4000, 2)) + encoder.finish()
-    after = lapped.repack(before[0], 2, MODEL, before[1], 5 * hop)
-    expected, samples = (decoded(lapped.CODEC, each, 2, MODEL) for each in (before, after))
-    np.testing.assert_array_equal(samples[: len(expected)], expected)
-    assert len(after[1]) == 3 * len(before[1])
-
-
 def file_of(codec_name: str, rate_hz: int = 8000, **setting: str) -> Stream:
     """Return a texture of 2 s coded as a file."""
     return encode_recording(GENERATORS["rough"](seconds=2.0), rate_hz, codec_name, setting=setting).stream
 
 
-@pytest.mark.parametrize("codec_name", ["mdct", "lapped"])
-def test_a_file_keeps_its_length_and_its_signal_but_for_noise(codec_name: str) -> None:
-    stream = file_of(codec_name)
+def test_a_file_keeps_its_length_and_its_signal_but_for_noise() -> None:
+    stream = file_of("mdct")
     short = stream.repacked(1000)
     assert short.decoder().packet_samples <= 1000 < stream.decoder().packet_samples
     assert (short.samples, short.image) == (stream.samples, stream.image)

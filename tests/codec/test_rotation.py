@@ -1,4 +1,4 @@
-"""The rotation of channels of `mdct` and `lapped`: core against documentation, damage, loss, the encoder's choice."""
+"""The rotation of channels of `mdct`: core against documentation, damage, loss, the encoder's choice."""
 
 import hashlib
 import itertools
@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import vibrocast
-from tests.codec.reference_decoder import LappedReferenceDecoder, ReferenceDecoder
+from tests.codec.reference_decoder import ReferenceDecoder
 from tests.codec.signals import RATE_HZ, texture
 from tests.codec.test_mdct import golden_signal
-from vibrocast import codec, models, textures
-from vibrocast.codec import Choice, CodecError, Framing, lapped, mdct
+from vibrocast import codec, textures
+from vibrocast.codec import Choice, CodecError, Framing, mdct
 from vibrocast.codec.rotation import BANDS, COMMON, OWN, Rotation, angles_of, find_delays, matrix
 from vibrocast.codec.stream import Stream, as_stream
 from vibrocast.device_protocol.coded_stream import unpack_file
@@ -135,21 +135,6 @@ def test_core_agrees_with_the_documented_decoder(
     reference = ReferenceDecoder(encoder.configuration, channels, mdct.built_in_tables())
     exact = np.concatenate([reference.samples(packet) for packet in packets])
     assert np.max(np.abs(np.clip(exact, -32768, 32767) - decoded(encoder.configuration, packets, channels))) < 0.6
-
-
-def test_lapped_agrees_with_the_documented_decoder() -> None:
-    windows, tables = lapped.parts(models.find("lapped-textures").tables)
-    rotation = Rotation((0, 5), (COMMON, COMMON, 0, OWN), (13,), ((40,),))
-    signal_format = codec.SignalFormat(RATE_HZ, "full scale", (1.0, 1.0), (0.2, 0.1))
-    setting = lapped.CODEC.complete({"step": 0.3, "hop": "32", "rotation": rotation.pack().hex()})
-    encoder = lapped.make_encoder(setting, signal_format, Framing(64, 3), codec.Model(windows + tables))
-    packets = encoder.encode(texture(300, 2)) + encoder.finish()
-    decoder = lapped.LappedDecoder(encoder.configuration, 2, windows + tables)
-    assert decoder.delay_samples == encoder.delay_samples == 3 * 32 + 5
-    reference = LappedReferenceDecoder(encoder.configuration, 2, windows + tables)
-    exact = np.concatenate([reference.samples(packet) for packet in packets])
-    played = np.concatenate([decoder.decode(packet) for packet in packets])
-    assert np.max(np.abs(np.clip(exact, -32768, 32767) - played)) < 0.6
 
 
 @given(rotations(), st.sampled_from(mdct.HOPS))

@@ -11,8 +11,7 @@ import pytest
 
 from tests.codec.eva_models import random_image, with_extreme_weights
 from tests.codec.signals import RATE_HZ, texture
-from vibrocast import models
-from vibrocast.codec import Choice, Framing, Setting, dct, encode, eva, lapped, mdct, slp
+from vibrocast.codec import Choice, Framing, Setting, dct, encode, eva, mdct, slp
 from vibrocast.codec.eva_image import PRIOR_KINDS, PriorKind
 from vibrocast.codec.rotation import COMMON, OWN, Rotation
 from vibrocast.firmware.native_core import ffi, library
@@ -215,39 +214,6 @@ def test_damaged_models_and_configurations_of_eva(program: Path) -> None:
         configuration = head if trial % 3 else eva.configuration(3, [700])
         records = record(0, bytes(model)) + record(1, configuration) + record(0, b"\x01" + generator.bytes(150))
         done = run(program, records, "eva")
-        assert done.returncode == 0, done.stderr.decode()
-
-
-@pytest.mark.parametrize("windows", ["learned", "largest", "random"])
-@pytest.mark.parametrize("hop", mdct.HOPS)
-def test_lapped_streams_with_losses_and_noise(program: Path, hop: int, windows: str) -> None:
-    generator = np.random.default_rng(10)
-    model = bytearray(models.find("lapped-textures").tables)
-    size = lapped.WINDOWS_BYTES
-    if windows != "learned":
-        model[:size] = b"\x00\x80" * (size // 2) if windows == "largest" else generator.bytes(size)
-    for channels in (1, 16):
-        configuration = mdct.configuration(hop, 2, [mdct.STEP_CODES - 1] * channels, noise_filling_code=31)
-        records = record(0, bytes(model)) + record(channels, configuration)
-        records += b"".join(record(0, b"\x01" + bytes([byte]) * 150) for byte in range(0, 256, 5))
-        for sequence in range(30):
-            payload = bytes((2 * sequence + (sequence % 5 == 0),)) + generator.bytes(int(generator.integers(300)))
-            records += record(int(generator.random() < 0.1), payload)
-        done = run(program, records, "lapped")
-        assert (done.returncode, done.stdout) == (0, b"done\n"), done.stderr.decode()
-
-
-def test_models_and_configurations_of_lapped_of_any_size(program: Path) -> None:
-    generator = np.random.default_rng(11)
-    model = models.find("lapped-textures").tables
-    for size in (0, 1, lapped.WINDOWS_BYTES - 1, lapped.WINDOWS_BYTES, lapped.WINDOWS_BYTES + 1, len(model) - 1):
-        records = record(0, model[:size]) + record(1, mdct.configuration(32, 2, [700])) + record(0, b"\x01\x55")
-        done = run(program, records, "lapped")
-        assert (done.returncode, done.stdout) == (0, b""), done.stderr.decode()
-    for _ in range(20):
-        configuration = generator.bytes(int(generator.integers(8)))
-        records = record(0, model) + record(int(generator.integers(18)), configuration) + record(0, b"\x01\x55")
-        done = run(program, records, "lapped")
         assert done.returncode == 0, done.stderr.decode()
 
 

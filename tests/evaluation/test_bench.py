@@ -18,6 +18,7 @@ from vibrocast.evaluation import bench, cells
 from vibrocast.evaluation.bench import CellCounts, Journal
 from vibrocast.evaluation.cells import BenchError, Cell, Measured, Method
 from vibrocast.evaluation.comparison import Measurements
+from vibrocast.evaluation.peers import measured_codecs
 from vibrocast.evaluation.points import Failure, Point, Timing, read_rows
 from vibrocast.textures import Recording
 from vibrocast.textures.dataset import DatasetEntry, entries, load
@@ -59,11 +60,10 @@ def run(
     work: Any = here,
     chosen: list[Method] = METHODS,
     repeats: int = 0,
-    fresh: bool = False,
     load: Callable[[DatasetEntry], Recording] = load,
     progress: Callable[[CellCounts], None] = ignore,
 ) -> Results:
-    with Journal(results / bench.JOURNAL, fresh) as journal:
+    with Journal(results / bench.JOURNAL) as journal:
         return bench.run(entries(folder), load, chosen, repeats, journal, work, progress)
 
 
@@ -259,15 +259,9 @@ def test_two_at_once_leave_a_journal_of_both(folder: Path, results: Path, whole:
     assert len((results / bench.JOURNAL).read_bytes().splitlines()) == 4 + 6
 
 
-def test_fresh_forgets_the_journal(folder: Path, results: Path) -> None:
-    run(folder, results, chosen=METHODS[:1])
-    with pytest.raises(KeyboardInterrupt):
-        run(folder, results, partial(cut_after, 0), METHODS[:1], fresh=True)
-
-
 def test_methods_by_codec_and_by_rate_point_set() -> None:
     everything = cells.methods([])
-    without_models = [known for known in codec.CODECS.values() if not known.needs_model]
+    without_models = [known for known in measured_codecs().values() if not known.needs_model]
     assert {method.coder for method in everything} == {known.name for known in without_models}
     assert [method.name for method in everything] == [
         name for known in without_models for name in known.rate_point_sets if name not in known.named_rate_point_sets

@@ -3,34 +3,24 @@
 import os
 import shutil
 import signal
-import subprocess
-import sys
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
+from tests.command import run, started
 from vibrocast import codec, textures, workers
 from vibrocast.evaluation import bench, cost, results_page, speed
 from vibrocast.evaluation.points import Failure, Point, Timing, read_rows
-from vibrocast.host.cli.command_line import main
 from vibrocast.textures.generate import rough, wood
 
-ROOT = Path(__file__).parents[2]
 FAST = "g726,dct-threshold"
-# Ctrl-C interrupts it even where the tests run in the background.
-CODE = (
-    "import signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
-    "from vibrocast.host.cli.entry import main; main()"
-)
-COMMAND = [sys.executable, "-c", CODE, "bench"]
 
 
-def vibrocast_bench(*arguments: object) -> Result:
-    return CliRunner().invoke(main, ["bench", *map(str, arguments)])
+vibrocast_bench = partial(run, "bench")
 
 
 def fails(exit_code: int, *arguments: object) -> str:
@@ -105,10 +95,12 @@ def test_a_rate_point_set_that_needs_a_unit_is_left_out_unless_it_is_named(tmp_p
     result = vibrocast_bench(*arguments, "dct")
     assert result.exit_code == 0, result.output
     assert (
-        "left out, because no recording states a physical unit (--unit, --full-scale): dct-threshold" in result.stdout
+        "left out, because no recording states a physical unit (--unit, or a manifest): dct-threshold" in result.stdout
     )
     fails(1, *arguments, "dct-threshold")
-    result = vibrocast_bench(*arguments, "dct", "--unit", "m/s^2", "--full-scale", "10")
+    manifest = tmp_path / "manifest.csv"
+    manifest.write_text("file,unit,full_scale\nrecordings/plain.wav,m/s^2,10\n")
+    result = vibrocast_bench(manifest, *arguments[1:], "dct")
     assert result.exit_code == 0, result.output
     assert "dct-threshold" in result.stdout and "left out" not in result.stdout
 
@@ -186,12 +178,12 @@ def test_one_folder_of_many_kinds_rates_and_folders(tmp_path: Path) -> None:
     for axis in "XYZ":
         np.savetxt(data / f"Direct_-_Probe_-_cork_-_slow_{axis}.txt", wood(1, 0.1).samples)
     (data / "notes.md").touch()
-    arguments = (data, "--codecs", "flac", "--repeats", "0", "--unit", "m/s^2", "--rate-hz", "500")
+    arguments = (data, "--codecs", "flac", "--repeats", "0", "--unit", "m/s^2")
     for _ in range(2):  # the second time the results lie in the folder, and are no recordings
         result = vibrocast_bench(*arguments, "--out", data / "out")
         assert result.exit_code == 0, result.output
         assert "skipped 1 file: notes.md (of another kind)" in result.stderr
-        assert "relative to full scale: deep/fast and 2 more; --unit needs --full-scale" in result.stdout
+        assert "relative to full scale: deep/fast and 2 more; a manifest gives the full" in result.stdout
     assert (data / "out" / "results" / "skipped.csv").read_text() == "file,reason\nnotes.md,of another kind\n"
     points = read_rows(data / "out" / "results" / "points.csv", Point)
     assert {point.trace: point.rate_hz for point in points} == {
@@ -227,12 +219,13 @@ def test_an_offset_does_not_change_the_quality(tmp_path: Path) -> None:
 def test_a_manifest_in_place_of_a_folder(folder: Path, tmp_path: Path) -> None:
     manifest = tmp_path / "manifest.csv"
     manifest.write_text(
-        "file,material,split\nrecordings/rough.wav,cork,train\nrecordings/wood.wav,oak,test\nrecordings/wood.npy,oak,test\n"
+        "file,material,split,rate_hz\nrecordings/rough.wav,cork,train,\nrecordings/wood.wav,oak,test,\n"
+        "recordings/wood.npy,oak,test,1000\n"
     )
     arguments = (manifest, "--codecs", "flac", "--repeats", "0", "--out", tmp_path / "out", "--split", "test")
     assert "row 4, file: recordings/wood.npy does not exist" in fails(2, *arguments)
     np.save(folder / "wood.npy", np.ones(100))
-    result = vibrocast_bench(*arguments, "--rate-hz", "1000")
+    result = vibrocast_bench(*arguments, "--unit", "m/s^2")
     assert result.exit_code == 0, result.output
     points = read_rows(tmp_path / "out" / "results" / "points.csv", Point)
     assert {point.trace for point in points} == {"recordings/wood.npy", "recordings/wood.wav"}
@@ -257,7 +250,7 @@ def test_a_part_of_the_recordings(tmp_path: Path) -> None:
             np.savetxt(tmp_path / "set" / name, wood(1, 0.1).samples)
     parts = {}
     for part in ("train", "test"):
-        arguments = ("--unit", "m/s^2", "--codecs", "g726", "--repeats", "0", "--split-by", "material", "--seed", "3")
+        arguments = ("--unit", "m/s^2", "--codecs", "g726", "--repeats", "0", "--split-by", "material")
         result = vibrocast_bench(tmp_path / "set", "--out", tmp_path / part, "--split", part, *arguments)
         assert result.exit_code == 0, result.output
         points = read_rows(tmp_path / part / "results" / "points.csv", Point)
@@ -298,10 +291,8 @@ def test_a_run_in_which_all_fails_still_says_so(folder: Path, tmp_path: Path) ->
 def test_interrupted_it_ends_in_one_line_and_keeps_what_it_has(folder: Path, tmp_path: Path) -> None:
     for copy in range(20):
         shutil.copy(folder / "wood.wav", folder / f"wood{copy}.wav")
-    arguments = [str(folder), "--codecs", "mdct", "--out"]
-    cut = [*COMMAND, *arguments, str(tmp_path / "cut")]
     journal = tmp_path / "cut" / "results" / bench.JOURNAL
-    with subprocess.Popen(cut, cwd=ROOT, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
+    with started("bench", folder, "--codecs", "mdct", "--out", tmp_path / "cut", session=True) as process:
         while process.poll() is None and not (journal.exists() and journal.stat().st_size):
             time.sleep(0.02)
         os.killpg(process.pid, signal.SIGINT)  # to all processes, as a terminal does

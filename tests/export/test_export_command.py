@@ -9,15 +9,13 @@ import onnx
 import pytest
 import torch
 
-from tests.cli.test_command_line import fails, succeeds, vibrocast
+from tests.command import fails, run, succeeds
 from tests.export import tiny
 from vibrocast import codec, models, textures
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.eva_image import EvaImage
-from vibrocast.device_protocol.model_image import sha256
-from vibrocast.export import model_card
-from vibrocast.firmware.keys import read_public_key
-from vibrocast.host import signatures
+from vibrocast.device_protocol.model_image import ModelImage
+from vibrocast.export import checkpoint, model_card, package
 
 
 @pytest.fixture(scope="session")
@@ -50,19 +48,6 @@ def test_the_folder_holds_a_model(exported: Path) -> None:
     assert image.graph == (exported / "synthesis.onnx").read_bytes()
     for file in ("analysis.onnx", "synthesis.onnx"):
         onnx.checker.check_model(onnx.load(exported / file), full_check=True)
-
-
-def test_a_signed_export_is_a_whole_model_with_the_identity_of_the_unsigned_one(
-    trained: Path, exported: Path, tmp_path: Path
-) -> None:
-    key, out = tmp_path / "key.pem", tmp_path / "signed"
-    succeeds("keys", "new", key)
-    succeeds("export", trained, "--out", out, "--runtime", "both", "--sign", key, "--number", 4)
-    signed, plain = models.load(out).image, models.load(exported).image
-    assert signatures.check(signed, read_public_key(key)).number == 4
-    assert sha256(signed) == sha256(plain)
-    for half in (("--sign", key), ("--number", 4)):
-        assert "pass both" in fails(2, "export", trained, "--out", tmp_path / "none", *half)
 
 
 def test_the_card_says_what_the_model_is_and_does(exported: Path) -> None:
@@ -100,14 +85,19 @@ def test_the_same_checkpoint_gives_the_same_files(trained: Path, exported: Path,
 def test_an_image_holds_the_requested_parts(trained: Path, tmp_path: Path) -> None:
     succeeds(
         *("export", trained, "--name", "other", "--version", "2", "--out", tmp_path / "new" / "out"),
-        *("--runtime", "onnx", "--prior", "static"),
+        *("--runtime", "onnx"),
     )
     model = models.load(tmp_path / "new" / "out")
     image = EvaImage.unpack(model.tables)
-    assert image.prior == "static" == model.card["prior"]
+    assert image.prior == "adaptive" == model.card["prior"]
     assert (model.name, model.card["version"], image.runtime, image.network) == ("other", "2", "onnx", None)
     encoding = encode_recording(texture(), setting={"level": 1.0}, model=model)
     assert encoding.quality.snr_db is not None and encoding.quality.snr_db > 8
+
+
+def test_a_prior_may_be_static(trained: Path) -> None:
+    made = package.make(checkpoint.load(trained), "fixed", "1", "core", [texture().samples[:, 0]], "static")
+    assert EvaImage.unpack(ModelImage.unpack(made.image).payload).prior == "static" == made.prior
 
 
 def unreadable(kind: str, whole: bytes, path: Path) -> None:
@@ -184,7 +174,7 @@ def test_a_failed_export_leaves_the_model_that_was_there(
 
     before = {path.name: path.read_bytes() for path in exported.iterdir()}
     monkeypatch.setattr(model_card, "as_markdown", full)
-    failed = vibrocast("export", trained, "--name", "other", "--out", exported)
+    failed = run("export", trained, "--name", "other", "--out", exported)
     assert failed.exit_code == 2
     assert "free some space" in failed.stderr
     assert {path.name: path.read_bytes() for path in exported.iterdir()} == before

@@ -19,7 +19,7 @@ from vibrocast.export import checkpoint, configuration, training, training_data
 from vibrocast.export.checkpoint import Checkpoint, ModelError
 from vibrocast.export.configuration import ArchiveSource, Augmentation, ConfigurationError, HeldBack, by_trace
 from vibrocast.export.eva import Eva, EvaShape
-from vibrocast.export.priors import ContextPrior, FactorisedPrior, probabilities
+from vibrocast.export.priors import FactorisedPrior, probabilities
 from vibrocast.export.training_data import Excerpts, Trace
 from vibrocast.host.cli.command_line import main
 from vibrocast.textures import TextureError, dataset
@@ -138,14 +138,9 @@ def test_the_plain_and_the_perceptual_loss_fall(tmp_path: Path) -> None:
 
 def test_the_probabilities_of_all_values_sum_up_to_one() -> None:
     torch.manual_seed(0)
-    values = torch.arange(-300.0, 301.0).expand(1, 3, -1)
-    steps = torch.tensor([[[0.5], [1.0], [2.0]]])
     with torch.no_grad():
-        for bits in (
-            FactorisedPrior(3).bits(values),
-            ContextPrior(3).bits(values, torch.zeros_like(values), steps),
-        ):
-            assert torch.all(torch.abs(torch.exp2(-bits).sum(dim=2) - 1) < 0.01)
+        bits = FactorisedPrior(3).bits(torch.arange(-300.0, 301.0).expand(1, 3, -1))
+    assert torch.all(torch.abs(torch.exp2(-bits).sum(dim=2) - 1) < 0.01)
 
 
 def test_tables_of_the_factorised_prior_are_its_bits() -> None:
@@ -154,19 +149,6 @@ def test_tables_of_the_factorised_prior_are_its_bits() -> None:
     with torch.no_grad():
         bits = prior.bits(torch.arange(-3.0, 4.0).expand(1, 4, -1))[0]
     np.testing.assert_allclose(-np.log2(probabilities(prior, 3)), bits.numpy(), atol=1e-3)
-
-
-def test_contexts_are_of_the_past_alone() -> None:
-    torch.manual_seed(0)
-    prior = ContextPrior(6)
-    contexts = torch.randint(-3, 4, (1, 6, 40)).float()
-    steps = torch.ones(1, 6, 1)
-    before = prior.scales(contexts, steps)
-    contexts[0, 3, 20] = 50
-    changed = torch.any(prior.scales(contexts, steps) != before, dim=0)
-    assert not changed[:4, :21].any()
-    assert changed[4:, 20].all()
-    assert changed[1:, 21].all()
 
 
 def test_excerpts_are_of_rms_one_and_of_seed_and_step_alone() -> None:
@@ -283,6 +265,7 @@ def test_files_left_out_of_a_data_set_are_reported_and_a_wrong_manifest_rejected
         ("width = 16", r"\[model\]: width = 4 is out of range: a whole number from 16 to 128"),
         ("lambda = 30", r"\[model\]: lambda must be a number from 0.001 to 1e\+06, not 'many'"),
         ('kinds = ["rough", "taps", "wood"]', "kinds must be one of grating, .*, not 'glass'"),
+        ("lambda = 30\n", r"\[model\]: lambda is missing"),
         ("[generator]", r"\[held_back\]: share must be a number from 0.01 to 0.9, not nan"),
         ("[training]", "not a TOML file"),
         ("batch = 4", "not a TOML file"),
@@ -299,6 +282,7 @@ def test_configurations_that_cannot_be_used_are_rejected_with_the_reason(
         "steps = 40": "step = 40",
         "width = 16": "width = 4",
         "lambda = 30": 'lambda = "many"',
+        "lambda = 30\n": "",
         'kinds = ["rough", "taps", "wood"]': 'kinds = ["glass"]',
         "[generator]": "[held_back]\nshare = nan\n[generator]",
         "[training]": "[training",
@@ -361,7 +345,7 @@ def test_numbers_that_are_not_finite_are_rejected(tmp_path: Path) -> None:
 def test_the_command_trains_resumes_and_rejects(tmp_path: Path) -> None:
     configured(tmp_path, TINY.replace("steps = 40", "steps = 10"))
     out = tmp_path / "out"
-    done = run(tmp_path / "tiny.toml", "--out", out, "--threads", 1)
+    done = run(tmp_path / "tiny.toml", "--out", out)
     assert done.exit_code == 0, done.output
     assert "bit/sample" in done.output
     again = run(tmp_path / "tiny.toml", "--out", out)
@@ -370,7 +354,7 @@ def test_the_command_trains_resumes_and_rejects(tmp_path: Path) -> None:
     other = run(tmp_path / "tiny.toml", "--out", out, "--resume")
     assert (other.exit_code, "another model" in other.output) == (2, True)
     configured(tmp_path, TINY.replace("steps = 40", "steps = 20"))
-    more = run(tmp_path / "tiny.toml", "--out", out, "--resume", "--threads", 1)
+    more = run(tmp_path / "tiny.toml", "--out", out, "--resume")
     assert "all 20 steps done" in more.output
     assert run(tmp_path / "missing.toml").exit_code == 2
 

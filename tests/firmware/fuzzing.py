@@ -17,14 +17,14 @@ import click
 FIRMWARE = Path(__file__).parents[2] / "firmware"
 FUZZ = FIRMWARE / "fuzz"
 CORPUS = FUZZ / "corpus.zip"
-CODECS = ("mdct", "dct", "slp", "eva", "lapped", "parametric")
+CODECS = ("mdct", "dct", "slp", "eva", "parametric")
 TARGETS = (*CODECS, "streams", "frames", "messages", "headers", "images", "output", "profile", "flash", "controller")
 ENGINE = FUZZ / "engine.c"
 FLAGS = ["-std=c99", "-g", "-O1", "-Wall", "-Wextra", "-Werror", "-fno-sanitize-recover=all", f"-I{FUZZ}"]
 COUNTING = "-fsanitize-coverage=inline-8bit-counters"
 """The option of Clang by which the engine sees which code an input reaches."""
 
-_FOLDERS = [*(FIRMWARE / "src" / name for name in ("core", "monocypher", "controller")), FUZZ]
+_FOLDERS = [*(FIRMWARE / "src" / name for name in ("core", "controller")), FUZZ]
 # A small controller, which is quick to reset for each input.
 _SIZES = {
     "VC_CHANNELS": 2,

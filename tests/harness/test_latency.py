@@ -16,7 +16,7 @@ from vibrocast.output.actuator import PIEZO_STACK, Codes
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
 from vibrocast.simulated_device.faulty_link import MemoryLink, SimulatedTime
-from vibrocast.simulated_device.slow_link import SlowLink, Wire
+from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
 from vibrocast.textures import Recording
 
 RATE_HZ = 2800
@@ -40,7 +40,7 @@ class Bench:
 
 def long_line(late_s: float) -> Controller:
     """Return a session over a line that carries everything so long each way, as a UART behind USB does."""
-    line = SlowLink(SimulatedController(), Wire(delay_s=late_s), Wire(delay_s=late_s))
+    line = FaultyWire(SimulatedController(), [Fault(delay_ms=1e3 * late_s)])
     link = MemoryLink(line, time=SimulatedTime(step_us=100))
     return Controller(link, link.clock, link.sleep)
 

@@ -18,15 +18,16 @@ from vibrocast.host.playback import Member, actuator_model, member
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
 from vibrocast.simulated_device.device import Device
-from vibrocast.simulated_device.faulty_link import FaultyDirection, MemoryLink
+from vibrocast.simulated_device.faulty_link import MemoryLink
+from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
 
 FORMAT = SignalFormat(2800, "m/s^2", (1.0,), (1.0,))
 ROUGH = textures.GENERATORS["rough"](seconds=1.0)
 
 
-def played_by(device: Device, to_controller: FaultyDirection | None = None) -> Member:
+def played_by(device: Device) -> Member:
     """Return who plays, in simulated time."""
-    link = MemoryLink(device, to_controller)
+    link = MemoryLink(device)
     return member(Controller(link, link.clock, link.sleep), "sim", None)
 
 
@@ -63,7 +64,9 @@ def test_a_controller_that_plays_something_else_has_no_known_quality(
 
 
 def test_a_stream_with_losses_is_not_compared() -> None:
-    run = run_live(played_by(SimulatedController(), FaultyDirection(1, lost=0.05)), ROUGH, 1.0)
+    run = run_live(
+        played_by(FaultyWire(SimulatedController(), [Fault(lost=0.05, direction="to_controller")])), ROUGH, 1.0
+    )
     assert run.result.lost_packets
     assert run.quality.decoded_equals_offline is run.quality.dac_equals_offline is None
     assert not run.quality.differs

@@ -8,7 +8,7 @@ from vibrocast.host.controller import Controller
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
 from vibrocast.simulated_device.faulty_link import MemoryLink
-from vibrocast.simulated_device.slow_link import SlowLink, Wire
+from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
 from vibrocast.textures import Recording
 
 
@@ -45,7 +45,9 @@ def test_throughput_is_that_of_the_link() -> None:
 
 
 def test_load_beyond_the_link_is_seen_as_underruns() -> None:
-    line = SlowLink(SimulatedController(Settings(channels=2)), there=Wire(bits_per_second=40_000))
+    line = FaultyWire(
+        SimulatedController(Settings(channels=2)), [Fault(bits_per_second=40_000, direction="to_controller")]
+    )
     loads = load.underruns(session(MemoryLink(line)), noise())
     assert [(each.channels, each.rate_hz) for each in loads] == [(1, 2800), (2, 2800), (1, 8000), (2, 8000)]
     assert loads[0].held

@@ -3,23 +3,23 @@
 import json
 import os
 import signal
-import subprocess
 import sys
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
+from tests import command
+from tests.command import started, succeeds
 from tests.harness.test_serial_sensor import FACTS, description, frames, line
 from tests.sound_server import PAD, SoundServer
 from vibrocast import textures
 from vibrocast.harness.serial_sensor import MAX_LINE_BYTES
-from vibrocast.host.cli.command_line import main
 from vibrocast.output.actuator import Codes
 from vibrocast.output.sound_card import Playback, find
 
@@ -27,8 +27,7 @@ needs_terminals = pytest.mark.skipif(sys.platform == "win32", reason="no pseudo-
 STEP = 20
 
 
-def run(*arguments: str) -> Result:
-    return CliRunner().invoke(main, ["record", *arguments])
+run = partial(command.run, "record")
 
 
 def lines(first: int) -> bytes:
@@ -111,8 +110,7 @@ def test_a_serial_sensor_is_recorded_and_encoded(tmp_path: Path, sent: object) -
     stated = json.loads((tmp_path / "out.json").read_text())
     assert stated["format"] == ("text" if sent is lines else "binary")
     assert stated["lost"]["gaps"] == 0
-    coded = CliRunner().invoke(main, ["encode", str(path), str(tmp_path / "out.vct"), "--axis", "x"])
-    assert coded.exit_code == 0, coded.output
+    succeeds("encode", path, tmp_path / "out.vct", "--axis", "x")
 
 
 @needs_terminals
@@ -141,11 +139,8 @@ def test_another_device_is_rejected_and_leaves_no_file(tmp_path: Path, sent: obj
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_a_recording_and_keeps_it(tmp_path: Path, number: signal.Signals) -> None:
     path = tmp_path / "out.wav"
-    command = [sys.executable, "-c", "from vibrocast.host.cli.entry import main; main()", "record", "--input"]
     with sensor(lines) as address:
-        process = subprocess.Popen(
-            [*command, address, str(path)], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
+        process = started("record", "--input", address, path)
         assert process.stderr is not None
         meter = process.stderr.readline()
         process.send_signal(number)

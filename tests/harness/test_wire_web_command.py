@@ -7,7 +7,8 @@ from contextlib import contextmanager
 
 import pytest
 
-from tests.harness.test_wire_command import OAK, needs_terminals, run, serving
+from tests.command import OAK, run
+from tests.harness.test_wire_command import needs_terminals, serving
 from tests.study.stub_run import chromium
 
 pytestmark = [
@@ -54,7 +55,7 @@ def test_the_page_says_why_it_buzzes() -> None:
     from playwright.sync_api import expect, sync_playwright
 
     with (
-        serving("proxy", "sim", "--flipped", "0.05", "--seed", "1") as (broken, _),
+        serving("proxy", "sim", "--flipped", "0.05") as (broken, _),
         watched(broken) as (page_address, device),
         sync_playwright() as playwright,
     ):

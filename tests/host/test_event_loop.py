@@ -17,6 +17,7 @@ from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.output.rendering import render
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.faulty_link import MemoryLink, SimulatedTime
+from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
 from vibrocast.simulated_device.serial_port import serial_port
 from vibrocast.simulated_device.usb_backend import PRODUCT_ID, VENDOR_ID, UsbPort
 from vibrocast.textures import Recording
@@ -30,11 +31,12 @@ def noise() -> Stream:
     return encode_recording(Recording(samples, 2800.0, "um", "noise"), setting={"step": 0.5}, live=True).stream
 
 
-def linked(count: int) -> tuple[dict[str, MemoryLink], dict[str, Controller]]:
-    """Return controllers in one simulated time."""
+def linked(count: int) -> tuple[dict[str, FaultyWire], dict[str, Controller]]:
+    """Return wires to controllers in one simulated time, and sessions over them."""
     time = SimulatedTime()
-    links = {str(number): MemoryLink(SimulatedController(), time=time) for number in range(count)}
-    return links, {name: Controller(link, link.clock, link.sleep) for name, link in links.items()}
+    wires = {str(number): FaultyWire(SimulatedController()) for number in range(count)}
+    links = {name: MemoryLink(wire, time=time) for name, wire in wires.items()}
+    return wires, {name: Controller(link, link.clock, link.sleep) for name, link in links.items()}
 
 
 def play_on(
@@ -62,16 +64,16 @@ def check_played(result: object, stream: Stream) -> None:
 
 def test_of_five_controllers_three_play_on_while_one_is_unplugged_and_one_stops() -> None:
     stream = noise()
-    links, controllers = linked(5)
+    wires, controllers = linked(5)
 
     def fail(name: str, now: player.Progress) -> None:
         if name == "1" and now.position_s > 0.3:
-            links[name].unplug(60.0)
+            wires[name].change(Fault(cut=True, for_s=60.0))
         if name == "3" and now.position_s > 0.3:
             raise RuntimeError("made up")
 
     results = play_on(controllers, stream, fail)
-    assert list(results) == list(links)
+    assert list(results) == list(wires)
     assert isinstance(results["1"], TransportError)
     assert isinstance(results["3"], RuntimeError)
     assert controllers["3"].request_status().state == State.STOPPED
@@ -122,11 +124,11 @@ def test_an_interruption_stops_every_controller(at: str) -> None:
 
 
 def test_a_pause_reads_nothing_and_the_others_go_on() -> None:
-    links, controllers = linked(2)
+    wires, controllers = linked(2)
     order: list[str] = []
 
     def pauses() -> Steps[None]:
-        links["0"].unplug(0.5)
+        wires["0"].change(Fault(cut=True, for_s=0.5))
         yield Pause(1.0)
         order.append("paused")
 

@@ -28,7 +28,8 @@ from vibrocast.host.limits import playable
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
-from vibrocast.simulated_device.faulty_link import FaultyDirection, MemoryLink
+from vibrocast.simulated_device.faulty_link import MemoryLink
+from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
 
 PROFILE = Path(__file__).parents[2] / "examples" / "leather_profile.csv"
 
@@ -114,7 +115,7 @@ def test_too_slow_a_hand_is_rejected_with_the_slowest_that_can_be() -> None:
 def test_command_says_what_a_spatial_stream_is(tmp_path: Path) -> None:
     coded, decoded = tmp_path / "a.vct", tmp_path / "a.csv"
     run = CliRunner().invoke
-    done = run(main, ["encode", str(PROFILE), str(coded), "--spatial", "--snr-db", "20"])
+    done = run(main, ["encode", str(PROFILE), str(coded), "--snr-db", "20"])
     assert done.exit_code == 0, done.output
     assert "samples per metre" in run(main, ["info", str(coded)]).output
     done = run(main, ["decode", str(coded), str(decoded)])
@@ -122,10 +123,9 @@ def test_command_says_what_a_spatial_stream_is(tmp_path: Path) -> None:
     assert textures.load(decoded, hand_speed_mm_s=50).unit == "um"
     for arguments, reason in (
         (["decode", str(coded), str(tmp_path / "a.wav")], "into a CSV file"),
-        (["play", str(coded)], "give --positions"),
-        (["play", str(coded), "--stroke-mm", "3"], "--hand-speed-mm-s"),
-        (["encode", str(PROFILE), str(coded), "--spatial", "--rate-bps", "900"], "--snr-db"),
-        (["encode", str(PROFILE), str(coded), "--spatial", "--hand-speed-mm-s", "50"], "every hand speed"),
+        (["play", str(coded)], "give --hand"),
+        (["play", str(coded), "--hand", "3"], "--hand-speed-mm-s"),
+        (["encode", str(PROFILE), str(coded), "--rate-bps", "900"], "--snr-db"),
     ):
         done = run(main, arguments)
         assert done.exit_code == 2 and reason in done.output, done.output
@@ -164,7 +164,7 @@ def test_the_played_samples_are_the_computed_ones_also_over_a_link_that_loses_fr
     """Lost packets are sent again; where positions are lost as well, only they make a difference."""
     movement = position_playback.back_and_forth(10.0, 120.0, 1)
     for lost, alike in ((0.0, True), (0.2, False)):
-        link = MemoryLink(SimulatedController(), FaultyDirection(seed=5, lost=lost))
+        link = MemoryLink(FaultyWire(SimulatedController(), [Fault(lost=lost, direction="to_controller")], seed=2))
         with Controller(link, link.clock, link.sleep) as controller:
             played = position_playback.play(controller, stream, movement)
         expected = position_playback.computed(stream, played, PIEZO_STACK)
@@ -206,7 +206,7 @@ def test_the_papers_chain_from_end_to_end(rule: str, material: str, tmp_path: Pa
     textures.save_profile(heights, textures.Profile(heights_um(material), 0.5, material))
     settings = {"block": "whole", "dc": "drop", **PAPER_SETTINGS[rule]}
     options = [option for name, value in settings.items() for option in ("--setting", f"{name}={value}")]
-    done = CliRunner().invoke(main, ["encode", str(heights), str(coded), "--spatial", "--codec", "dct", *options])
+    done = CliRunner().invoke(main, ["encode", str(heights), str(coded), "--codec", "dct", *options])
     assert done.exit_code == 0, done.output
     stream = read_stream(coded)
     # Each coefficient takes its level, although a controller's samples lie 16 times as far apart.
@@ -270,7 +270,7 @@ def simulated_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let every address be a simulated controller in simulated time, where no position is late."""
 
     @contextlib.contextmanager
-    def connect(*_: object) -> Iterator[Controller]:
+    def connect(*_: object, **__: object) -> Iterator[Controller]:
         link = MemoryLink(SimulatedController())
         with Controller(link, link.clock, link.sleep) as controller:
             yield controller
@@ -285,7 +285,7 @@ def stroked(folder: Path, limits: str, *options: str, actuator: str = PIEZO_STAC
         '[[controllers]]\nname = "it"\naddress = "serial:port"\n'
         f'[[actuators]]\nmodel = "{actuator}"\n[limits]\n{limits}\n'
     )
-    hand = ("--stroke-mm", "10", "--hand-speed-mm-s", "60")
+    hand = ("--hand", "10", "--hand-speed-mm-s", "60")
     return CliRunner().invoke(main, ["play", str(PROFILE), *hand, "--bench", str(bench), *options])
 
 

@@ -49,9 +49,8 @@ def test_a_stream_that_fits_stays_as_it_is() -> None:
     assert fitted(controller(buffer_samples=32_768), stream) is stream
 
 
-@pytest.mark.parametrize("codec_name", ["mdct", "lapped"])
-def test_packets_that_are_too_long_are_split_and_play_as_computed(codec_name: str) -> None:
-    stream = file_of(codec_name)
+def test_packets_that_are_too_long_are_split_and_play_as_computed() -> None:
+    stream = file_of("mdct")
     assert stream.decoder().packet_samples > BUFFER_SAMPLES
     outcome = end_to_end.play(controller(), "sim", "rough", stream, loops=2)
     assert outcome.stream.decoder().packet_samples <= BUFFER_SAMPLES // 2
@@ -112,13 +111,8 @@ def test_the_advice_for_packets_that_cannot_be_split_gives_a_stream_that_fits(co
     recording, out = tmp_path / "rough.wav", tmp_path / "out.vct"
     textures.save(recording, RECORDING)
     given = shlex.split(command.replace("RECORDING", str(recording)).replace("OUT.vct", str(out)))
-    if given[0] == "encode":
-        assert CliRunner().invoke(main, given, catch_exceptions=False).exit_code == 0
-        assert fitted(session, stream := read_stream(out)) is stream
-    else:
-        assert given == ["play", str(recording), "--codec", codec_name, "--stream-rate-hz", "8000"]
-        stream = encode_recording(RECORDING, 8000, codec_name, live=True).stream
-        assert fitted(session, stream) is stream
+    assert CliRunner().invoke(main, given, catch_exceptions=False).exit_code == 0
+    assert fitted(session, stream := read_stream(out)) is stream
 
 
 @pytest.mark.parametrize(
@@ -186,7 +180,7 @@ def test_other_rejections_stay_as_they_are(monkeypatch: pytest.MonkeyPatch) -> N
             session.run(configure_steps(session, stream.header, 0))
 
 
-@pytest.mark.parametrize("codec_name", ["mdct", "dct", "slp", "parametric", "lapped", "eva"])
+@pytest.mark.parametrize("codec_name", ["mdct", "dct", "slp", "parametric", "eva"])
 def test_the_cost_of_each_decoder_of_the_core_is_known(codec_name: str) -> None:
     stream = file_of(codec_name)
     header = stream.header
@@ -194,6 +188,6 @@ def test_the_cost_of_each_decoder_of_the_core_is_known(codec_name: str) -> None:
     assert 1000 < cycles < 50_000
 
 
-@pytest.mark.parametrize("codec_name", ["mdct", "opus"])
-def test_the_cost_of_what_the_core_does_not_decode_is_not_known(codec_name: str) -> None:
-    assert decoding_cycles(codec.BUILT_IN[codec_name].identifier, b"", 1, None) == 0
+@pytest.mark.parametrize("identifier", [1, 5])  # `mdct` with a configuration that is none; a codec that is none
+def test_the_cost_of_what_the_core_does_not_decode_is_not_known(identifier: int) -> None:
+    assert decoding_cycles(identifier, b"", 1, None) == 0

@@ -17,17 +17,19 @@ from vibrocast.host.live import LiveCoding, LiveStream
 from vibrocast.host.stream_session import read_capture
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
-from vibrocast.simulated_device.faulty_link import FaultyDirection, MemoryLink
-from vibrocast.simulated_device.slow_link import SlowLink, Wire
+from vibrocast.simulated_device.faulty_link import MemoryLink
+from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
 
 RATE_HZ = 2800
 FORMAT = live_format(RATE_HZ, "um", [10.0])
 
 
-def bench(
-    settings: Settings | None = None, to_controller: FaultyDirection | None = None
-) -> tuple[MemoryLink, Controller]:
-    link = MemoryLink(SimulatedController(settings), to_controller)
+def bench(settings: Settings | None = None) -> tuple[MemoryLink, Controller]:
+    return wired(FaultyWire(SimulatedController(settings)))
+
+
+def wired(wire: FaultyWire) -> tuple[MemoryLink, Controller]:
+    link = MemoryLink(wire)
     return link, Controller(link, link.clock, link.sleep)
 
 
@@ -69,17 +71,15 @@ def test_packets_are_as_short_as_the_codec_has_them_and_refresh_four_times_a_sec
 
 @pytest.mark.parametrize("delay_ms", [5, 20, 100])
 def test_nothing_is_lost_at_the_start_of_a_stream_over_long_round_trips(delay_ms: int) -> None:
-    line = SlowLink(SimulatedController(), *(Wire(delay_s=delay_ms / 1000) for _ in range(2)))
-    link = MemoryLink(line)
-    controller = Controller(link, link.clock, link.sleep)
+    _, controller = wired(FaultyWire(SimulatedController(), [Fault(delay_ms=delay_ms)]))
     stream = LiveStream(controller, FORMAT)
     result = live.play(stream, blocks(stream, noise(1.0)))
     assert (result.underruns, result.lost_packets, result.streams) == (0, 0, 1)
 
 
 def test_the_playout_delay_counts_from_the_arrival_of_the_first_packet_over_a_slow_link() -> None:
-    link = MemoryLink(SlowLink(SimulatedController(), Wire(bits_per_second=80_000), Wire(bits_per_second=80_000)))
-    stream = LiveStream(Controller(link, link.clock, link.sleep), FORMAT, playout_delay_s=0.04)
+    link, controller = wired(FaultyWire(SimulatedController(), [Fault(bits_per_second=80_000)]))
+    stream = LiveStream(controller, FORMAT, playout_delay_s=0.04)
     ahead: list[float] = []
     for _, block in live.paced(stream, noise(1.0), stream.packet_samples):
         stream.send(block)
@@ -111,7 +111,7 @@ def test_a_lost_start_is_sent_again() -> None:
 
 
 def test_a_lost_packet_costs_itself_alone() -> None:
-    _, controller = bench(to_controller=FaultyDirection(seed=2, lost=0.02))
+    _, controller = wired(FaultyWire(SimulatedController(), [Fault(lost=0.02, direction="to_controller")], seed=1))
     stream = LiveStream(controller, FORMAT)
     result = live.play(stream, blocks(stream, noise(3.0)))
     assert result.streams == 1
@@ -160,13 +160,14 @@ def test_a_program_that_is_late_leaves_packets_out_and_goes_on_with_a_refresh(la
 
 
 def test_a_pulled_cable_is_opened_again() -> None:
-    link, controller = bench()
+    wire = FaultyWire(SimulatedController())
+    _, controller = wired(wire)
     stream = LiveStream(controller, FORMAT)
 
     def pulled() -> Iterator[Signal]:
         for number, block in enumerate(blocks(stream, noise(2.0))):
             if number == 100:
-                link.unplug(0.5)
+                wire.change(Fault(cut=True, for_s=0.5))
             yield block
 
     result = live.play(stream, pulled())
@@ -176,10 +177,11 @@ def test_a_pulled_cable_is_opened_again() -> None:
 
 
 def test_a_cable_that_stays_out_ends_in_an_error() -> None:
-    link, controller = bench()
+    wire = FaultyWire(SimulatedController())
+    _, controller = wired(wire)
     stream = LiveStream(controller, FORMAT)
     stream.send(noise(0.1))
-    link.unplug(60.0)
+    wire.change(Fault(cut=True, for_s=60.0))
     with pytest.raises(TransportError):
         live.play(stream, [noise(0.1)], reconnect_s=1.0)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.cli.test_command_line import fails, succeeds
+from tests.command import fails, succeeds
 from tests.export import tiny
 from vibrocast import models, textures
 from vibrocast.codec import CODECS, CodecError, TargetUnreachable
@@ -14,6 +14,7 @@ from vibrocast.codec.encoding import default_model, encode_recording
 from vibrocast.codec.rate_controlled import RateTarget
 from vibrocast.codec.rate_controlled import encode as encode_rate_controlled
 from vibrocast.codec.stream import read_stream
+from vibrocast.host import devices, playback
 
 
 @pytest.fixture(autouse=True)
@@ -127,13 +128,12 @@ def test_a_stream_of_an_unknown_model_is_named_by_its_hash(tmp_path: Path, monke
         read_stream(tmp_path / "rough.vct")
 
 
-@pytest.mark.parametrize("runtime", [(), ("--runtime", "core"), ("--runtime", "onnx")])
-def test_play_on_a_simulated_controller_needs_nothing_else(runtime: tuple[str, ...], tmp_path: Path) -> None:
-    path = tmp_path / "rough.wav"
-    textures.save(path, texture())
-    output = succeeds("play", path, "--codec", "eva", "--snr-db", 25, *runtime)
-    assert "codec eva, model fine-1" in output
-    assert "decoded as sent  yes" in output
+@pytest.mark.parametrize("runtime", [None, "core", "onnx"])
+def test_play_on_a_simulated_controller_needs_nothing_else(runtime: str | None) -> None:
+    stream = encode_recording(texture(), codec_name="eva", snr_db=25, runtime=runtime).stream
+    with devices.connect("sim", runtime) as controller:
+        report = playback.play(controller, "sim", "rough", stream).report
+    assert (report.codec, report.model, report.decoded_equals_offline) == ("eva", "fine-1", True)
 
 
 def test_commands_name_the_model_that_they_chose(tmp_path: Path) -> None:

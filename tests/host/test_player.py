@@ -31,7 +31,8 @@ from vibrocast.host.controller import ConnectionLost, Controller, ControllerErro
 from vibrocast.host.player import Progress, play
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
-from vibrocast.simulated_device.faulty_link import FaultyDirection, MemoryLink
+from vibrocast.simulated_device.faulty_link import MemoryLink
+from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
 from vibrocast.simulated_device.usb_backend import PRODUCT_ID, VENDOR_ID, UsbPort
 
 HEADER = StreamHeader(codec_identifier=1, rate_hz=RATE_HZ, samples=None, unit="um", gains=(1.0,), configuration=b"")
@@ -105,7 +106,7 @@ def test_captures_that_are_slow_to_come_do_not_hold_up_the_data(fault: str) -> N
     played = stream(3.0)
     for seed in range(4):
         small = SimulatedController(Settings(buffer_samples=2048, capture_samples=4096))
-        link = MemoryLink(small, to_host=FaultyDirection(seed, **{fault: 0.2}))
+        link = MemoryLink(FaultyWire(small, [Fault(direction="to_host", **{fault: 0.2})], seed))
         controller = Controller(link, link.clock, link.sleep)
         result = play(controller, played.header, played.packets, played.packet_samples, capture=True)
         assert (result.state, result.underruns, result.lost_packets) == (State.FINISHED, 0, 0)

@@ -16,28 +16,24 @@ from vibrocast.host.live import LiveStream
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
 from vibrocast.simulated_device.faulty_link import MemoryLink
-from vibrocast.simulated_device.slow_link import SlowLink, Wire
+from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
 
 OAK = Path(__file__).parents[2] / "examples/oak.wav"
 BITS_PER_S = 0.8 * 115_200
-# More than the longest frame: the driver of a serial port keeps what the port has not sent.
-DRIVER_BYTES = 8192
 SIMULATED = Settings()
 # As in firmware/build.py; the link carries less than this board captures.
 STM32F405 = Settings(channels=2, buffer_samples=16_384, capture_samples=2048)
 
 
-def connect(settings: Settings = SIMULATED, half_duplex: bool = False) -> tuple[MemoryLink, Controller]:
-    """Return a session over a link of 115 200 baud; `half_duplex`: both directions share it."""
-    there = Wire(BITS_PER_S, buffer_bytes=DRIVER_BYTES)
-    link = MemoryLink(SlowLink(SimulatedController(settings), there, there if half_duplex else Wire(BITS_PER_S)))
+def connect(settings: Settings = SIMULATED) -> tuple[MemoryLink, Controller]:
+    """Return a session over a link of 115 200 baud."""
+    link = MemoryLink(FaultyWire(SimulatedController(settings), [Fault(bits_per_second=BITS_PER_S)]))
     return link, Controller(link, link.clock, link.sleep)
 
 
-@pytest.mark.parametrize("half_duplex", [False, True])
 @pytest.mark.parametrize("settings", [SIMULATED, STM32F405])
-def test_a_texture_plays_without_a_gap_while_it_is_read_back(settings: Settings, half_duplex: bool) -> None:
-    link, controller = connect(settings, half_duplex)
+def test_a_texture_plays_without_a_gap_while_it_is_read_back(settings: Settings) -> None:
+    link, controller = connect(settings)
     encoding = encode_recording(textures.load(OAK), live=True)
     began_s = link.clock()
     report = end_to_end.play(controller, "slow", OAK.name, encoding.stream, encoding).report

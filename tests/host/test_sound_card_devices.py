@@ -141,7 +141,7 @@ def test_commands_run_on_a_card(pulseaudio: SoundServer, arguments: list[str]) -
 def test_a_profile_is_played_on_a_card_under_a_hand(pulseaudio: SoundServer, tmp_path: Path) -> None:
     profile = tmp_path / "profile.csv"
     assert CliRunner().invoke(main, ["generate", "wood", str(profile)]).exit_code == 0
-    arguments = ["--stroke-mm", "10", "--hand-speed-mm-s", "40", "--device", ADDRESS, "--actuator", "voice-coil"]
+    arguments = ["--hand", "10", "--hand-speed-mm-s", "40", "--device", ADDRESS, "--actuator", "voice-coil"]
     for _ in range(TRIES):  # a busy machine may render a position late
         result = CliRunner().invoke(main, ["play", str(profile), *arguments])
         if result.exit_code == 0:

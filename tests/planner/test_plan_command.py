@@ -4,17 +4,15 @@ import csv
 import json
 import re
 import tomllib
+from functools import partial
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
 
+from tests import command
 from tests.planner.scenes import CONTROLLER, TEXTURE, written
-from vibrocast.host.cli.command_line import main
 
-
-def run(*arguments: object) -> Result:
-    return CliRunner().invoke(main, ["plan", *map(str, arguments)])
+run = partial(command.run, "plan")
 
 
 def test_a_plan_a_picture_tables_and_reasons(tmp_path: Path) -> None:
@@ -35,7 +33,10 @@ def test_a_plan_a_picture_tables_and_reasons(tmp_path: Path) -> None:
     assert re.search(r"^wood: parametric", done.output, re.MULTILINE) and "higher cost (" in done.output
     assert len(re.findall(r"^  rejected ", done.output, re.MULTILINE)) == 3
     assert re.search(r"quality +SNR [-0]", done.output), "the answer shows the SNR that parametric coding gives up"
-    assert done.stdout.splitlines()[-1] == f"{tmp_path / 'planned'}: plan.toml, plan.png, candidates.csv, bands.csv"
+    assert (
+        done.stdout.splitlines()[-1]
+        == f"{tmp_path / 'planned'}: plan.toml, plan.png, candidates.csv, bands.csv, wood.vct"
+    )
 
 
 def test_without_a_folder_nothing_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

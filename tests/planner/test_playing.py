@@ -65,7 +65,7 @@ def test_a_controller_that_fails_holds_no_other_up(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_controllers_play_at_the_same_time_each_with_its_actuator(tmp_path: Path) -> None:
+def test_controllers_play_one_after_another_each_with_its_actuator(tmp_path: Path) -> None:
     plan = planned(tmp_path, texture=texture("wood", "left") + texture("ridges", "right"), controller=TWO, actuator=LRA)
     played = playing.play(plan)
     assert [each.texture.name for each in played] == ["wood", "ridges"]

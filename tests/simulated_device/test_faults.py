@@ -23,7 +23,8 @@ from vibrocast.output.rendering import (
     render,
 )
 from vibrocast.simulated_device.controller import Controller, Settings
-from vibrocast.simulated_device.faulty_link import FaultyDirection, MemoryLink
+from vibrocast.simulated_device.faulty_link import MemoryLink
+from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
 from vibrocast.simulated_device.flash import FlashMemory, PowerCut
 
 REFRESH_S = 0.25
@@ -34,6 +35,7 @@ class Desk:
     """A host, a link and a controller; `codes` is all that went to the DAC."""
 
     link: MemoryLink
+    wire: FaultyWire
     host: Host
     codes: list[Codes]
 
@@ -41,10 +43,11 @@ class Desk:
         return np.concatenate(self.codes)
 
 
-def desk(to_controller: FaultyDirection | None = None, to_host: FaultyDirection | None = None) -> Desk:
+def desk(*faults: Fault, seed: int = 0, settings: Settings | None = None) -> Desk:
     codes: list[Codes] = []
-    link = MemoryLink(Controller(on_dac=codes.append), to_controller, to_host)
-    return Desk(link, Host(link, link.clock, link.sleep), codes)
+    wire = FaultyWire(Controller(settings, on_dac=codes.append), faults, seed)
+    link = MemoryLink(wire)
+    return Desk(link, wire, Host(link, link.clock, link.sleep), codes)
 
 
 def play_on(at: Desk, played: Stream, **options: object) -> PlaybackResult:
@@ -88,7 +91,7 @@ def test_a_link_with_faults_in_both_directions(fault: str, seed: int) -> None:
     chances = dict.fromkeys(("lost", "flipped", "doubled", "swapped") if fault == "all" else (fault,), 0.01)
     if fault in ("doubled", "swapped"):
         chances[fault] = 0.2
-    at = desk(FaultyDirection(2 * seed, **chances), FaultyDirection(2 * seed + 1, **chances))
+    at = desk(Fault(**chances), seed=seed)
     result = play_on(at, played)
     assert result.state == State.FINISHED
     assert result.decoded is not None
@@ -127,8 +130,7 @@ def output_of(decoded: Decoded, played: Stream, loops: int) -> Codes:
 )
 def test_four_channels_with_all_faults_have_no_wrong_sample_and_no_stuck_actuator(loops: int) -> None:
     played = stream(30.0, 4)
-    chances = {"lost": 0.01, "flipped": 0.01, "doubled": 0.05, "swapped": 0.05}
-    at = desk(FaultyDirection(1, **chances), FaultyDirection(2, **chances))
+    at = desk(Fault(lost=0.01, flipped=0.01, doubled=0.05, swapped=0.05))
     result = play_on(at, played, loops=loops)
     assert result.state == State.FINISHED
     assert result.decoded is not None
@@ -152,40 +154,38 @@ def test_worse_lines_end_with_a_sound_output_or_a_clear_error(
     seed: int, lost: float, flipped: float, doubled: float, swapped: float
 ) -> None:
     played = stream(1.0)
-    codes: list[Codes] = []
-    lines = [FaultyDirection(seed + direction, lost, flipped, doubled, swapped) for direction in range(2)]
-    link = MemoryLink(Controller(on_dac=codes.append), *lines)
+    at = desk(Fault(lost=lost, flipped=flipped, doubled=doubled, swapped=swapped), seed=seed)
     try:
-        result = play_on(Desk(link, Host(link, link.clock, link.sleep), codes), played)
+        result = play_on(at, played)
     except ControllerError as error:
         assert str(error)
     else:
         assert result.state == State.FINISHED
         if result.reconnects == 0 and result.decoded is not None:
             assert_never_garbage(result.decoded, played, result.lost_packets)
-    link.sleep(5.0)
-    if codes:
-        assert_within_limits(np.concatenate(codes))
+    at.link.sleep(5.0)
+    if at.codes:
+        assert_within_limits(at.all_codes())
 
 
 class PullCableOnce:
     """Pulls the cable when the playback comes to a position."""
 
-    def __init__(self, link: MemoryLink, at_s: float, out_s: float) -> None:
-        self._link, self._at_s, self._out_s = link, at_s, out_s
+    def __init__(self, wire: FaultyWire, at_s: float, out_s: float) -> None:
+        self._wire, self._at_s, self._out_s = wire, at_s, out_s
         self.pulled = False
 
     def __call__(self, progress: Progress) -> None:
         if not self.pulled and progress.position_s >= self._at_s:
             self.pulled = True
-            self._link.unplug(self._out_s)
+            self._wire.change(Fault(cut=True, for_s=self._out_s))
 
 
 @pytest.mark.parametrize("out_s", [0.05, 0.5, 1.5, 4.0])
 def test_cable_pulled_and_plugged_in_again(out_s: float) -> None:
     played = stream(6.0)
     at = desk()
-    cable = PullCableOnce(at.link, 1.0, out_s)
+    cable = PullCableOnce(at.wire, 1.0, out_s)
     result = play_on(at, played, progress=cable)
     assert cable.pulled
     assert result.state == State.FINISHED
@@ -207,7 +207,7 @@ def test_cable_pulled_and_plugged_in_again(out_s: float) -> None:
 def test_cable_that_stays_out_stops_the_output_and_ends_the_playback() -> None:
     at = desk()
     with pytest.raises(OSError, match="cable"):
-        play_on(at, stream(6.0), progress=PullCableOnce(at.link, 1.0, 1e6), reconnect_s=3.0)
+        play_on(at, stream(6.0), progress=PullCableOnce(at.wire, 1.0, 1e6), reconnect_s=3.0)
     at.link.sleep(3.0)
     codes = at.all_codes()
     assert_within_limits(codes)
@@ -221,7 +221,7 @@ def test_killed_host_is_noticed_and_the_next_one_plays() -> None:
 
     def kill(progress: Progress) -> None:
         if progress.position_s > 1.0:
-            at.link.unplug(0.001)  # not even a last Stop goes out
+            at.wire.change(Fault(cut=True, for_s=0.001))  # not even a last Stop goes out
             raise Killed
 
     at = desk()
@@ -232,7 +232,8 @@ def test_killed_host_is_noticed_and_the_next_one_plays() -> None:
     assert_within_limits(codes)
     at.codes.clear()
     played = stream(1.0)
-    result = play_on(Desk(at.link, Host(at.link, at.link.clock, at.link.sleep), at.codes), played)
+    at.host = Host(at.link, at.link.clock, at.link.sleep)
+    result = play_on(at, played)
     assert result.state == State.FINISHED
     assert result.decoded is not None
     np.testing.assert_array_equal(result.decoded, played.decoded)
@@ -275,8 +276,7 @@ def test_drift_of_a_host_that_paces_by_its_own_clock_for_ten_minutes(drift_ppm: 
 @pytest.mark.parametrize("drift_ppm", [-200, 200])
 def test_credit_follows_the_clock_of_the_controller(drift_ppm: int) -> None:
     played = stream(5.0)
-    link = MemoryLink(Controller(Settings(drift_ppm=drift_ppm)))
-    result = play_on(Desk(link, Host(link, link.clock, link.sleep), []), played, loops=4)
+    result = play_on(desk(settings=Settings(drift_ppm=drift_ppm)), played, loops=4)
     assert (result.state, result.underruns, result.lost_packets) == (State.FINISHED, 0, 0)
     assert result.decoded is not None
     np.testing.assert_array_equal(result.decoded, np.tile(played.decoded, (4, 1)))

@@ -5,7 +5,14 @@ from pathlib import Path
 import pytest
 
 from vibrocast.simulated_device.device import Device
-from vibrocast.simulated_device.faulty_wire import Fault, FaultsFileError, FaultyWire, RemoteDevice, read_faults
+from vibrocast.simulated_device.faulty_wire import (
+    Fault,
+    FaultsFileError,
+    FaultyWire,
+    FrameDamage,
+    RemoteDevice,
+    read_faults,
+)
 
 FRAMES = [bytes([number, 1, 2, 3, 0]) for number in range(1, 201)]
 
@@ -59,6 +66,29 @@ def test_frames_are_lost_and_damaged_by_seed() -> None:
     assert 5 < sum(data not in FRAMES for _, data in flipped) < 40
     there, back = carried(Fault(lost=0.1, direction="to_host"))
     assert len(there) == 200 > back.count(0)
+
+
+def test_damage_is_the_same_for_the_same_seed_and_waits_for_whole_frames() -> None:
+    data = b"".join(FRAMES)
+    every = Fault(lost=0.1, flipped=0.1, doubled=0.1, swapped=0.1)
+    assert len({FrameDamage(every, seed).carry(data) for seed in (1, 1, 2)}) == 2
+    assert FrameDamage(Fault(), 0).carry(data[:7]) == data[:5]
+    assert FrameDamage(Fault(lost=1.0), 0).carry(data) == b""
+
+
+def test_faults_change_while_bytes_are_on_their_way() -> None:
+    echo = Echo()
+    wire = FaultyWire(echo, [Fault(bits_per_second=1)])
+    wire.receive(FRAMES[0], 0)
+    wire.advance(1_000_000)
+    assert (echo.received, wire.waiting_bytes) == ([], 5)
+    wire.change(Fault(cut=True, for_s=0.5))
+    assert wire.is_cut(1_000_000)
+    wire.advance(1_001_000)
+    wire.receive(FRAMES[1], 1_002_000)
+    assert not wire.is_cut(1_500_000)
+    wire.receive(FRAMES[2], 1_500_000)
+    assert [data for _, data in echo.received] == [FRAMES[0], FRAMES[2]]
 
 
 def test_delay_and_capacity_make_frames_late_in_their_order() -> None:

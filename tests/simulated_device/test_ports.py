@@ -18,7 +18,6 @@ from vibrocast.device_protocol.transports import SerialTransport, TransportError
 from vibrocast.host.controller import Controller as Host
 from vibrocast.host.player import Progress, play
 from vibrocast.simulated_device.controller import Controller
-from vibrocast.simulated_device.faulty_link import FaultyDirection
 from vibrocast.simulated_device.pty_port import PtyPort
 from vibrocast.simulated_device.serial_port import serial_port
 from vibrocast.simulated_device.socket_port import SocketPort
@@ -329,11 +328,3 @@ def test_usb_handle_from_before_the_pull_stays_dead_and_a_new_one_works(usb_port
             device.write(ENDPOINT_OUT, b"x", 10)
         host.reconnect(5.0)
         assert isinstance(host.request_status(), Status)
-
-
-def test_a_faulty_link_gives_the_same_faults_for_the_same_seed() -> None:
-    data = b"".join(bytes([number, 1, 2, 3]) + b"\0" for number in range(1, 200))
-    results = {FaultyDirection(seed, lost=0.1, flipped=0.1, doubled=0.1, swapped=0.1).carry(data) for seed in (1, 1, 2)}
-    assert len(results) == 2
-    assert FaultyDirection().carry(data[:7]) + FaultyDirection().carry(b"") == data[:5]
-    assert FaultyDirection(lost=1.0).carry(data) == b""

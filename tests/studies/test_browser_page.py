@@ -19,9 +19,9 @@ import numpy as np
 import pytest
 
 import vibrocast
-from tests.codec.core_digests import FOREIGN
 from tests.device_protocol.test_messages import GOLDEN
 from tests.study.stub_run import chromium
+from vibrocast import codec
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol import messages
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
@@ -37,16 +37,16 @@ from vibrocast.simulated_device.socket_port import SocketPort
 pytest.importorskip("mkdocs", reason="needs the extra docs")
 if chromium() is None:
     pytest.skip("needs Chromium: Debian's package chromium", allow_module_level=True)
-
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from studies import browser_page
 
+pytestmark = pytest.mark.slow
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "tutorials" / "browser.md"
 SCRIPTS = ROOT / "docs" / "javascripts"
 # Only hosts decode these.
-OTHERS = (*FOREIGN, "dct_whole")
+OTHERS = ("dct_whole",)
 GOLDEN_STREAMS = sorted(
     path for path in (ROOT / "tests" / "codec").glob("golden_*.vct") if path.stem.removeprefix("golden_") not in OTHERS
 )
@@ -267,8 +267,7 @@ def test_the_slider_changes_the_rate_and_the_page_states_rate_and_snr(browser: B
         for rate, coded in enumerate(data["streams"]):
             part(page, "rate").fill(str(rate))
             stream = Stream.from_bytes(base64.b64decode(coded))
-            error = original - stream.decode()
-            snr_db = 10 * np.log10(np.sum(original.astype(float) ** 2) / np.sum(error**2))
+            snr_db = codec.snr_db(original, stream.decode())
             expect(part(page, "bits")).to_have_text(f"{stream.bits_per_second:.0f} bit/s")
             expect(part(page, "snr")).to_have_text(f"{snr_db:.2f} dB")
         for chart, curves in (("wave", 2), ("strongest", 2), ("spectrum", 2)):
@@ -291,34 +290,29 @@ def test_keyboard_and_narrow_windows(browser: Browser, site: Path) -> None:
 
 
 def test_files_of_the_reader(browser: Browser, site: Path) -> None:
-    eva = ROOT / "tests" / "codec" / "golden_eva_static.vct"
-    mdct = ROOT / "tests" / "codec" / "golden_mdct.vct"
+    folder = ROOT / "tests" / "codec"
+    mdct, eva = ((folder / f"golden_{name}.vct").read_bytes() for name in ("mdct", "eva_static"))
+    opus = (ROOT / "tests" / "evaluation" / "golden_opus.vct").read_bytes()
+    image, other = ((folder / f"golden_eva_{name}.vcmi").read_bytes() for name in ("static", "adaptive"))
     with opened(browser, site) as page:
-        problem = part(page, "problem")
-        choose(page, ("golden_mdct.vct", mdct.read_bytes()))
+        choose(page, ("golden_mdct.vct", mdct))
         expect(part(page, "snr")).to_have_text("unknown: no original here")
         expect(part(page, "rate")).to_be_disabled()
-        image = eva.with_suffix(".vcmi").read_bytes()
-        choose(page, ("stream.vct", eva.read_bytes()), ("model.vcmi", image))
+        choose(page, ("stream.vct", eva), ("model.vcmi", image))
         expect(part(page, "codec")).to_have_text("eva")
-        choose(page, ("stream.vct", eva.read_bytes()))
-        expect(problem).to_have_text(re.compile("needs the model .* Choose the stream and its .vcmi file together"))
-        other = image_of(eva.with_name("golden_eva_adaptive.vct"))
-        assert other is not None
-        choose(page, ("stream.vct", eva.read_bytes()), ("model.vcmi", other))
-        expect(problem).to_have_text(re.compile("coded for a model image: give that image"))
-        choose(page, ("oak.wav", (ROOT / "examples" / "oak.wav").read_bytes()))
-        expect(problem).to_have_text(re.compile("This is no coded stream: .* Choose a .vct file"))
-        choose(page, ("cut.vct", mdct.read_bytes()[:-3]))
-        expect(problem).to_have_text(re.compile("The file is damaged: .* Copy it again."))
-        opus = mdct.with_name("golden_opus.vct")
-        choose(page, ("opus.vct", opus.read_bytes()))
-        expect(problem).to_have_text(re.compile("lacks the stream's codec. Use vibrocast decode"))
-        choose(page, ("two.vct", b""), ("three.vct", b""))
-        expect(problem).to_have_text(re.compile("needs one .vct file"))
+        for files, problem in (
+            ([("stream.vct", eva)], "needs the model .* Choose the stream and its .vcmi file together"),
+            ([("stream.vct", eva), ("model.vcmi", other)], "coded for a model image: give that image"),
+            ([("oak.wav", b"RIFF" + bytes(90))], "This is no coded stream: .* Choose a .vct file"),
+            ([("cut.vct", mdct[:-3])], "The file is damaged: .* Copy it again."),
+            ([("opus.vct", opus)], "lacks the stream's codec. Use vibrocast decode"),
+            ([("two.vct", b""), ("three.vct", b"")], "needs one .vct file"),
+        ):
+            choose(page, *files)
+            expect(part(page, "problem")).to_have_text(re.compile(problem))
         expect(part(page, "codec")).to_have_text("eva")  # the last one that could be decoded
         part(page, "example").select_option(label="A stylus across oak")
-        expect(problem).to_have_text("")
+        expect(part(page, "problem")).to_have_text("")
         expect(part(page, "codec")).to_have_text("mdct")
 
 
@@ -357,31 +351,39 @@ def wired(browser: Browser, site: Path, controller: Controller) -> Iterator[tupl
 
     Yield the page, and a function that takes the controller from it for a session of the host.
     """
-    with SocketPort(controller) as port:
-        host, number = port.name.removeprefix("socket://").split(":")
-        wire = socket.create_connection((host, int(number)))
-        wire.settimeout(0.005)
-
-        def read() -> bytes:
-            try:
-                return wire.recv(65_536)
-            except OSError:  # nothing came, or the test has closed the wire
-                return b""
+    with SocketPort(controller) as port, connected(port) as wire:
 
         def take_over() -> Host:
             wire.close()
             return Host(open_transport(f"serial:{port.name}"))
 
-        with wire, opened(browser, site, lambda page: bridge(page, wire.sendall, read)) as page:
+        with opened(browser, site, lambda page: bridge(page, wire)) as page:
             yield page, take_over
 
 
-def bridge(page: Page, write: Callable[[bytes], object], read: Callable[[], bytes]) -> None:
-    def write_wire(data: str) -> None:
-        write(base64.b64decode(data))
+def connected(port: SocketPort) -> socket.socket:
+    """Return a connection to the port of a controller."""
+    host, number = port.name.removeprefix("socket://").split(":")
+    wire = socket.create_connection((host, int(number)))
+    wire.settimeout(0.005)
+    return wire
 
-    page.expose_function("writeWire", write_wire)
-    page.expose_function("readWire", lambda: encoded(read()))
+
+def bridge(page: Page, wire: socket.socket | None) -> None:
+    """Give a page a serial port that leads to a controller, or to nothing that answers."""
+
+    def read() -> str:
+        try:
+            return encoded(wire.recv(65_536)) if wire else ""
+        except OSError:  # nothing came, or the test has closed the wire
+            return ""
+
+    def write(data: str) -> None:
+        if wire:
+            wire.sendall(base64.b64decode(data))
+
+    page.expose_function("writeWire", write)
+    page.expose_function("readWire", read)
     page.add_init_script(PORT)
 
 
@@ -408,7 +410,6 @@ def test_an_example_plays_on_the_simulated_controller(browser: Browser, site: Pa
         np.testing.assert_array_equal(samples, computed)
 
 
-@pytest.mark.slow
 def test_stop_and_a_second_playback_within_the_credit_of_a_small_buffer(browser: Browser, site: Path) -> None:
     small = Settings(buffer_samples=2 * browser_page.PACKET_SAMPLES)
     with wired(browser, site, Controller(small)) as (page, _):
@@ -435,7 +436,7 @@ def test_a_pulled_controller(browser: Browser, site: Path) -> None:
 
 
 def test_a_device_that_does_not_answer(browser: Browser, site: Path) -> None:
-    with opened(browser, site, lambda page: bridge(page, lambda data: None, lambda: b"")) as page:
+    with opened(browser, site, lambda page: bridge(page, None)) as page:
         part(page, "connect").click()
         expect(part(page, "problem")).to_have_text(
             re.compile("The controller does not answer: .* choose its port again")
@@ -500,21 +501,11 @@ def test_the_readers_page_plays_sound(browser: Browser, server: str) -> None:
 
 
 def test_the_readers_page_plays_on_a_controller(browser: Browser, server: str) -> None:
-    with SocketPort(Controller()) as port, closing(browser.new_page()) as page:
-        host, number = port.name.removeprefix("socket://").split(":")
-        with socket.create_connection((host, int(number))) as wire:
-            wire.settimeout(0.005)
-
-            def read() -> bytes:
-                try:
-                    return wire.recv(65_536)
-                except OSError:
-                    return b""
-
-            bridge(page, wire.sendall, read)
-            page.goto(f"{server}/controller.html")
-            page.locator("button").click()
-            expect(page.locator("output")).to_have_text("Played, 0 underruns.", timeout=60_000)
+    with SocketPort(Controller()) as port, connected(port) as wire, closing(browser.new_page()) as page:
+        bridge(page, wire)
+        page.goto(f"{server}/controller.html")
+        page.locator("button").click()
+        expect(page.locator("output")).to_have_text("Played, 0 underruns.", timeout=60_000)
 
 
 # ---- types ----

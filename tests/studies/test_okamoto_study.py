@@ -1,7 +1,5 @@
 """Simulated observers in the texture paper's study: its tables, limits, agreement and page."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy import stats
@@ -93,29 +91,3 @@ def test_people_like_those_of_the_paper_agree_with_it() -> None:
         "sandpaper": 100,
         "leather": 100,
     }
-
-
-def test_people_who_notice_nothing_agree_by_chance() -> None:
-    table = read_tables()
-    reference = np.tile([0.0, 0.5], (2, 5))
-    simulated = Simulated({(texture, AGAIN): reference for texture in TEXTURES} | {row.key: reference for row in table})
-    with pytest.warns(stats.ConstantInputWarning):
-        agreeing, _ = simulated.agreement(table)
-    assert agreeing.tolist() == [51 - sum(row.is_noticed for row in table)] * 2
-    assert {
-        each.texture: next(iter(each.percent)) for each in limits(simulated, table) if each.family == LINEAR
-    } == dict.fromkeys(TEXTURES, 4)
-
-
-def test_the_page_is_written_for_few_observers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(okamoto_study, "PARTICIPANTS", 6)
-    monkeypatch.setattr(okamoto_study, "INTEGRATIONS_S", (0.01,))
-    okamoto_study.write(tmp_path, 2)
-    page = (tmp_path / "simulated_study.md").read_text()
-    assert "**A simulated observer is not a person.**" in page
-    assert "Simulated observers, not people" in (tmp_path / "results/simulated_study.svg").read_text()
-    lines = [line.split(",") for line in (tmp_path / "results/simulated_study.csv").read_text().splitlines()]
-    assert len(lines) == 1 + 51
-    grades = {tuple(line[:3]): float(line[lines[0].index("grade")]) for line in lines[1:]}
-    assert grades["leather", "linear", "4.0"] > grades["leather", "linear", "14.0"]
-    assert len((tmp_path / "results/simulated_study_sensitivity.csv").read_text().splitlines()) == 1 + 6 * 3

@@ -154,6 +154,7 @@ def test_the_energy_of_a_quantised_spectrum_is_that_of_equation_2() -> None:
     assert 0 < mean_db < 1 and 0 <= peaks <= stretches == texture_paper.STRETCHES
 
 
+@pytest.mark.slow
 def test_the_command_writes_page_note_and_waveforms(tmp_path: Path) -> None:
     recordings, results = tmp_path / "recordings", tmp_path / "out" / "results"
     recordings.mkdir()

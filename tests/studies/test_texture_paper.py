@@ -1,15 +1,10 @@
 """The texture paper's figures, repeated: exact percentages, and what coding measures."""
 
-import csv
-from pathlib import Path
-
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from studies import texture_paper
 from studies.texture_paper import Result, code, measure, paper_percent
-from tests.codec.signals import texture
 from vibrocast import codec, textures
 
 
@@ -59,51 +54,3 @@ def test_coefficients_are_those_of_the_whole_profile_up_to_400_hz() -> None:
 def test_falls_are_found_between_neighbours() -> None:
     results = [Result("t", "linear", n, None, 0, 0, 0, 0, snr_db) for n, snr_db in ((6, 2.0), (4, 1.0), (5, 3.0))]
     assert texture_paper.falls(results) == {6: 1.0}
-
-
-def test_the_command_writes_page_tables_and_charts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(texture_paper, "generated_profiles", lambda: {"wood": profile()})
-    monkeypatch.setattr(texture_paper, "LEVELS", texture_paper.PAPER_LEVELS[::-1])
-    own = tmp_path / "profiles"
-    own.mkdir()
-    textures.save_profile(own / "mine.csv", profile())
-    recordings = tmp_path / "recordings"
-    recordings.mkdir()
-    textures.save(recordings / "one.wav", textures.Recording(texture(2800), 2800, "m/s^2", "one"))
-    arguments = ["--out", str(tmp_path / "out"), "--profiles", str(own), "--recordings", str(recordings)]
-    done = CliRunner().invoke(texture_paper.main, arguments)
-    assert done.exit_code == 0, done.output
-    page = (tmp_path / "out" / "texture_paper.md").read_text()
-    assert "| 14 | 23.8 % |" in page
-    assert "| the paper's | 22.3 % |\n" in page
-    assert "| mine |" in page
-    with (tmp_path / "out" / "results" / "texture_paper.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert {row["surface"] for row in rows} == {"wood", "mine"}
-    assert np.all([float(row["huffman_percent"]) > 0 for row in rows])
-    with (tmp_path / "out" / "results" / "texture_paper_spectra.csv").open() as file:
-        assert len(list(csv.DictReader(file))) == 2 * 160
-    with (tmp_path / "out" / "results" / "texture_paper_recordings.csv").open() as file:
-        medians = list(csv.DictReader(file))
-    assert (medians[0]["quantiser"], medians[0]["levels"]) == ("linear", "6")
-    assert 0 < float(medians[0]["range_bits"]) < float(medians[0]["huffman_bits"])
-    assert {row["block"] for row in medians} == {"128", "256", "512", "1024"}
-    for name in ("texture_paper.png", "texture_paper_spectra.png"):
-        assert (tmp_path / "out" / "results" / name).read_bytes().startswith(b"\x89PNG")
-
-
-def test_files_that_are_no_profile_are_rejected(tmp_path: Path) -> None:
-    (tmp_path / "bad.csv").write_text("nothing\n")
-    done = CliRunner().invoke(texture_paper.main, ["--out", str(tmp_path), "--profiles", str(tmp_path)])
-    assert done.exit_code == 1
-    assert "bad.csv" in done.output
-    assert done.exception is None or isinstance(done.exception, SystemExit)
-
-
-def test_a_folder_that_cannot_be_made_is_rejected_before_measuring(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(texture_paper, "measure_all", lambda profiles: pytest.fail("measured"))
-    (tmp_path / "file").write_text("")
-    done = CliRunner().invoke(texture_paper.main, ["--out", str(tmp_path / "file" / "out")])
-    assert (done.exit_code, "Not a directory" in done.output) == (1, True)

@@ -310,6 +310,6 @@ def test_preferences_rank_the_winner_first_with_intervals(tmp_path: Path) -> Non
 
 
 def test_the_report_in_the_pages_is_of_the_present_example() -> None:
-    root = Path(__file__).parents[3]
+    root = Path(__file__).parents[2]
     sha256 = read_study(root / "examples/studies/textures_short.toml").sha256
     assert sha256[:16] in (root / "docs/benchmarks/results/rehearsal_report.html").read_text(encoding="utf-8")

@@ -15,7 +15,7 @@ from click.testing import CliRunner
 from tests.study.stub_run import chromium
 from vibrocast.host.cli.command_line import main
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[2]
 STUDY = ROOT / "examples" / "studies" / "textures_short.toml"
 
 

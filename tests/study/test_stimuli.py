@@ -16,7 +16,7 @@ from vibrocast.study.stimuli import skin_level_db
 from vibrocast.study.study_file import METHODS, Study, read_study
 from vibrocast.study.trials import Stimulus, StudyError
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "examples" / "studies").glob("*.toml"))
 
 

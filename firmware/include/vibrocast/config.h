@@ -17,14 +17,11 @@
 #ifndef VC_WITH_EVA
 #define VC_WITH_EVA 1
 #endif
-#ifndef VC_WITH_LAPPED
-#define VC_WITH_LAPPED 1
-#endif
 #ifndef VC_WITH_PARAMETRIC
 #define VC_WITH_PARAMETRIC 1
 #endif
 
-#if !(VC_WITH_MDCT || VC_WITH_DCT || VC_WITH_SLP || VC_WITH_EVA || VC_WITH_LAPPED || VC_WITH_PARAMETRIC)
+#if !(VC_WITH_MDCT || VC_WITH_DCT || VC_WITH_SLP || VC_WITH_EVA || VC_WITH_PARAMETRIC)
 #error "set VC_WITH_MDCT or another VC_WITH_... to 1: there is no codec"
 #endif
 

@@ -31,14 +31,13 @@ extern "C" {
 /* Memory for the decoder of any stream that this build takes: `static int64_t memory[VC_DECODER_WORDS]`. The macros of
  * the codecs are upper bounds, which are checked when the decoders are compiled. */
 #define VC_DECODER_WORDS                                                                                               \
-    VC_LARGER(VC_LARGER(VC_WITH_EVA ? VC_EVA_WORDS : 0, VC_WITH_LAPPED ? VC_LAPPED_WORDS : 0),                         \
+    VC_LARGER(VC_WITH_EVA ? VC_EVA_WORDS : 0,                                                                          \
               VC_LARGER(VC_LARGER(VC_WITH_MDCT ? VC_MDCT_WORDS : 0, VC_WITH_DCT ? VC_DCT_WORDS : 0),                   \
                         VC_LARGER(VC_WITH_SLP ? VC_SLP_WORDS : 0, VC_WITH_PARAMETRIC ? VC_PARAMETRIC_WORDS : 0)))
 #define VC_MDCT_WORDS (1818 + 279 * VC_MAX_CHANNELS + 2 * VC_MAX_CHANNELS * VC_MAX_CHANNELS)
 #define VC_DCT_WORDS (2127 + 17 * VC_MAX_CHANNELS)
 #define VC_SLP_WORDS (101 + 174 * VC_MAX_CHANNELS)
 #define VC_EVA_WORDS (2148 + 737 * VC_MAX_CHANNELS)
-#define VC_LAPPED_WORDS (1819 + 407 * VC_MAX_CHANNELS + 2 * VC_MAX_CHANNELS * VC_MAX_CHANNELS)
 #define VC_PARAMETRIC_WORDS (76 + 189 * VC_MAX_CHANNELS)
 #define VC_LARGER(a, b) ((a) > (b) ? (a) : (b))
 

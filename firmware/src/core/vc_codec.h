@@ -69,11 +69,6 @@ typedef struct {
 #else
 #define VC_IF_EVA(CODEC)
 #endif
-#if VC_WITH_LAPPED
-#define VC_IF_LAPPED(CODEC) CODEC(lapped)
-#else
-#define VC_IF_LAPPED(CODEC)
-#endif
 #if VC_WITH_PARAMETRIC
 #define VC_IF_PARAMETRIC(CODEC) CODEC(parametric)
 #else
@@ -87,10 +82,9 @@ typedef struct {
     VC_IF_DCT(CODEC)                                                                                                   \
     VC_IF_SLP(CODEC)                                                                                                   \
     VC_IF_EVA(CODEC)                                                                                                   \
-    VC_IF_LAPPED(CODEC)                                                                                                \
     VC_IF_PARAMETRIC(CODEC)
 
-extern const vc_codec vc_mdct_codec, vc_dct_codec, vc_slp_codec, vc_eva_codec, vc_lapped_codec, vc_parametric_codec;
+extern const vc_codec vc_mdct_codec, vc_dct_codec, vc_slp_codec, vc_eva_codec, vc_parametric_codec;
 
 /* The codec of an identifier; NULL: this build does not have it. */
 const vc_codec *vc_codec_find(uint8_t identifier);

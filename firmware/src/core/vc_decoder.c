@@ -8,7 +8,7 @@
 #include "vc_sha256.h"
 #include "vc_stream_header.h"
 
-#define TAKES_MODELS (VC_WITH_MDCT || VC_WITH_EVA || VC_WITH_LAPPED)
+#define TAKES_MODELS (VC_WITH_MDCT || VC_WITH_EVA)
 #define FLAGS_AT 2
 #define CRC_BYTES 2
 #define VARINT_BYTES 9 /* of the 63 bits of VC_STREAM_VARINT_BITS */
@@ -267,13 +267,15 @@ const char *vc_status_text(int status)
     case VC_BAD_PACKET:
         return "a packet is damaged: copy the file again";
     case VC_PACKET_TOO_LARGE:
-        return "a coded packet does not fit its buffer: give a larger one, or encode with a shorter --packet-ms";
+        return "a coded packet does not fit its buffer: give a larger one, or encode with --live";
     case VC_HOST_ONLY:
         return "one transform of a whole texture, which only hosts decode: encode in blocks";
     case VC_BAD_HEADER:
         return "no .vct file of this version: encode the recording again";
     case VC_NO_CODEC:
         return "this build lacks the codec: compile it with VC_WITH_... or encode with another codec";
+    case VC_NO_VERIFIER:
+        return "the controller has a public key and nothing that verifies signatures: build it with --verifier";
     case VC_NEEDS_MODEL:
         return "the stream was coded for a model image: give that image";
     case VC_TOO_SMALL:

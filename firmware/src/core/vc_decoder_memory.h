@@ -8,7 +8,6 @@
 #include "vc_dct_model.h"
 #include "vc_eva_latents.h"
 #include "vc_eva_synthesis.h"
-#include "vc_lapped.h"
 #include "vc_mdct_rotation.h"
 #include "vc_parametric_frame.h"
 #include "vc_slp_frame.h"
@@ -41,12 +40,6 @@ struct vc_mdct_decoder {
     int synthesising;
     int concealing;
     vc_range_coder coder;
-};
-
-struct vc_lapped_decoder {
-    struct vc_mdct_decoder spectra;                  /* the first member: a pointer to it is one to all */
-    const uint8_t *window;                           /* of the stream's hop */
-    int32_t later[VC_MAX_CHANNELS][2 * VC_MAX_BINS]; /* values that follow the overlap of each channel */
 };
 
 /* Bits from the highest of each byte on; those past the end are 0. */
@@ -154,7 +147,6 @@ struct vc_eva_decoder {
 #define VC_FITS(decoder, words) (sizeof(struct decoder) <= (words) * sizeof(int64_t))
 typedef char vc_decoders_fit[VC_FITS(vc_mdct_decoder, VC_MDCT_WORDS) && VC_FITS(vc_dct_decoder, VC_DCT_WORDS) &&
                                      VC_FITS(vc_slp_decoder, VC_SLP_WORDS) && VC_FITS(vc_eva_decoder, VC_EVA_WORDS) &&
-                                     VC_FITS(vc_lapped_decoder, VC_LAPPED_WORDS) &&
                                      VC_FITS(vc_parametric_decoder, VC_PARAMETRIC_WORDS)
                                  ? 1
                                  : -1];

@@ -1,6 +1,6 @@
 /* Decoder of `mdct`: packets to levels, levels to coefficients, fades where packets miss. */
-#include "vc_mdct_decoder.h"
 #include "vc_codec.h"
+#include "vc_decoder_memory.h"
 #include "vc_mdct_synthesis.h"
 
 #define FADE_BLOCKS 8u /* longest time that concealment sounds */
@@ -129,7 +129,8 @@ uint32_t vc_mdct_decoder_delay_samples(const vc_mdct_decoder *decoder)
     return decoder->configuration.hop + decoder->configuration.longest_delay;
 }
 
-uint32_t vc_spectra_cycles(const vc_mdct_configuration *configuration)
+/* Cycles for a sample of all channels, as vc_coding has them. */
+static uint32_t cycles(const vc_mdct_configuration *configuration)
 {
     const uint32_t channels = configuration->channels;
     const uint32_t rotation = configuration->rotation ? ROTATION_CYCLES + MIXING_CYCLES * channels : 0;
@@ -153,7 +154,7 @@ static void decode_block(vc_mdct_decoder *decoder, vc_range_coder *coder, unsign
     }
 }
 
-int vc_spectra_feed(vc_mdct_decoder *decoder, const uint8_t *packet, size_t length)
+int vc_mdct_feed(vc_mdct_decoder *decoder, const uint8_t *packet, size_t length)
 {
     const vc_mdct_configuration *configuration = &decoder->configuration;
     uint32_t sequence;
@@ -195,7 +196,14 @@ static void conceal_block(vc_mdct_decoder *decoder, unsigned channel)
                                    : 0;
 }
 
-uint32_t vc_spectra_poll(vc_mdct_decoder *decoder, vc_synthesis synthesise, int16_t *samples)
+/* Turns a spectrum of a channel into its next hop samples, as many values apart as the stream has channels. */
+static void synthesise(vc_mdct_decoder *decoder, unsigned channel, const int32_t *spectrum, int16_t *samples)
+{
+    vc_mdct_synthesise(spectrum, decoder->channels[channel].overlap, decoder->configuration.hop, samples,
+                       decoder->configuration.channels);
+}
+
+uint32_t vc_mdct_poll(vc_mdct_decoder *decoder, int16_t *samples)
 {
     const unsigned channels = decoder->configuration.channels, channel = decoder->channel;
     const uint32_t hop = decoder->configuration.hop;
@@ -225,22 +233,6 @@ uint32_t vc_spectra_poll(vc_mdct_decoder *decoder, vc_synthesis synthesise, int1
     return decoder->block * hop;
 }
 
-static void synthesise(vc_mdct_decoder *decoder, unsigned channel, const int32_t *spectrum, int16_t *samples)
-{
-    vc_mdct_synthesise(spectrum, decoder->channels[channel].overlap, decoder->configuration.hop, samples,
-                       decoder->configuration.channels);
-}
-
-int vc_mdct_feed(vc_mdct_decoder *decoder, const uint8_t *packet, size_t length)
-{
-    return vc_spectra_feed(decoder, packet, length);
-}
-
-uint32_t vc_mdct_poll(vc_mdct_decoder *decoder, int16_t *samples)
-{
-    return vc_spectra_poll(decoder, synthesise, samples);
-}
-
 int vc_mdct_decode(vc_mdct_decoder *decoder, const uint8_t *packet, size_t length, int16_t *samples)
 {
     return vc_codec_decode(&vc_mdct_codec, decoder, vc_mdct_decoder_packet_samples(decoder), packet, length, samples);
@@ -260,7 +252,7 @@ static int check(vc_coding *coding)
     if (status == VC_OK) {
         coding->packet_samples = read.packet_blocks * read.hop;
         coding->delay_samples = read.hop + read.longest_delay;
-        coding->cycles_per_sample = vc_spectra_cycles(&read);
+        coding->cycles_per_sample = cycles(&read);
     }
     return status;
 }

@@ -109,34 +109,3 @@ void vc_mdct_synthesise(const int32_t *spectrum, int32_t *overlap, uint32_t hop,
         overlap[mirror] = weighted(second, rising, shift);
     }
 }
-
-/* Value i of a window, in 1/2^24. */
-static int32_t learned(const uint8_t *window, uint32_t i)
-{
-    return (int16_t)(window[2 * i] | window[2 * i + 1] << 8) * (1 << 9);
-}
-
-/* After its 2 N values the transform's output repeats with the opposite sign, and the window's second half mirrors its
- * first. */
-void vc_lapped_synthesise(const uint8_t *window, const int32_t *spectrum, int32_t *overlap, int32_t *later,
-                          uint32_t hop, int16_t *samples, unsigned stride)
-{
-    int32_t v[VC_MAX_BINS];
-    const unsigned shift = vc_cosine_transform(spectrum, hop, v);
-    uint32_t n;
-    for (n = 0; n < hop / 2; n++) {
-        const uint32_t mirror = hop - 1 - n;
-        const int32_t a = learned(window, n), b = learned(window, mirror);
-        const int32_t c = learned(window, hop + n), d = learned(window, hop + mirror);
-        const int32_t first = weighted(v[hop / 2 + n], vc_norm(hop), shift);
-        const int32_t second = -weighted(v[hop / 2 - 1 - n], vc_norm(hop), shift);
-        samples[n * stride] = vc_rounded_sample((int64_t)overlap[n] + vc_weighted(first, a));
-        samples[mirror * stride] = vc_rounded_sample((int64_t)overlap[mirror] - vc_weighted(first, b));
-        overlap[n] = vc_limited((int64_t)later[n] + vc_weighted(second, c));
-        overlap[mirror] = vc_limited((int64_t)later[mirror] + vc_weighted(second, d));
-        later[n] = vc_limited((int64_t)later[hop + n] - vc_weighted(first, d));
-        later[mirror] = vc_limited((int64_t)later[hop + mirror] + vc_weighted(first, c));
-        later[hop + n] = -vc_weighted(second, b);
-        later[hop + mirror] = -vc_weighted(second, a);
-    }
-}

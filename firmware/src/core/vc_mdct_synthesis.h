@@ -32,11 +32,4 @@ static inline int32_t vc_window(uint32_t hop, uint32_t n)
  */
 void vc_mdct_synthesise(const int32_t *spectrum, int32_t *overlap, uint32_t hop, int16_t *samples, unsigned stride);
 
-/* The same by the extended lapped transform of overlap 4 (Malvar, "Extended lapped transforms: properties,
- * applications, and fast algorithms", 1992). The transform's output goes on periodically.
- * `window`: the first 2 N of 4 N values, int16 in 1/2^15, little-endian; the others mirror them. `overlap`, `later`:
- * hop and 2 hop values, as above. */
-void vc_lapped_synthesise(const uint8_t *window, const int32_t *spectrum, int32_t *overlap, int32_t *later,
-                          uint32_t hop, int16_t *samples, unsigned stride);
-
 #endif

@@ -1,33 +1,34 @@
-"""Decoders on emulated Cortex-M processors: the host's integers, kernels alike, ARM's cycles; and the page."""
+"""Decoders on emulated processors: the host's integers, kernels alike, ARM's cycles, and the costs that are stated."""
 
-import csv
-import sys
 from importlib.util import find_spec
+from itertools import product
 from pathlib import Path
 
 import capstone
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from studies import emulated_core, firmware
-from studies.emulated_core import CORES, EmulatedCore, compile_core
+from studies import emulated_core, firmware, small_parts, worst_case
+from studies.emulated_core import CORES, Core, EmulatedCore, compile_core
+from studies.small_parts import PROCESSORS, Cost
+from studies.worst_case import Turn
 from tests.codec.eva_models import random_image, with_extreme_weights
-from vibrocast import codec, models, pages
+from tests.firmware.boards import coded as small_coded
+from vibrocast import codec
 from vibrocast.codec import CodedSignal, eva
 from vibrocast.device_protocol.coded_stream import unpack_file
 from vibrocast.device_protocol.model_image import ModelImage
-from vibrocast.extras import MissingExtraError
+from vibrocast.evaluation import points
 from vibrocast.harness.boards.cycles import block_cycles
 
 pytestmark = pytest.mark.skipif(find_spec("ziglang") is None, reason="no compiler for microcontrollers")
 
 STREAMS = Path(__file__).parents[1] / "codec"
-SHIPPED = firmware.TABLES / "firmware_loads.csv"
-PAGE = Path(__file__).parents[2] / "docs" / "benchmarks" / "firmware.md"
+RESULTS = Path(__file__).parents[2] / "docs" / "benchmarks" / "results"
+PROMPT_MS = 30.0
 M4F = CORES["M4F"]
 LIMITS_PERCENT = {"mdct": 3.0, "eva-16": 3.0, "eva-128": 75.0}
 """Wanted: less than this load of a Cortex-M4F."""
@@ -37,7 +38,7 @@ BUILDS = [
 ]
 FUNCTIONS = [
     f"vc_{name}_{function}"
-    for name in ("mdct", "dct", "slp", "parametric", "eva", "lapped")
+    for name in ("mdct", "dct", "slp", "parametric", "eva")
     for function in ("decoder_size", "decoder_init", "decoder_packet_samples", "decode")
 ]
 KERNELS = ["vc_dot_products", *(f"vc_eva_{name}" for name in ("products", "squares", "normalise", "scale"))]
@@ -75,14 +76,12 @@ def golden(name: str) -> CodedSignal:
 
 
 def image(name: str) -> bytes:
-    if name == "lapped":
-        return models.find("lapped-textures").tables
     return ModelImage.unpack((STREAMS / f"golden_{name.removesuffix('_steered')}.vcmi").read_bytes()).payload
 
 
 @pytest.mark.parametrize("build", BUILDS, ids=str)
 @pytest.mark.parametrize(
-    "name", ["mdct", "dct_huffman", "dct_range", "slp", "parametric", "lapped", "eva_adaptive", "eva_static_steered"]
+    "name", ["mdct", "dct_huffman", "dct_range", "slp", "parametric", "eva_adaptive", "eva_static_steered"]
 )
 def test_golden_streams_decode_to_the_hosts_samples(name: str, build: tuple[str, int], programs: Programs) -> None:
     coded = golden(name)
@@ -222,46 +221,15 @@ def test_cycles_are_those_of_the_reference_manual(instructions: str, cycles: int
 
 def test_the_shipped_figures_are_what_is_counted(programs: Programs) -> None:
     """To a twentieth, as compilers differ; and the loads that are wanted are met by instructions."""
-    with SHIPPED.open(newline="", encoding="utf-8") as file:
-        rows = [row for row in csv.DictReader(file) if row["core"] == "M4F" and row["kernels"] == "DSP instructions"]
+    loads = points.read_rows(firmware._LOADS, firmware.Load)
+    rows = [row for row in loads if (row.core, row.kernels) == ("M4F", "DSP instructions")]
     stream, _ = firmware.coded("mdct", "rough", firmware.SECONDS)
     run = emulated_core.decode(programs["M4F", 0], M4F, stream)
-    shipped = next(row for row in rows if (row["decoder"], row["texture"]) == ("mdct", "rough"))
-    assert float(shipped["instructions"]) == pytest.approx(run.instructions, rel=0.05), "run studies.firmware"
+    shipped = next(row for row in rows if (row.decoder, row.texture) == ("mdct", "rough"))
+    assert shipped.instructions == pytest.approx(run.instructions, rel=0.05), "run studies.firmware"
     for decoder, percent in LIMITS_PERCENT.items():
-        counts = [float(row["instructions"]) for row in rows if row["decoder"] == decoder]
+        counts = [row.instructions for row in rows if row.decoder == decoder]
         assert 100 * max(counts) * firmware.RATE_HZ / M4F.clock_hz < percent
-
-
-@pytest.mark.slow
-def test_the_page_says_what_was_measured(tmp_path: Path) -> None:
-    loads = list(firmware.measure_loads(tmp_path, ["mdct"], ["wood", "rough"], 0.1))
-    sizes = list(firmware.measure_sizes(tmp_path, ["mdct"]))
-    controller = [firmware.ControllerLoad("m/s^2", 2800, 1, 128, "cortex-m4", 6_000_000, 2_400_000, 50_000, 40_000)]
-    firmware.write_page(tmp_path, loads, sizes, controller, tmp_path)
-    page = (tmp_path / "firmware.md").read_text()
-    dsp = [load for load in loads if (load.core, load.kernels) == ("M4F", "DSP instructions")]
-    mean = np.mean([load.instructions for load in dsp])
-    assert len(dsp) == 2 and f"| {mean:.0f} | {100 * mean * 2800 / 168e6:.2f} % |" in page
-    assert f"| {sizes[0].code_bytes:,} |" in page and "| 3.57 % |" in page
-    assert all(load.cycles is None or load.cycles > load.instructions for load in loads)
-    assert sizes[0].state_1_bytes < sizes[0].state_2_bytes < sizes[0].state_4_bytes
-    assert (tmp_path / "firmware_loads.csv").read_text().count("\n") == 1 + len(loads)
-
-
-def test_the_shipped_page_is_rendered_from_the_shipped_tables(tmp_path: Path) -> None:
-    done = CliRunner().invoke(firmware.main, ["--out", str(tmp_path), "--from-tables"])
-    assert done.exit_code == 0, done.output
-    shipped, _, _ = PAGE.read_text().partition(f"\n{pages.FIGURES}")
-    assert shipped == (tmp_path / "firmware.md").read_text(), "run `python -m studies.firmware --from-tables`"
-
-
-def test_the_command_says_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "ziglang", None)
-    done = CliRunner().invoke(firmware.main, ["--out", str(tmp_path)])
-    assert done.exit_code == 1 and "needs ziglang; install the extra [firmware]: " in done.output
-    with pytest.raises(MissingExtraError, match="ziglang"):
-        compile_core(tmp_path / "core.elf", M4F, FUNCTIONS)
 
 
 def test_what_a_decoder_rejects_is_an_error(programs: Programs) -> None:
@@ -271,3 +239,65 @@ def test_what_a_decoder_rejects_is_an_error(programs: Programs) -> None:
     headless = CodedSignal("mdct", 2800, 32, (1.0,), golden("mdct").configuration[:1] + b"\0\0", (b"",))
     with pytest.raises(ValueError, match="does not take a packet"):
         emulated_core.decode(programs["M4F", 0], M4F, headless)
+
+
+@pytest.mark.slow
+def test_loads_and_sizes_are_measured_of_any_decoder(tmp_path: Path) -> None:
+    loads = list(firmware.measure_loads(tmp_path, ["mdct"], ["wood"], 0.1))
+    (portable, dsp) = firmware.measure_sizes(tmp_path, ["mdct"])
+    assert {(load.core, load.kernels) for load in loads} == set(product(CORES, ("DSP instructions", "portable C")))
+    assert all(load.cycles is None or load.cycles > load.instructions for load in loads)
+    for size in (portable, dsp):
+        assert size.state_1_bytes < size.state_2_bytes < size.state_4_bytes
+
+
+@pytest.fixture(scope="module")
+def hostile(tmp_path_factory: pytest.TempPathFactory) -> EmulatedCore:
+    return worst_case.emulated(tmp_path_factory.mktemp("worst_case"))
+
+
+@pytest.mark.parametrize(
+    ("decoder", "block"), [("mdct", "128"), ("dct", "1024"), ("slp", "32"), ("parametric", "16"), ("eva-16", "")]
+)
+def test_noise_costs_no_more_than_the_firmware_states(decoder: str, block: str, hostile: EmulatedCore) -> None:
+    noise_cycles, stated_cycles = worst_case.noise(hostile, decoder, block, channels=1)
+    assert noise_cycles < stated_cycles < 1.2 * noise_cycles
+
+
+@pytest.mark.slow
+def test_a_board_stops_at_once_whatever_it_decodes(hostile: EmulatedCore) -> None:
+    _, stream = worst_case.measure(hostile, "dct", "1024", 2, tries=2)
+    turn = worst_case.on_board(stream, "dct", 12_000, stops=2)
+    assert turn.turn_ms is not None and 5 < turn.turn_ms < PROMPT_MS
+    assert turn.stop_ms is not None and 0 < turn.stop_ms < PROMPT_MS
+
+
+@pytest.mark.slow
+def test_a_board_rejects_a_stream_that_it_cannot_decode_in_time(hostile: EmulatedCore) -> None:
+    _, stream = worst_case.measure(hostile, "slp", "128", 2, tries=0)
+    assert worst_case.on_board(stream, "slp", 12_000, stops=1) == Turn("slp", 2, 12_000)
+
+
+def test_the_table_of_turns_has_none_that_is_late() -> None:
+    turns = points.read_rows(RESULTS / worst_case.TURNS, Turn)
+    assert all((turn.stop_ms or 0.0) < PROMPT_MS and (turn.turn_ms or 0.0) < PROMPT_MS for turn in turns)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("processor", PROCESSORS, ids=lambda processor: processor.title)
+def test_each_processor_decodes_to_the_same_bits_in_the_memory_that_is_stated(tmp_path: Path, processor: Core) -> None:
+    stream = small_coded("slp")
+    core = EmulatedCore(small_parts.compile_decoder(tmp_path / "slp.elf", processor, "slp"), processor)
+    ram, per_sample = small_parts.run(core, processor, bytes(stream), None)
+    rows = points.read_rows(RESULTS / small_parts.TABLE, Cost)
+    assert {(row.processor, row.decoder) for row in rows} >= set(
+        product((each.title for each in PROCESSORS), small_parts.DECODERS)
+    )
+    (row,) = (row for row in rows if (row.processor, row.decoder) == (processor.title, "slp"))
+    assert row.ram == ram
+    assert row.flash == pytest.approx(core.flash_bytes, 0.02)
+    assert row.per_sample is not None and per_sample < row.per_sample
+    assert core.stack_bytes <= max(row.stack for row in rows) <= 4096  # as vibrocast/decoder.h says
+    last = stream.decode_integers()[-stream.decoder().packet_samples :]
+    samples = np.frombuffer(core.read(small_parts._SAMPLES, 2 * last.size), "<i2")
+    np.testing.assert_array_equal(samples, last.ravel())

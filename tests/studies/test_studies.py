@@ -1,0 +1,241 @@
+"""Every study, at its smallest: it writes its page, its tables and its charts, and stored pages show stored tables."""
+
+import ast
+import importlib
+import json
+import math
+import runpy
+import shutil
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+from tests import lint
+from tests.study.stub_run import chromium
+from vibrocast import codec, models, pages, textures
+from vibrocast.codec import eva
+from vibrocast.evaluation import cost, points
+from vibrocast.harness import MinLatency
+from vibrocast.simulated_device.serial_port import has_pseudo_terminals
+
+ROOT = Path(__file__).parents[2]
+BENCHMARKS = ROOT / "docs" / "benchmarks"
+EVA_MODELS = [model for model in models.shipped() if model.codec_identifier == eva.IDENTIFIER]
+needs_compiler = pytest.mark.skipif(find_spec("ziglang") is None, reason="no compiler for microcontrollers")
+needs_terminals = pytest.mark.skipif(not has_pseudo_terminals(), reason="no pseudo-terminals")
+
+
+def is_run(path: Path) -> bool:
+    """Return whether a file has a part that runs only as a program."""
+    return any(
+        isinstance(node, ast.If) and ast.unparse(node.test) == "__name__ == '__main__'"
+        for node in ast.parse(path.read_text(encoding="utf-8")).body
+    )
+
+
+PROGRAMS = [path for path in lint.tracked("*.py", ":!tests") if is_run(ROOT / path)]
+
+
+def test_programs_are_found() -> None:
+    assert {"studies/speed.py", "hatch_build.py"} <= set(PROGRAMS)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", PROGRAMS)
+def test_help_is_all_that_a_program_does(
+    path: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def write(*_arguments: object, **_options: object) -> None:
+        raise AssertionError("a file is written")
+
+    monkeypatch.setattr(Path, "write_text", write)
+    monkeypatch.setattr(Path, "write_bytes", write)
+    monkeypatch.setattr(sys, "argv", [path, "--help"])
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_path(str(ROOT / path), run_name="__main__")
+    assert ended.value.code == 0
+    assert capsys.readouterr().out.lower().startswith("usage: ")
+
+
+@dataclass(frozen=True)
+class Case:
+    """A study at its smallest: arguments, where "FOLDER" is one of recordings, and smaller constants of its module.
+
+    `page`: its name, if it is another than the module's. `tables`: the rows that each must have. `charts`: in results.
+    """
+
+    module: str
+    tables: Mapping[str, int] = field(default_factory=dict)
+    arguments: Sequence[str] = ()
+    constants: Mapping[str, Any] = field(default_factory=dict)
+    page: str = ""
+    charts: Sequence[str] = ()
+
+
+CASES = (
+    Case("speed", {"speed": 9}, ("--samples", "20000", "--repeats", "1")),
+    Case(
+        "rate_control",
+        {"rate_control_refreshes": 4},
+        ("FOLDER",),
+        {"RATES_BPS": (1000, 8000), "MAIN_RATES_BPS": (8000,), "REFRESHES_S": (0.25, math.inf)},
+        charts=("rate_control_codecs.png", "rate_control_buffers.png"),
+    ),
+    Case(
+        "integer_networks",
+        {"integer_networks": 2},
+        ("FOLDER",),
+        {"models": SimpleNamespace(shipped=lambda: EVA_MODELS[:2])},
+        charts=("integer_networks.png",),
+    ),
+    Case(
+        "texture_paper",
+        {"texture_paper": 3 * (3 * 7 + 9), "texture_paper_spectra": 3 * 160, "texture_paper_recordings": 18},
+        ("--recordings", "FOLDER"),
+        {"LEVELS": (14, 12, 10, 8, 6, 5, 4)},
+        charts=("texture_paper.png", "texture_paper_spectra.png"),
+    ),
+    Case(
+        "okamoto_study",
+        {"simulated_study": 51, "simulated_study_sensitivity": 6 * 3},
+        ("--studies", "2"),
+        {"PARTICIPANTS": 6, "INTEGRATIONS_S": (0.01,)},
+        "simulated_study",
+        ("simulated_study.svg", "simulated_study_sensitivity.svg"),
+    ),
+    Case("planning", {"planning": 6}, ("FOLDER",), page="planning_results"),
+    pytest.param(
+        Case(
+            "latency",
+            {"latency": 10 + 6},
+            ("--device", "sim"),
+            {"RUNS": 1, "find_min_latency": lambda *_: MinLatency(None, ())},
+        ),
+        marks=needs_terminals,
+    ),
+    pytest.param(
+        Case(
+            "many_controllers",
+            {"many_controllers": 1, "many_live_streams": 2},
+            ("--controllers", "1", "--seconds", "0.3"),
+            {"LIVE_STREAMS": (1, 2)},
+        ),
+        marks=needs_terminals,
+    ),
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.module)
+def test_a_study_writes_its_page_tables_and_charts(case: Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    study = importlib.import_module(f"studies.{case.module}")
+    for name, value in case.constants.items():
+        monkeypatch.setattr(study, name, value)
+    folder, results = tmp_path / "recordings", tmp_path / "out" / "results"
+    folder.mkdir()
+    textures.save(folder / "rough.wav", textures.GENERATORS["rough"](seconds=1.0, rate_hz=2800))
+    arguments = [str(folder) if each == "FOLDER" else each for each in case.arguments]
+    done = CliRunner().invoke(study.main, [*arguments, "--out", str(results.parent)])
+    assert done.exit_code == 0, done.output
+    page = (results.parent / f"{case.page or case.module}.md").read_text()
+    assert f"python -m studies.{case.module}" in page
+    assert page.splitlines()[-1].startswith(pages.FIGURES)
+    for table, rows in case.tables.items():
+        assert len((results / f"{table}.csv").read_text().splitlines()) == 1 + rows, table
+    for chart in case.charts:
+        assert (results / chart).stat().st_size > 1000
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", ["firmware", "worst_case"])
+def test_a_stored_page_shows_its_stored_tables(name: str, tmp_path: Path) -> None:
+    shutil.copytree(BENCHMARKS / "results", tmp_path / "results")
+    main = importlib.import_module(f"studies.{name}").main
+    done = CliRunner().invoke(main, ["--out", str(tmp_path), "--from-tables"])
+    assert done.exit_code == 0, done.output
+    stored, _, _ = (BENCHMARKS / f"{name}.md").read_text().partition(f"\n{pages.FIGURES}")
+    assert stored == (tmp_path / f"{name}.md").read_text(), f"run `python -m studies.{name} --from-tables`"
+
+
+def test_the_stored_tables_keep_what_their_pages_promise() -> None:
+    """An alarm for each fault and none without one; decoders on every processor; int8 weights; a prompt board."""
+    from studies import faulty_bench, injected_faults, integer_networks
+
+    def stored(name: str, kind: type[points.Row]) -> list[points.Row]:
+        return points.read_rows(BENCHMARKS / "results" / name, kind)
+
+    noticed = stored(injected_faults.TABLE, injected_faults.Noticed)
+    assert [(row.place, row.fault) for row in noticed] == [(each.place, each.fault) for each in faulty_bench.FAULTS]
+    assert all(row.alarm != "none" for row in noticed)
+    clean = stored(injected_faults.CLEAN_TABLE, injected_faults.Clean)
+    page, _, _ = (BENCHMARKS / "injected_faults.md").read_text().partition(f"\n{pages.FIGURES}")
+    assert page == injected_faults.rendered(noticed, clean)
+    losses = integer_networks.losses_of(stored(f"{integer_networks.STEM}.csv", integer_networks.Row))
+    assert {loss.model for loss in losses} >= {model.name for model in EVA_MODELS}
+    limits = integer_networks.LIMIT_TO_SNR_DB, integer_networks.LIMIT_DB
+    assert all(loss.snr_db > limits[0] or loss.mean_db <= limits[1] for loss in losses)
+
+
+@pytest.mark.slow
+@needs_terminals
+def test_faults_of_actuator_and_sensor_are_noticed(tmp_path: Path) -> None:
+    """A busy machine makes those of wire, host and device look like others; the stored table has them."""
+    from studies import faulty_bench, injected_faults
+
+    chosen = {each.place: each for each in faulty_bench.FAULTS if each.place in injected_faults.SENSED}
+    noticed = list(injected_faults.notice(list(chosen.values()), tmp_path))
+    assert [each.place for each in noticed] == list(chosen)
+    assert all(each.alarm != "none" and each.reason for each in noticed)
+
+
+@pytest.mark.slow
+@needs_compiler
+def test_the_shipped_sizes_are_those_that_the_core_compiles_to(tmp_path: Path) -> None:
+    """To a twentieth, as compilers differ."""
+    from studies import decoder_sizes
+
+    done = CliRunner().invoke(decoder_sizes.main, ["--out", str(tmp_path / "sizes.json")])
+    assert done.exit_code == 0, done.output
+    counted = json.loads((tmp_path / "sizes.json").read_text())
+    shipped = json.loads(cost.DECODER_SIZES.read_text(encoding="utf-8"))
+    assert list(counted) == list(codec.CODECS)
+    in_core = [name for name, size in counted.items() if size["note"].startswith("for Cortex-M4")]
+    assert {"mdct", "slp", "dct", "eva", "parametric"} <= set(in_core)
+    for name in in_core:
+        assert shipped[name]["bytes"] == pytest.approx(counted[name]["bytes"], rel=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(chromium() is None, reason="needs Chromium: Debian's package chromium")
+def test_the_screenshots_are_taken_again(tmp_path: Path) -> None:
+    from studies import study_screenshots
+
+    done = CliRunner().invoke(study_screenshots.main, ["--out", str(tmp_path)])
+    assert done.exit_code == 0, done.output
+    assert {path.stem for path in tmp_path.iterdir()} == set(study_screenshots.SCREENSHOTS)
+    assert all(path.read_bytes().startswith(b"\x89PNG\r\n\x1a\n") for path in tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "exit_code", "problem"),
+    [
+        (("--out", "OUT", "--profiles", "BAD"), 1, "bad.csv"),
+        (("--out", "BAD/bad.csv/out"), 1, "Not a directory"),
+    ],
+)
+def test_errors_are_one_line(arguments: Sequence[str], exit_code: int, problem: str, tmp_path: Path) -> None:
+    from studies import texture_paper
+
+    (tmp_path / "BAD").mkdir()
+    (tmp_path / "BAD" / "bad.csv").write_text("nothing\n")
+    paths = [str(tmp_path / each) if each.isupper() or "/" in each else each for each in arguments]
+    done = CliRunner().invoke(texture_paper.main, paths)
+    assert (done.exit_code, problem in done.output) == (exit_code, True)
+    assert isinstance(done.exception, SystemExit)
