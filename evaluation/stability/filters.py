@@ -5,7 +5,6 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from vibrocast.codec import linear_prediction
 from vibrocast.evaluation.cells import BenchError
 from vibrocast.evaluation.stability.maps import Group, Map, Place, Rule, Scope, figure, with_methods
 from vibrocast.evaluation.stability.signals import RATE_HZ, Signal
@@ -38,7 +37,7 @@ def pole_radii(predictors: Signal) -> Signal:
 def _through_reflections(predictors: Signal, bits: int) -> Signal:
     """Quantise reflection coefficients, as `slp` does with 5 bits."""
     largest = 2 ** (bits - 1) - 1
-    codes = linear_prediction.reflection_codes(linear_prediction.reflections_of(predictors)[0], largest)
+    codes = reflection_codes(reflections_of(predictors)[0], largest)
     return predictors_of(np.sin(codes * np.pi / (2 * (largest + 1))))
 
 
@@ -102,8 +101,8 @@ def predictors(order: int) -> Signal:
     for make in (wood, grating, stick_slip):
         samples = make(0, SECONDS, 50.0, RATE_HZ).samples[:, 0]
         samples = samples / np.abs(samples).max()
-        found = linear_prediction.sparse_predictors(samples, WINDOW_SAMPLES, HOP_SAMPLES, order)
-        fitted.append(linear_prediction.stabilised(found))
+        found = sparse_predictors(samples, WINDOW_SAMPLES, HOP_SAMPLES, order)
+        fitted.append(stabilised(found))
     return predictors_of(np.concatenate(fitted))
 
 
@@ -117,14 +116,11 @@ def measure(form: str, order: int, bits: int) -> Measured:
 
 
 def _trials(scope: Scope) -> list[Trial]:
-    if not scope.has(CODEC):
-        return []
-    step = 4 if scope.quick else 1
     return [
-        Trial(FILTERS.name, form, f"order {order}", "", float(bits), partial(measure, form, order, bits))
-        for form in QUANTISERS
-        for order in ORDERS[::step]
-        for bits in BITS[::step]
+        Trial(form, f"order {order}", partial(measure, form, order, bits), value=float(bits))
+        for form in (QUANTISERS if scope.has(CODEC) else ())
+        for order in scope.some(ORDERS, 4)
+        for bits in scope.some(BITS, 4)
     ]
 
 
@@ -134,7 +130,7 @@ FILTERS = Map(
     title="Quantised filters",
     tried=f"Predictors of generated textures, fitted as `{CODEC}` does, are quantised in three forms.",
     rule=Rule("filters with a pole on or outside the unit circle", "none", f"more than {100 * FEW:g} %"),
-    trials=_trials,
+    conditions=_trials,
     message=lambda cells: f"Quantised filters stay stable {with_methods(cells, 'form')}",
     place=lambda cell: Place(f"{cell.method}, {cell.case}", cell.value or 0.0),
     caption="bits for each coefficient; unstable filters in %",
