@@ -47,6 +47,7 @@ from vibrocast.device_protocol.messages import (
     Tap,
 )
 from vibrocast.device_protocol.model_image import ModelImage, sha256, with_signature
+from vibrocast.export import mdct_tables
 
 FOLDER = Path(__file__).parents[1] / "codec"
 IMAGE = ModelImage(4, "oak", "1.0", "board", random_image(1, 2, 2).pack()).pack()
@@ -87,7 +88,7 @@ def stream(configuration: bytes, packets: Sequence[bytes], models: Sequence[byte
 
 def decoded(golden: Sequence[Golden]) -> Iterator[tuple[str, bytes]]:
     """Yield the targets of codecs, each with inputs: its golden streams, other tables and windows, hostile models."""
-    changes = bytes(map(operator.xor, mdct.built_in_tables(), mdct.untrained_tables()))
+    changes = bytes(map(operator.xor, mdct.built_in_tables(), mdct_tables.untrained_tables()))
     for name, header, packets, image in golden:
         payload = ModelImage.unpack(image).payload if image else b""
         ways = {
