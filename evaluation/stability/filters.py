@@ -5,6 +5,7 @@ from functools import lru_cache, partial
 
 import numpy as np
 
+from vibrocast.codec import linear_prediction
 from vibrocast.evaluation.cells import BenchError
 from vibrocast.evaluation.stability.maps import Group, Map, Place, Rule, Scope, figure, with_methods
 from vibrocast.evaluation.stability.signals import RATE_HZ, Signal
