@@ -38,6 +38,12 @@ class RatePoint:
         """The packed model image, None without a model."""
         return self.model.image if self.model else None
 
+    @property
+    def trained(self) -> Model:
+        """The model, at a rate point of a learned method."""
+        assert self.model is not None, "a learned method has models"
+        return self.model
+
     def _key(self) -> tuple[str, str, str]:
         return self.codec, self.text, trained.digest(self.model) if self.model else ""
 

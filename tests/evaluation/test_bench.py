@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vibrocast import codec, textures, workers
+from tests.evaluation.conftest import here
+from vibrocast import codec, workers
 from vibrocast.codec import CodecError, metrics
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.evaluation import bench, cells
@@ -22,7 +23,6 @@ from vibrocast.evaluation.peers import measured_codecs
 from vibrocast.evaluation.points import Failure, Point, Timing, read_rows
 from vibrocast.textures import Recording
 from vibrocast.textures.dataset import DatasetEntry, entries, load
-from vibrocast.textures.generate import rough, wood
 
 METHODS = [Method("mdct", ({"step": 1.0}, {"step": 0.25}), "mdct"), Method("flac", ({},), "flac")]
 Results = list[Measured | Failure]
@@ -33,14 +33,6 @@ class Deadly(Recording):
 
     def __reduce__(self) -> Any:
         return os._exit, (1,)
-
-
-def here(tasks: Iterator[bench.Task]) -> bench.Outcomes:
-    for key, work in tasks:
-        try:
-            yield key, work()
-        except Exception as error:
-            yield key, error
 
 
 def cut_after(count: int, tasks: Iterator[bench.Task]) -> bench.Outcomes:
@@ -72,14 +64,6 @@ def written(results: Path, measured: Results) -> dict[str, bytes]:
     failures = [each for each in measured if isinstance(each, Failure)]
     bench.write(results, Measurements(points, [], [], failures))
     return {name: (results / name).read_bytes() for name in ("points.csv", "failures.csv")}
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    (tmp_path / "recordings").mkdir()
-    textures.save(tmp_path / "recordings" / "rough.wav", rough(0, 0.3))
-    textures.save(tmp_path / "recordings" / "wood.wav", wood(1, 0.3))
-    return tmp_path / "recordings"
 
 
 @pytest.fixture
