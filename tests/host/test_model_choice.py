@@ -77,8 +77,6 @@ def test_without_a_target_the_middle_of_the_smallest_family() -> None:
     [
         (RateTarget(constant_rate_bps=2000), {"low-1", "low-2"}),
         (RateTarget(constant_rate_bps=9000), {"low-3"}),
-        (RateTarget(snr_db=3), {"low-1", "low-2"}),
-        (RateTarget(error_db=0), {"low-2"}),
     ],
 )
 def test_rate_controlled_streams_take_a_member_near_the_target(target: RateTarget, names: set[str]) -> None:
