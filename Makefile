@@ -4,8 +4,8 @@ PYTHON ?= python3
 BIN := .venv/bin
 CORE := $(wildcard firmware/include/vibrocast/*.h firmware/src/*/*.[ch] firmware/ports/python/*.[ch])
 SOURCES := pyproject.toml hatch_build.py $(CORE)
-# Generated files need no layout, and those of others keep theirs.
-C_SOURCES := $(filter-out firmware/src/monocypher/monocypher.h %_tables.c %/actuator_tables.h %/vc_messages.c %/vc_messages.h %/protocol.h,$(wildcard firmware/*/*.[ch] firmware/*/*/*.[ch] firmware/*/*/*/*.[ch])) $(wildcard tests/*/*.c)
+# Generated files need no layout.
+C_SOURCES := $(filter-out %_tables.c %/actuator_tables.h %/vc_messages.c %/vc_messages.h %/protocol.h,$(wildcard firmware/*/*.[ch] firmware/*/*/*.[ch] firmware/*/*/*/*.[ch])) $(wildcard tests/*/*.c)
 
 CHECKPOINTS ?= trained
 DATA ?= recordings
@@ -21,7 +21,7 @@ install: .venv/installed
 
 .venv/installed-for-tests: $(SOURCES)
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable '.[audio,bench,docs,firmware,study,test,train]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable '.[audio,bench,docs,firmware,keys,study,test,train]'
 	touch $@ .venv/installed
 
 play: install
@@ -59,7 +59,7 @@ lock:
 	set -e; \
 	head=$$(grep '^#' $(LOCK)); \
 	uv pip compile --quiet --universal --generate-hashes --no-emit-index-url --no-header --python-version 3.11 \
-	    --extra audio --extra bench --extra firmware --extra study --extra test --extra docs --output-file $(LOCK) pyproject.toml; \
+	    --extra audio --extra bench --extra firmware --extra keys --extra study --extra test --extra docs --output-file $(LOCK) pyproject.toml; \
 	printf '%s\n' "$$head" | cat - $(LOCK) > $(LOCK).new; \
 	mv $(LOCK).new $(LOCK)
 

@@ -20,7 +20,6 @@ from firmware.declarations import cffi_declarations  # noqa: E402
 FOLDERS = (
     "firmware/include/vibrocast",
     "firmware/src/core",
-    "firmware/src/monocypher",
     "firmware/src/controller",
     "firmware/ports/python",
 )

@@ -1,16 +1,14 @@
-"""Linear predictors for `slp`: sparse fits, reflection coefficients, and quantisers, stable and unstable.
+"""Linear predictors for `slp`: sparse fits, and reflection coefficients, stable and quantised.
 
 A predictor a (order) stands for x[n] ~ a[0] x[n-1] + a[1] x[n-2] + ...; its synthesis filter is 1 / A(z) with A(z) = 1
 - a[0] z^-1 - a[1] z^-2 - ...
 """
 
-from collections.abc import Callable, Mapping
-
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from vibrocast.codec.interface import CodecError, Signal
+from vibrocast.codec.interface import Signal
 
 MAX_REFLECTION_CODE = 15
 SPARSITY = 120.0
@@ -84,15 +82,6 @@ def reflections_of(predictors: Signal) -> tuple[Signal, NDArray[np.bool_]]:
     return reflections, unstable
 
 
-def predictors_of(reflections: Signal) -> Signal:
-    """Return the predictors of reflection coefficients (n, order): the step-up recursion, inverse of the step-down."""
-    errors = np.ones((len(reflections), 1))
-    for last in reflections.T:
-        longer = np.pad(errors, ((0, 0), (0, 1)))
-        errors = longer + last[:, None] * longer[:, ::-1]
-    return -errors[:, 1:]
-
-
 def stabilised(predictors: Signal) -> Signal:
     """Return the reflection coefficients of predictors (n, order), with poles outside the unit circle mirrored into it.
 
@@ -117,69 +106,3 @@ def reflection_codes(reflections: Signal, largest: int = MAX_REFLECTION_CODE) ->
     """
     codes = np.rint(np.arcsin(reflections) * 2 * (largest + 1) / np.pi)
     return np.clip(codes, -largest, largest).astype(np.int16)
-
-
-def pole_radii(predictors: Signal) -> Signal:
-    """Return the magnitude of the largest pole of each synthesis filter (n): stable below 1."""
-    filters = np.concatenate([np.ones((len(predictors), 1)), -predictors], axis=1)
-    return np.array([np.max(np.abs(np.roots(each)), initial=0.0) for each in filters])
-
-
-def _through_reflections(predictors: Signal, bits: int) -> Signal:
-    """Quantise reflection coefficients, as `slp` does with 5 bits."""
-    largest = 2 ** (bits - 1) - 1
-    codes = reflection_codes(reflections_of(predictors)[0], largest)
-    return predictors_of(np.sin(codes * np.pi / (2 * (largest + 1))))
-
-
-def _through_line_spectral_frequencies(predictors: Signal, bits: int) -> Signal:
-    """Quantise the frequencies in equal steps from 0 to pi, at least one step apart to keep their order.
-
-    Itakura, "Line spectrum representation of linear predictor coefficients of speech signals", 1975: the roots of A(z)
-    +- z^-(order + 1) A(1 / z) lie on the unit circle and alternate. While they do, the filter is stable.
-    """
-    order = predictors.shape[1]
-    steps = 2**bits
-    if steps < order:
-        raise CodecError(f"{bits} bits cannot keep {order} line spectral frequencies apart; give more bits")
-    fixed = ([1.0], [1.0, 0.0, -1.0]) if order % 2 else ([1.0, 1.0], [1.0, -1.0])  # roots at 1 and -1
-    rising = np.arange(order)
-    quantised = np.empty_like(predictors)
-    for index, predictor in enumerate(predictors):
-        errors = np.concatenate([[1.0], -predictor, [0.0]])
-        halves = [
-            np.roots(np.polydiv(errors + sign * errors[::-1], roots)[0])
-            for sign, roots in zip((1, -1), fixed, strict=True)
-        ]
-        frequencies = np.sort(np.concatenate([np.sort(np.abs(np.angle(half)))[::2] for half in halves]))
-        codes = np.floor(frequencies / np.pi * steps)
-        codes = np.minimum(np.maximum.accumulate(codes - rising), steps - order) + rising
-        turns = np.exp(1j * np.pi * (codes + 0.5) / steps)
-        symmetric, antisymmetric = (
-            np.convolve(np.real(np.poly(np.concatenate([half, np.conj(half)]))), roots)
-            for half, roots in zip((turns[::2], turns[1::2]), fixed, strict=True)
-        )
-        quantised[index] = -(symmetric + antisymmetric)[1:-1] / 2
-    return quantised
-
-
-def _direct_form(predictors: Signal, bits: int) -> Signal:
-    """Quantise in one fixed-point format, just wide enough for all. Filters may become unstable: only to compare."""
-    step = 2 * float(np.max(np.abs(predictors), initial=1e-9)) / (2**bits - 1)
-    return np.asarray(np.rint(predictors / step) * step, dtype=np.float64)
-
-
-QUANTISERS: Mapping[str, Callable[[Signal, int], Signal]] = {
-    "direct form": _direct_form,
-    "line spectral frequencies": _through_line_spectral_frequencies,
-    "reflection coefficients": _through_reflections,
-}
-
-
-def quantised_pole_radii(predictors: Signal, quantiser: str, bits: int) -> Signal:
-    """Return the magnitude of each predictor's largest pole (n,), after quantisation with `bits` a coefficient.
-
-    `predictors`: (n, order), stable. `quantiser`: one of QUANTISERS; `slp` uses reflection coefficients, because the
-    direct form may become unstable. Raises CodecError if the bits are too few for the order.
-    """
-    return pole_radii(QUANTISERS[quantiser](predictors, bits))

@@ -61,16 +61,6 @@ _SAME_COST = 1.001
 _LEAST_GAIN = 0.01
 """Part of the cost by which a rotation, and then its delays, must lower it: the gain at one step shrinks at others."""
 _NOISE_FILLING_UNIT = 128
-UNTRAINED = -128
-TABLES = np.dtype(
-    [
-        ("cells", "i1", (4, 2, 2, 256)),
-        ("weights", "<i2", (4, 2, 48, 2)),
-        ("silence", "u1", 16),
-        ("centroids", "i1", (2, 3, 16)),
-    ]
-)
-"""Initial tables; docs/reference/bitstream.md describes them. A cell that nothing was coded with is UNTRAINED."""
 _BLOCKS_SHIFT = 3
 _SHAPE_UNITS = (14 / 64, 28 / 64, 42 / 64, 56 / 64)
 """Octaves: of the shapes for touch at the strengths 0.25, 0.5, 0.75 and 1, a third of the greatest."""
@@ -136,13 +126,6 @@ def built_in_tables() -> bytes:
     """Return the initial tables that are built into the core."""
     core = library()
     return bytes(ffi.buffer(core.vc_mdct_builtin_tables(), core.vc_mdct_tables_size()))
-
-
-def untrained_tables() -> bytes:
-    """Return initial tables without training: even odds, a weight of 0.6 for each context, silence at one in ten."""
-    tables = np.zeros((), TABLES)
-    tables["cells"], tables["weights"], tables["silence"] = UNTRAINED, 0.6 * 2**14, 26
-    return tables.tobytes()
 
 
 @cache

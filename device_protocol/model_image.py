@@ -17,6 +17,8 @@ _CRC_BYTES = 4
 _SIGNED = struct.Struct("<I64s")
 SIGNED_BYTES = _SIGNED.size
 """Bytes behind the CRC-32 of a signed image."""
+SIGNED_MESSAGE_BYTES = 36
+"""Bytes that a signature covers."""
 MAX_NUMBER = 0xFFFFFFFF
 _MAX_TEXT_BYTES = 255
 
@@ -105,7 +107,7 @@ def sha256(image: bytes) -> bytes:
 
 
 def signed_message(image: bytes, number: int) -> bytes:
-    """Return the 36 bytes that a signature covers: a packed image's identity, then the number of the release."""
+    """Return the bytes that a signature covers: a packed image's identity, then the number of the release."""
     return sha256(image) + number.to_bytes(4, "little")
 
 

@@ -4,6 +4,7 @@ import hashlib
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache, partial
+from importlib.util import find_spec
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -234,9 +235,11 @@ def coders(chosen: Sequence[Method]) -> dict[str, tuple[str, list[Model]]]:
 
 @cache
 def _other_packages() -> str:
-    """Return the names that other packages register as codecs, and the versions of these packages."""
+    """Return the names that other packages register as codecs, these packages' versions, and a hash of the modules."""
     points = sorted(plugins.registered(), key=lambda each: each.name)
-    return repr([(each.name, each.dist and each.dist.version) for each in points])
+    specs = {each.name: find_spec(each.module) for each in points}
+    modules = digest_of({name: Path(spec.origin) for name, spec in specs.items() if spec and spec.origin})
+    return repr([(each.name, each.dist and each.dist.version) for each in points]) + modules
 
 
 @cache

@@ -18,11 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from vibrocast import pictures
 from vibrocast.evaluation.bd_rate import SPQI, ST_SIM_2800, ST_SIM_8000, Scale
-from vibrocast.evaluation.comparison import FIT, TIMES, is_on_front
-from vibrocast.evaluation.labels import spread
+from vibrocast.evaluation.comparison import FIT, TIMES, best_of
+from vibrocast.evaluation.labels import Label, write_beside
 from vibrocast.evaluation.peers import named
 from vibrocast.evaluation.points import IMPORTED, MEASURED
-from vibrocast.evaluation.tables import as_rows, write_table
+from vibrocast.evaluation.tables import as_rows, by_codec, grouped, write_table
 from vibrocast.pictures import GREY, INK, PALE, POINTS, SMALL_POINTS, Style
 
 WIDTH_IN, DPI = 8.0, 150
@@ -100,38 +100,16 @@ class Chart:
         return self
 
 
-@dataclass(frozen=True)
-class _Label:
-    """Text in the right margin of a panel, with a line to the point (x, y)."""
-
-    x: float
-    y: float
-    text: str
-    style: Style
-    bold: bool = False
-
-    @property
-    def points(self) -> float:
-        """The size of its letters."""
-        return SMALL_POINTS if self.style.colour == GREY else POINTS
-
-
 def plot_comparison(path: Path, table: pl.DataFrame, title: str, rate_hz: float | None) -> None:
     """Draw mean SNR over bits per sample, a curve for each group of MAIN, on linear axes. Raises OSError."""
-    groups = mean_curves_by_group(table)
-    curves = {codec: curve for group in MAIN for codec, curve in groups.get(group, {}).items()}
-    figure = _figure(title, [3.3], [named(codec).name for codec in curves], width_in=7.0)
+    curves = main_curves(table)
+    texts = [named(codec).name for codec in curves]
+    figure = _figure(title, [3.3], texts, width_in=7.0)
     axes = figure.subplots()
     axes.set(xlim=(0, MAX_RATE), ylim=(0, 30), xlabel=_rate_label(rate_hz), ylabel="SNR, dB")
     _decorate(axes)
-    labels = []
-    for place, (codec, curve) in enumerate(curves.items()):
-        style = _inked(codec)
-        bits, mean = np.transpose([(row.bits_per_sample, row.mean) for row in curve if math.isfinite(row.mean)])
-        labels.append(
-            _Label(*_draw_line(axes, bits, mean, style, front=not place), named(codec).name, style, not place)
-        )
-    _write_labels(axes, labels)
+    finite = [[row for row in curve if math.isfinite(row.mean)] for curve in curves.values()]
+    _draw_mean_curves(axes, finite, [_inked(codec) for codec in curves], texts)
     pictures.write(figure, path)
 
 
@@ -139,51 +117,50 @@ def plot_quality_against_rate(
     path: Path, table: pl.DataFrame, title: str, scale: Scale, rate_hz: float | None = None
 ) -> None:
     """Draw the mean curve of each group of codecs, and the spread of the first. Raises OSError."""
-    groups = mean_curves_by_group(table)
-    curves = {codec: curve for group in groups.values() for codec, curve in group.items()}
-    texts = {codec: _name_and_rate(curve[0]) for codec, curve in curves.items()}
-    figure = _figure(title, [PANEL_IN], texts.values())
+    curves = mean_curves_by_group(table)
+    texts = [_name_and_rate(curve[0]) for curve in curves.values()]
+    figure = _figure(title, [PANEL_IN], texts)
     axes = figure.subplots()
     _set_rate_axis(axes, _rate_label(rate_hz))
     axes.set_xlim(MIN_RATE, MAX_RATE)
     _set_quality_axis(axes, scale)
-    labels = []
-    for place, (codec, curve) in enumerate(curves.items()):
-        style = style_of(codec)
-        bits, mean, low, high = np.transpose([(row.bits_per_sample, row.mean, row.low, row.high) for row in curve])
-        if not place:
-            spread_of_first = _within(axes, low), _within(axes, high)
-            axes.fill_between(bits, *spread_of_first, color=style.colour, alpha=0.12, linewidth=0)
-        labels.append(_Label(*_draw_line(axes, bits, mean, style, front=not place), texts[codec], style, not place))
-    _write_labels(axes, labels)
+    first, styles = next(iter(curves.values())), [style_of(codec) for codec in curves]
+    bits, low, high = np.transpose([(row.bits_per_sample, row.low, row.high) for row in first])
+    area = _within(axes, low), _within(axes, high)
+    axes.fill_between(bits, *area, color=styles[0].colour, alpha=0.12, linewidth=0)
+    _draw_mean_curves(axes, list(curves.values()), styles, texts)
     pictures.write(figure, path)
+
+
+def _draw_mean_curves(
+    axes: Axes, curves: Sequence[Sequence[Any]], styles: Sequence[Style], texts: Sequence[str]
+) -> None:
+    """Draw curves with their names, the first of them in front."""
+    labels: list[Label] = []
+    for curve, style, text in zip(curves, styles, texts, strict=True):
+        bits, mean = np.transpose([(row.bits_per_sample, row.mean) for row in curve])
+        end = _draw_line(axes, bits, mean, style, front=not labels)
+        labels.append(_label(*end, text, style, bold=not labels))
+    _write_labels(axes, labels)
 
 
 def plot_quality_against_ratio(path: Path, table: pl.DataFrame, title: str, scales: Sequence[Scale]) -> None:
     """Draw every recording's points, joined, and the fit to all, a panel for each quality. Raises OSError."""
-    rows = as_rows(table)
-    styles = _distinct_styles(by_codec(rows))
-    figure = _figure(title, [2.3] * len(scales), [name(row) for row in rows])
-    panels = figure.subplots(len(scales), squeeze=False, sharex=True).ravel()
-    _set_rate_axis(panels[-1], "compression ratio against 16 bits per sample")
+    figure, panels, styles = _panels_of_pair(table, title, scales, "compression ratio against 16 bits per sample")
     for axes, scale in zip(panels, scales, strict=True):
-        _set_quality_axis(axes, scale)
         if scale in SATURATING:  # a polynomial is no curve on an axis that is spread towards 1
             axes.set(yscale="linear", ylim=(SATURATING[scale][0], 1))
         labels = []
-        for codec, of_codec in by_codec(row for row in rows if row.quality == scale.field).items():
+        for codec, of_codec in by_codec(as_rows(table.filter(quality=scale.field))).items():
             style = styles[codec]
-            by_trace: dict[str, list[tuple[float, float]]] = {}
-            for row in of_codec:
-                by_trace.setdefault(row.trace, []).append((row.compression_ratio, row.value))
-            fit = by_trace.pop(FIT, [])
-            for points in by_trace.values():
-                ratios, values = np.transpose(sorted(points))
-                axes.plot(ratios, _within(axes, values), color=style.colour, linewidth=0.6, alpha=0.5)
-            if fit:
-                ratios, values = np.transpose(fit)
+            for trace, of_trace in grouped(of_codec, lambda row: row.trace).items():
+                ratios, values = np.transpose([(row.compression_ratio, row.value) for row in of_trace])
+                if trace != FIT:
+                    order = np.argsort(ratios, kind="stable")
+                    axes.plot(ratios[order], _within(axes, values[order]), color=style.colour, linewidth=0.6, alpha=0.5)
+                    continue
                 end = _draw_line(axes, ratios, values, replace(style, width=2.4))
-                labels.append(_Label(*end, name(of_codec[0]), style))
+                labels.append(_label(*end, name(of_codec[0]), style))
         _write_labels(axes, labels)
     pictures.write(figure, path)
 
@@ -193,15 +170,10 @@ def plot_bd_regions(path: Path, table: pl.DataFrame, title: str, scales: Sequenc
 
     Raises OSError.
     """
-    rows = as_rows(table)
-    styles = _distinct_styles(by_codec(rows))
-    figure = _figure(title, [2.3] * len(scales), [name(row) for row in rows])
-    panels = figure.subplots(len(scales), squeeze=False, sharex=True).ravel()
-    _set_rate_axis(panels[-1], "bits per sample")
+    figure, panels, styles = _panels_of_pair(table, title, scales, "bits per sample")
     panels[-1].set_xlim(MIN_RATE, MAX_RATE)
     for axes, scale in zip(panels, scales, strict=True):
-        of_scale = by_codec(row for row in rows if row.quality == scale.field)
-        _set_quality_axis(axes, scale)
+        of_scale = by_codec(as_rows(table.filter(quality=scale.field)))
         labels, edges = [], []
         for codec, of_codec in of_scale.items():
             points, edge = (
@@ -211,7 +183,7 @@ def plot_bd_regions(path: Path, table: pl.DataFrame, title: str, scales: Sequenc
             axes.plot(points[0], _within(axes, points[1]), "o", markersize=3.5, color=styles[codec].colour)
             edges.append(edge)
             end = _draw_line(axes, edge[0], edge[1], styles[codec])
-            labels.append(_Label(*end, name(of_codec[0]), styles[codec]))
+            labels.append(_label(*end, name(of_codec[0]), styles[codec]))
         if edges:
             (test, values), (anchor, _) = edges
             axes.fill_betweenx(values, test, anchor, color=GREY, alpha=0.35, linewidth=0, zorder=1)
@@ -219,6 +191,19 @@ def plot_bd_regions(path: Path, table: pl.DataFrame, title: str, scales: Sequenc
             _set_title(axes, f"{name(first)} {first.percent:+.1f} % at equal {scale.name}, {first.trace}")
         _write_labels(axes, labels)
     pictures.write(figure, path)
+
+
+def _panels_of_pair(
+    table: pl.DataFrame, title: str, scales: Sequence[Scale], label: str
+) -> tuple[Figure, Sequence[Axes], Mapping[str, Style]]:
+    """Return a figure with a panel for each quality over the rate, and a style for each of two codecs."""
+    rows = as_rows(table)
+    figure = _figure(title, [2.3] * len(scales), [name(row) for row in rows])
+    panels = figure.subplots(len(scales), squeeze=False, sharex=True).ravel().tolist()
+    _set_rate_axis(panels[-1], label)
+    for axes, scale in zip(panels, scales, strict=True):
+        _set_quality_axis(axes, scale)
+    return figure, panels, _distinct_styles(by_codec(rows))
 
 
 def plot_waveforms(path: Path, table: pl.DataFrame, title: str = "") -> None:
@@ -252,7 +237,7 @@ def plot_cost_points(path: Path, table: pl.DataFrame, title: str, scale: Scale) 
     """
     rows = [row for row in as_rows(table) if not row.codec.endswith(OTHER_RUNTIME)]
     rows = [row for row in rows if row.bits_per_sample == min(each.bits_per_sample for each in rows)]
-    foremost = {codec for group in grouped(by_codec(rows), _best_quality).values() for codec in group}
+    foremost = best_of_groups(by_codec(rows), _best_quality)
     rows = [row for row in rows if row.codec in foremost or (row.source != IMPORTED and not is_grey(row.codec))]
     costs = list(dict.fromkeys(row.cost for row in rows))
     texts = {row.codec: _plain(_short(named(row.codec.removesuffix(CORE)).name)) for row in rows}
@@ -266,7 +251,7 @@ def plot_cost_points(path: Path, table: pl.DataFrame, title: str, scale: Scale) 
         axes.set_xlabel(COST_LABELS[cost])
         if cost in LOGARITHMIC:
             _set_log_axis(axes, [_cost(row) for row in shown], 1000 if cost == "flash_bytes" else 1)
-        front = sorted((_cost(row), row.quality) for row in shown if is_on_front(row, shown))
+        front = best_of((_cost(row), row.quality) for row in shown if row.source != IMPORTED)
         axes.plot(*np.transpose(front or [(math.nan, math.nan)]), color=GREY, linewidth=1, zorder=1)
         labels = []
         for row in shown:
@@ -274,7 +259,7 @@ def plot_cost_points(path: Path, table: pl.DataFrame, title: str, scale: Scale) 
             fill = "white" if row.source == IMPORTED else style.colour
             axes.plot(x, y, "o", markersize=5, color=style.colour, markerfacecolor=fill, clip_on=False)
             text = texts[row.codec] if y == row.quality else f"{texts[row.codec]}: {row.quality:.0f} (off)"
-            labels.append(_Label(x, y, text, style, row.codec == MAIN[0]))
+            labels.append(_label(x, y, text, style, row.codec == MAIN[0]))
         _write_labels(axes, labels)
     pictures.write(figure, path)
 
@@ -299,7 +284,7 @@ def plot_loads(path: Path, table: pl.DataFrame, title: str, scales: Sequence[Sca
         if scale == scales[-1]:
             axes.set_xlabel(cost)
         axes.axvline(100, color=INK, linewidth=0.8, linestyle=":")
-        front = sorted((row.load_percent, row.value) for row in shown if not _beaten(row, shown))
+        front = best_of((row.load_percent, row.value) for row in shown)
         (first, _), (_, best) = front[0], front[-1]
         edges = [(first, axes.get_ylim()[0]), *front, (axes.get_xlim()[1], best)]
         axes.step(*np.transpose(edges), where="post", color=GREY, linewidth=1, zorder=1)
@@ -307,7 +292,7 @@ def plot_loads(path: Path, table: pl.DataFrame, title: str, scales: Sequence[Sca
         for row in shown:
             style, place = _inked(row.codec), (row.load_percent, row.value)
             axes.scatter(*place, row.memory_bytes * AREA_OF_BYTE, color=style.colour, alpha=0.6, linewidth=0)
-            labels.append(_Label(*place, _short(row.codec), style, row.codec == MAIN[0]))
+            labels.append(_label(*place, _short(row.codec), style, row.codec == MAIN[0]))
         _write_labels(axes, labels)
     marks = [
         panels[0][0].scatter([], [], size * AREA_OF_BYTE, color=GREY, label=f"{size // 1000} kB")
@@ -317,16 +302,6 @@ def plot_loads(path: Path, table: pl.DataFrame, title: str, scales: Sequence[Sca
         handles=marks, loc="lower left", ncols=2, frameon=False, fontsize=FONT_POINTS, title="area: code, model and RAM"
     )
     pictures.write(figure, path)
-
-
-def _beaten(row: Any, rows: Sequence[Any]) -> bool:
-    """Return whether another row has more quality for no more load, or as much for less."""
-    return any(
-        other.load_percent <= row.load_percent
-        and other.value >= row.value
-        and (other.load_percent, other.value) != (row.load_percent, row.value)
-        for other in rows
-    )
 
 
 def plot_bd_rates(
@@ -368,10 +343,7 @@ def plot_rate_excesses(path: Path, table: pl.DataFrame, title: str) -> None:
     Of more than MAX_NUMBERED_ROWS recordings only some are named, and no number is written. Raises OSError.
     """
     rows = as_rows(table)
-    chosen = [
-        codec for group in grouped(by_codec(rows), lambda of_codec: -_excess(of_codec)).values() for codec in group
-    ]
-    codecs = {codec: [row for row in rows if row.codec == codec] for codec in chosen}
+    codecs = best_of_groups(by_codec(rows), lambda of_codec: -_excess(of_codec))
     codecs = dict(sorted(codecs.items(), key=lambda item: _excess(item[1])))
     traces = sorted({row.trace for row in rows})
     cells = np.full((len(traces), len(codecs)), np.nan)
@@ -401,14 +373,6 @@ def plot_rate_excesses(path: Path, table: pl.DataFrame, title: str) -> None:
     pictures.write(figure, path)
 
 
-def by_codec(rows: Iterable[Any]) -> dict[str, list[Any]]:
-    """Return rows by their codec, in their order."""
-    groups: dict[str, list[Any]] = {}
-    for row in rows:
-        groups.setdefault(row.codec, []).append(row)
-    return groups
-
-
 def group_of(codec: str) -> str:
     """Return the group that a curve belongs to: the first letters of its name, or its name if no group is known."""
     return next((first for first in (*pictures.CODECS, *BACKGROUND) if codec.startswith(first)), codec)
@@ -432,26 +396,30 @@ def is_grey(codec: str) -> bool:
     return style_of(codec).colour == GREY
 
 
-def grouped(curves: Mapping[str, list[Any]], merit: Callable[[list[Any]], float]) -> dict[str, dict[str, list[Any]]]:
+def best_of_groups(curves: Mapping[str, list[Any]], merit: Callable[[list[Any]], float]) -> dict[str, list[Any]]:
     """Return the one curve that stands for each group, in colour first: of the group's name, or of the most merit."""
-    groups: dict[str, dict[str, list[Any]]] = {}
-    for codec, rows in curves.items():
-        groups.setdefault(group_of(codec), {})[codec] = rows
+    groups = grouped(curves, group_of)
     ranks = {group: rank for rank, group in enumerate((*pictures.CODECS, "", *BACKGROUND))}
-    found = {}
-    for group in sorted(groups, key=lambda each: ranks.get(each, ranks[""])):
-        best = group if group in groups[group] else max(groups[group], key=lambda codec: merit(groups[group][codec]))
-        found[group] = {best: groups[group][best]}
-    return found
+    best = [
+        group if group in groups[group] else max(groups[group], key=lambda codec: merit(curves[codec]))
+        for group in sorted(groups, key=lambda each: ranks.get(each, ranks[""]))
+    ]
+    return {codec: curves[codec] for codec in best}
 
 
-def mean_curves_by_group(table: pl.DataFrame) -> dict[str, dict[str, list[Any]]]:
+def mean_curves_by_group(table: pl.DataFrame) -> dict[str, list[Any]]:
     """Return a mean curve for each group: the best has the highest mean up to TYPICAL_RATE."""
 
     def merit(rows: list[Any]) -> float:
         return max((row.mean for row in rows if row.bits_per_sample <= TYPICAL_RATE), default=-math.inf)
 
-    return grouped(by_codec(as_rows(table)), merit)
+    return best_of_groups(by_codec(as_rows(table)), merit)
+
+
+def main_curves(table: pl.DataFrame) -> dict[str, list[Any]]:
+    """Return the mean curves of the groups of MAIN, in their order."""
+    curves = {codec: curve for codec, curve in mean_curves_by_group(table).items() if group_of(codec) in MAIN}
+    return dict(sorted(curves.items(), key=lambda item: MAIN.index(group_of(item[0]))))
 
 
 def name(row: Any) -> str:
@@ -623,33 +591,19 @@ def _draw_line(
     return float(np.clip(x[end], left, right)), float(np.clip(y[end], low, high))
 
 
-def _write_labels(axes: Axes, labels: Sequence[_Label]) -> None:
+def _label(x: float, y: float, text: str, style: Style, bold: bool = False) -> Label:
+    """Return a name in the right margin of a panel, smaller where its curve is grey, for the point (x, y)."""
+    points = SMALL_POINTS if style.colour == GREY else POINTS
+    form = {"color": style.colour, "fontweight": "bold" if bold else "normal", "fontsize": points}
+    arrow = {"color": style.colour, "alpha": 0.4, "linewidth": 0.5, "shrinkA": 1, "shrinkB": 0}
+    return Label((x, y), text, form, arrow)
+
+
+def _write_labels(axes: Axes, labels: Sequence[Label]) -> None:
     """Write labels down the right margin, as near to the height of their points as they fit without overlap."""
     width, height = axes.get_window_extent().size
     to_axes = axes.transData + axes.transAxes.inverted()
-    targets = sorted(
-        ((float(to_axes.transform((label.x, label.y))[1]), label) for label in labels),
-        key=lambda placed: (placed[0], -placed[1].x),
-    )
-    heights = [LINE_IN * label.points * DPI / height for _, label in targets]
-    for label_height, (_, label) in zip(spread([at for at, _ in targets], heights), targets, strict=True):
-        axes.annotate(
-            label.text,
-            (label.x, label.y),
-            (1 + LEADER_IN * DPI / width, label_height),
-            textcoords="axes fraction",
-            va="center",
-            annotation_clip=False,
-            color=label.style.colour,
-            fontweight="bold" if label.bold else "normal",
-            fontsize=label.points,
-            arrowprops={
-                "arrowstyle": "-",
-                "color": label.style.colour,
-                "alpha": 0.4,
-                "linewidth": 0.5,
-                "relpos": (0, 0.5),
-                "shrinkA": 1,
-                "shrinkB": 0,
-            },
-        )
+    targets = {label: float(to_axes.transform(label.point)[1]) for label in labels}
+    ordered = sorted(labels, key=lambda label: (targets[label], -label.point[0]))
+    heights = [LINE_IN * label.form["fontsize"] * DPI / height for label in ordered]
+    write_beside(axes, 1 + LEADER_IN * DPI / width, ordered, [targets[label] for label in ordered], heights)

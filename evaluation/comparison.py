@@ -32,7 +32,7 @@ from vibrocast.evaluation.kinds import TraceKind
 from vibrocast.evaluation.peers import measured_codecs, named
 from vibrocast.evaluation.points import IMPORTED, MEASURED, Failure, Point, Timing, by_codec_and_trace
 from vibrocast.evaluation.speed import BITS_PER_SAMPLE, RATES, Speed
-from vibrocast.evaluation.tables import as_rows, columns, frame
+from vibrocast.evaluation.tables import as_rows, columns, frame, grouped
 
 FIT = "(fit)"
 """Stands for a trace where a row is of the fit to all of them."""
@@ -328,19 +328,25 @@ def cost_points(measurements: Measurements, scale: Scale, names: Sequence[str]) 
         ]
     columns = {"bits_per_sample": pl.Float64, "codec": pl.String, "source": pl.String, "quality": pl.Float64}
     table = _table(found, {**columns, "cost": pl.String, "value": pl.Float64, "flash_bytes": pl.Int64})
-    points = as_rows(table)
-    return table.with_columns(on_front=pl.Series([is_on_front(each, points) for each in points], dtype=pl.Boolean))
+    groups = grouped(as_rows(table), lambda row: (row.bits_per_sample, row.cost))
+    fronts = {
+        key: best_of((row.value, row.quality) for row in rows if row.source != IMPORTED) for key, rows in groups.items()
+    }
+    on_front = [
+        row.source != IMPORTED and (row.value, row.quality) in fronts[row.bits_per_sample, row.cost]
+        for row in as_rows(table)
+    ]
+    return table.with_columns(on_front=pl.Series(on_front, dtype=pl.Boolean))
 
 
-def is_on_front(point: Any, points: Sequence[Any]) -> bool:
-    """Return whether no other point of a measured codec beats one, of the same cost and rate, in cost and quality."""
-    return point.source != IMPORTED and not any(
-        other.value <= point.value
-        and other.quality >= point.quality
-        and (other.value, other.quality) != (point.value, point.quality)
-        for other in points
-        if (other.bits_per_sample, other.cost) == (point.bits_per_sample, point.cost) and other.source != IMPORTED
-    )
+def best_of(points: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Return the points of cost and quality that no other beats or equals in both, by rising cost."""
+    every = sorted(points)
+    return [
+        point
+        for point in every
+        if not any(other[0] <= point[0] and other[1] >= point[1] and other != point for other in every)
+    ]
 
 
 def with_runtime(row: Any) -> str:
@@ -406,7 +412,7 @@ def mean_bd_rates(rates: pl.DataFrame, kinds: Mapping[str, str] | None = None) -
     """
     kind = pl.col("trace").replace_strict(kinds or {}, default=None, return_dtype=pl.String)
     of_kinds = rates.with_columns(kind=kind).drop_nulls("kind")
-    grouped = pl.concat([rates.with_columns(kind=pl.lit("")), of_kinds]).group_by(*_PAIR, "kind", maintain_order=True)
+    parts = pl.concat([rates.with_columns(kind=pl.lit("")), of_kinds]).group_by(*_PAIR, "kind", maintain_order=True)
     scales = {scale.field: scale for scale in SCALES}
     found = [
         (
@@ -415,7 +421,7 @@ def mean_bd_rates(rates: pl.DataFrame, kinds: Mapping[str, str] | None = None) -
             (some["percent"] < 0).sum(),
             kind,
         )
-        for (*pair, kind), some in grouped
+        for (*pair, kind), some in parts
     ]
     table = _table(found, {**_PAIR, **columns(Summary), "won": pl.Int64, "kind": pl.String}).with_row_index("place")
     first_place = pl.col("place").min().over("anchor", "quality")

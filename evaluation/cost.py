@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
-import vibrocast.evaluation.ffmpeg_codecs  # noqa: F401 - adds to codec.PEERS, in each process that measures
+import vibrocast.evaluation.peers  # noqa: F401 - fills codec.PEERS, in each process that measures
 from vibrocast import codec
 from vibrocast.codec import Framing, Setting, SignalFormat
 from vibrocast.evaluation import trained

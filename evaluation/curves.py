@@ -9,7 +9,7 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from vibrocast.evaluation.labels import spread
+from vibrocast.evaluation.labels import Label, write_beside
 from vibrocast.evaluation.pictures import figure_file
 
 DASHES: tuple[tuple[str, str], ...] = (
@@ -108,19 +108,9 @@ def _name_ends(axes: Axes, ends: Sequence[tuple[float, float, str]], label_chara
     together: dict[tuple[int, float], list[tuple[float, str]]] = {}
     for x, y, name in ends:
         together.setdefault((round((y - low) / (high - low) / _SAME_HEIGHT), x), []).append((y, name))
-    labels = [
-        (x, some[0][0], textwrap.fill(", ".join(name for _, name in some), label_characters, break_on_hyphens=False))
-        for (_, x), some in sorted(together.items())
-    ]
-    rooms = [_LABEL_DISTANCE * (label.count("\n") + 1) for _, _, label in labels]
-    placed = spread([(y - low) / (high - low) for _, y, _ in labels], rooms)
-    for (x, y, label), height in zip(labels, placed, strict=True):
-        axes.annotate(
-            label,
-            (x, y),
-            (1.03, height),
-            textcoords="axes fraction",
-            va="center",
-            annotation_clip=False,
-            arrowprops={"arrowstyle": "-", "color": "0.75", "linewidth": 0.6, "relpos": (0, 0.5)},
-        )
+    labels, levels = [], []
+    for (_, x), some in sorted(together.items()):
+        text = textwrap.fill(", ".join(name for _, name in some), label_characters, break_on_hyphens=False)
+        labels.append(Label((x, some[0][0]), text, {}, {"color": "0.75", "linewidth": 0.6}))
+        levels.append((some[0][0] - low) / (high - low))
+    write_beside(axes, 1.03, labels, levels, [_LABEL_DISTANCE * (label.text.count("\n") + 1) for label in labels])

@@ -1,7 +1,6 @@
 """Codecs of FFmpeg's libraries, peers of the benchmark: Opus, AMR-NB, G.723.1, G.726, WavPack and FLAC through PyAV.
 
-The benchmark finds them by name and number once this module is imported. No controller decodes them, so a decoder
-expects every packet. docs/reference/bitstream.md has the layout of their streams.
+No controller decodes them, so a decoder expects every packet.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -12,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast import extras
-from vibrocast.codec import PEERS
 from vibrocast.codec.interface import (
     Codec,
     CodecError,
@@ -128,7 +126,7 @@ class LibavEncoder:
             list(self._coded(context, channel))[:frames]
             for context, channel in zip(self._contexts, padded.T, strict=True)
         ]
-        packets = []
+        packets: list[bytes] = []
         for start in range(0, frames, self._packet_frames):
             own = [frame for channel in coded for frame in channel[start : start + self._packet_frames]]
             lengths = [b"" if self._plan.frame_bytes else pack_varint(len(frame)) for frame in own]
@@ -152,67 +150,42 @@ class LibavEncoder:
 
 
 class LibavDecoder:
-    """Decoder of all these codecs; see codec.interface.Decoder."""
+    """Decoder of all these codecs; see codec.interface.Decoder. It takes what the encoder has just made."""
 
     def __init__(self, library: Library, configuration: bytes, channels: int) -> None:
-        """Make a decoder from the codec's bytes in the stream header.
-
-        Raises CodecError when they are not valid, or if libav is missing.
-        """
-        check_channels(channels)
+        """Make a decoder from the encoder's configuration. Raises CodecError if libav is missing."""
         self._library = library
         self.channels = channels
-        reader = Reader(configuration, _damaged)
+        reader = Reader(configuration, CodecError)
         self.delay_samples, self._frame_samples, packet_frames, self._frame_bytes = (
             reader.varint(_FIELD_BITS) for _ in range(4)
         )
         self.packet_samples = packet_frames * self._frame_samples
-        if not reader.at_end or not 1 <= self.packet_samples <= _MAX_PACKET_SAMPLES:
-            raise CodecError("the codec configuration is damaged or of another version; encode the recording again")
         options = library.decoder_options(self._frame_bytes)
         self._contexts = [_open(library.decoder, "r", options) for _ in range(channels)]
 
     def decode(self, packet: bytes) -> Decoded:
-        """Decode the next packet to int16 (packet_samples, channels). Raises CodecError on a malformed packet."""
-        reader = Reader(packet, _damaged)
+        """Decode the next packet to int16 (packet_samples, channels); silence follows the frames of a shorter one."""
+        reader = Reader(packet, CodecError)
         reader.varint(_MAX_SEQUENCE_BITS)
-        return self._decode_frames(self._frames(reader))
-
-    def conceal(self) -> Decoded:
-        """Replace one missing packet: silence."""
-        return np.zeros((self.packet_samples, self.channels), dtype=np.int16)
-
-    def _frames(self, reader: Reader) -> list[bytes]:
-        """Return the codec frames of a packet, all of one channel before those of the next."""
-        frames: list[bytes] = []
+        frames: list[bytes] = []  # all of one channel before those of the next
         while not reader.at_end:
-            frame_bytes = self._frame_bytes or reader.varint(_FIELD_BITS)
-            frames.append(reader.take(frame_bytes))
-        if len(frames) % self.channels or len(frames) * self._frame_samples > self.packet_samples * self.channels:
-            raise CodecError(
-                f"a packet is damaged: {len(frames)} frames for {self.channels} channels; copy the file again"
-            )
-        return frames
-
-    def _decode_frames(self, frames: list[bytes]) -> Decoded:
-        """Return the decoded samples of all channels' frames; silence follows those of a shorter last packet."""
+            frames.append(reader.take(self._frame_bytes or reader.varint(_FIELD_BITS)))
         count = len(frames) // self.channels
         samples = np.zeros((self.packet_samples, self.channels), dtype=np.int16)
         scale = 2 ** (16 - self._library.full_scale_bits)
         for channel, context in enumerate(self._contexts):
             own = frames[channel * count : (channel + 1) * count]
-            if self._library.continuous and own:
+            if self._library.continuous:
                 own = [b"".join(own)]
-            parts = [part for frame in own for part in _decoded(context, frame)]
-            kept = np.concatenate([np.empty(0, dtype=np.int16), *parts])[:: self._library.decimation]
-            if len(kept) != count * self._frame_samples:
-                raise CodecError("a packet is damaged: it decodes to fewer or more samples; copy the file again")
+            parts = [part.to_ndarray().ravel() for frame in own for part in context.decode(_av().Packet(frame))]
+            kept = np.concatenate(parts)[:: self._library.decimation]
             samples[: len(kept), channel] = np.clip(kept.astype(np.int32) * scale, -32_768, 32_767)
         return samples
 
-
-def _damaged(flaw: str) -> CodecError:
-    return CodecError(f"a packet or configuration is damaged or cut short: {flaw}")
+    def conceal(self) -> Decoded:
+        """Replace one missing packet: silence."""
+        return np.zeros((self.packet_samples, self.channels), dtype=np.int16)
 
 
 def _av() -> Any:
@@ -243,20 +216,6 @@ def _open(name: str, mode: str, options: Mapping[str, str], sample_format: str |
     except (av.FFmpegError, ValueError) as error:
         raise CodecError(f"FFmpeg's codec {name} cannot be opened here ({error}); install PyAV's own wheel") from error
     return context
-
-
-def _decoded(context: Any, frame: bytes) -> list[NDArray[np.int16]]:
-    """Return the samples in one codec frame. Raises CodecError if libav finds it malformed."""
-    av = _av()
-    if not frame:
-        raise CodecError("a packet is damaged: it has an empty frame; copy the file again")
-    try:
-        decoded = context.decode(av.Packet(frame))
-    except (av.FFmpegError, ValueError) as error:
-        raise CodecError(f"a frame is damaged and cannot be decoded ({error}); copy the file again") from error
-    if any(part.format.name not in ("s16", "s16p") or part.layout.nb_channels != 1 for part in decoded):
-        raise CodecError("a frame is damaged: another sample format or channel count; copy the file again")
-    return [part.to_ndarray().ravel() for part in decoded]
 
 
 def _plan_opus(setting: Setting, packet_samples: int) -> Plan:
@@ -321,7 +280,7 @@ def _codec(
     return Codec(name, identifier, summary, parameters, {name: rate_point_set}, make_encoder, make_decoder)
 
 
-_CODECS = (
+CODECS = (
     _codec(
         "opus",
         5,
@@ -387,4 +346,3 @@ _CODECS = (
         ({},),
     ),
 )
-PEERS.update({codec.name: codec for codec in _CODECS})

@@ -1,13 +1,15 @@
-"""The names of other projects' codecs, and the software that a label in a table of figures stands for."""
+"""Other projects' codecs: those that a benchmark measures itself, and the software behind a label in tables."""
 
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 from vibrocast import codec as codecs
+from vibrocast.evaluation import ffmpeg_codecs
 from vibrocast.evaluation.points import read_rows
 
 TABLE = Path(__file__).parent / "data" / "peers.csv"
+codecs.PEERS.update({known.name: known for known in ffmpeg_codecs.CODECS})
 
 
 @dataclass(frozen=True)

@@ -137,6 +137,14 @@ def read_rows(path: Path, kind: type[Row]) -> list[Row]:
     return read
 
 
+def read_row(path: Path, kind: type[Row]) -> Row:
+    """Read a CSV file that has one row. Raises as `read_rows`, and PointsError for another number of rows."""
+    rows = read_rows(path, kind)
+    if len(rows) != 1:
+        raise PointsError(f"{path}: {len(rows)} rows in place of one; run the command again that wrote it")
+    return rows[0]
+
+
 def read_imported(path: Path) -> tuple[list[Point], list[Timing]]:
     """Read others' points, and their timings where columns encode_s and decode_s hold the seconds of one recording.
 

@@ -14,8 +14,8 @@ from vibrocast.evaluation import bd_rate, charts, comparison, learned_page, spee
 from vibrocast.evaluation.bd_rate import PSNR, SCALES, SNR, SPQI, ST_SIM_2800, ST_SIM_8000, Scale
 from vibrocast.evaluation.comparison import LEARNED_SCALES, PAPER_SCALES, TABLES, TIMES, Measurements
 from vibrocast.evaluation.peers import measured_codecs, named, peers
-from vibrocast.evaluation.points import IMPORTED, MEASURED, PROGRAM, Failure, PointsError, read_rows, write_rows
-from vibrocast.evaluation.tables import as_rows, write_table
+from vibrocast.evaluation.points import IMPORTED, MEASURED, PROGRAM, PointsError, read_row, read_rows, write_rows
+from vibrocast.evaluation.tables import as_rows, by_codec, grouped, write_table
 from vibrocast.pages import listed
 
 NOTE = "note.md"
@@ -130,9 +130,7 @@ def _head(folder: Path, measurements: Measurements) -> dict[str, Any]:
         for source in (MEASURED, PROGRAM, IMPORTED)
     }
     imported = [named(codec) for codec in by_source[IMPORTED]]
-    failures: dict[tuple[str, str], list[Failure]] = {}
-    for failure in measurements.failures:
-        failures.setdefault((failure.codec, failure.reason), []).append(failure)
+    failures = grouped(measurements.failures, lambda failure: (failure.codec, failure.reason))
     return {
         "samples": measurements.drawn.unique("trace", keep="last")["samples"].sum(),
         "rates_hz": sorted(measurements.drawn["rate_hz"].drop_nulls().unique()),
@@ -160,8 +158,8 @@ def _message(
     """Return the values of the page's first lines: the anchor compared with known peers, and where it loses."""
     anchor = measurements.anchor
     own = next((row for row in reached if row.codec == anchor), None)
-    groups = charts.grouped(charts.by_codec(reached), lambda rows: -rows[0].bits_per_sample)
-    in_colour = {codec for group in groups.values() for codec in group if not charts.is_grey(codec)}
+    groups = charts.best_of_groups(by_codec(reached), lambda rows: -rows[0].bits_per_sample)
+    in_colour = {codec for codec in groups if not charts.is_grey(codec)}
     shown = [row for row in reached if row.codec in in_colour or row.codec in HEADLINE]
     of_anchor = [row for row in held_out if (row.codec, row.measure) == (anchor, SNR.name)]
     by_group = {charts.group_of(row.peer.lower().replace("-", "")): row for row in of_anchor}
@@ -221,54 +219,35 @@ def _charts(folder: Path, measurements: Measurements, means: Sequence[Any], reac
     rates_hz = measurements.drawn["rate_hz"].drop_nulls().unique().to_list()
     rate_hz = rates_hz[0] if len(rates_hz) == 1 else None
     curves = {scale: comparison.mean_curves(measurements, scale) for scale in (*RATE_SCALES, ST_SIM_8000)}
-    rate = [
-        charts.Chart(
-            f"quality_against_rate_{scale.field}",
-            _title(scale, anchor, [row for row in means if row.quality == scale.field]),
-            curves[scale],
-            tuple(measurements.curves),
-        ).write(folder, partial(charts.plot_quality_against_rate, scale=scale, rate_hz=rate_hz))
-        for scale in RATE_SCALES
-    ]
     write_table(folder / f"quality_against_rate_{ST_SIM_8000.field}.csv", curves[ST_SIM_8000])
-    pair = tuple(measurements.paper_pair)
-    ratio = charts.Chart(
-        "quality_against_ratio",
-        "PSNR, ST-SIM and SPQI against compression ratio",
-        comparison.ratio_points(measurements, LEARNED_SCALES),
-        pair,
-    ).write(folder, partial(charts.plot_quality_against_ratio, scales=LEARNED_SCALES))
+    every, pair = tuple(measurements.curves), tuple(measurements.paper_pair)
+
+    def over_rate(scale: Scale) -> charts.Chart:
+        title = _title(scale, anchor, [row for row in means if row.quality == scale.field])
+        chart = charts.Chart(f"quality_against_rate_{scale.field}", title, curves[scale], every)
+        return chart.write(folder, partial(charts.plot_quality_against_rate, scale=scale, rate_hz=rate_hz))
+
+    def over_costs(scale: Scale, stem: str, words: str, costs: Sequence[str]) -> charts.Chart:
+        title = f"{scale.name} at {speed.BITS_PER_SAMPLE:g} bit/sample against {words}: the line joins the best"
+        table = comparison.cost_points(measurements, scale, costs)
+        chart = charts.Chart(f"quality_against_{stem}_{scale.field}", title, table)
+        return chart.write(folder, partial(charts.plot_cost_points, scale=scale))
+
+    ratios = comparison.ratio_points(measurements, LEARNED_SCALES)
+    ratio = charts.Chart("quality_against_ratio", "PSNR, ST-SIM and SPQI against compression ratio", ratios, pair)
     regions = charts.Chart(
-        "bd_regions",
-        "Where BD-rate integrates",
-        comparison.bd_regions(measurements, PAPER_SCALES),
-        pair,
-    ).write(folder, partial(charts.plot_bd_regions, scales=PAPER_SCALES))
-    cost = {
-        (stem, scale): charts.Chart(
-            f"quality_against_{stem}_{scale.field}",
-            f"{scale.name} at {speed.BITS_PER_SAMPLE:g} bit/sample against {words}: the line joins the best",
-            comparison.cost_points(measurements, scale, costs),
-        )
-        for stem, words, costs in (("time", "time", TIMES), ("delay", "delay and size", ("delay_ms", "flash_bytes")))
-        for scale in COST_SCALES
-    }
-    for (_, scale), chart in cost.items():
-        chart.write(folder, partial(charts.plot_cost_points, scale=scale))
-    excess = charts.Chart(
-        "excess_bits",
-        f"Bits above the best codec's at {comparison.EQUAL_SNR_DB:g} dB SNR, in percent",
-        comparison.rate_excesses(measurements),
-        tuple(measurements.curves),
-    ).write(folder, charts.plot_rate_excesses)
+        "bd_regions", "Where BD-rate integrates", comparison.bd_regions(measurements, PAPER_SCALES), pair
+    )
+    title = f"Bits above the best codec's at {comparison.EQUAL_SNR_DB:g} dB SNR, in percent"
+    excess = charts.Chart("excess_bits", title, comparison.rate_excesses(measurements), every)
     return {
         "main": _first_look(folder, anchor, curves[SNR], reached, rate_hz),
-        "rate": rate,
-        "ratio": ratio,
-        "regions": regions,
-        "time": [cost["time", scale] for scale in COST_SCALES],
-        "delay": [cost["delay", scale] for scale in COST_SCALES],
-        "excess": excess,
+        "rate": [over_rate(scale) for scale in RATE_SCALES],
+        "ratio": ratio.write(folder, partial(charts.plot_quality_against_ratio, scales=LEARNED_SCALES)),
+        "regions": regions.write(folder, partial(charts.plot_bd_regions, scales=PAPER_SCALES)),
+        "time": [over_costs(scale, "time", "time", TIMES) for scale in COST_SCALES],
+        "delay": [over_costs(scale, "delay", "delay and size", ("delay_ms", "flash_bytes")) for scale in COST_SCALES],
+        "excess": excess.write(folder, charts.plot_rate_excesses),
     }
 
 
@@ -283,8 +262,7 @@ def _first_look(
     folder: Path, anchor: str, curves: pl.DataFrame, reached: Sequence[Any], rate_hz: float | None
 ) -> dict[str, str] | None:
     """Draw the anchor and known peers for a first look; return the chart's title, None without any such peer."""
-    groups = charts.mean_curves_by_group(curves)
-    shown = [codec for group in charts.MAIN[1:] for codec in groups.get(group, {})]
+    shown = [codec for codec in charts.main_curves(curves) if charts.group_of(codec) != charts.MAIN[0]]
     path = folder / "comparison.svg"
     percents = [-row.anchor_percent for row in reached if row.codec in shown and row.anchor_percent is not None]
     if anchor != charts.MAIN[0] or len(percents) < len(shown) or not shown:
@@ -308,7 +286,7 @@ def _bd_rates(folder: Path, measurements: Measurements) -> list[Any]:
 def _anchor_table(measurements: Measurements, means: Sequence[Any]) -> dict[str, Any]:
     """Return the mean BD-rates of each codec by quality, and the codecs that have none."""
     ranked = sorted(means, key=lambda row: (row.quality != SNR.field, row.mean))
-    rows = [{row.quality: row for row in some} for some in charts.by_codec(ranked).values()]
+    rows = [{row.quality: row for row in some} for some in by_codec(ranked).values()]
     with_rates = {measurements.anchor, *(row.codec for row in means)}
     return {"codecs": rows, "missing": [codec for codec in measurements.curves if codec not in with_rates]}
 
@@ -319,13 +297,9 @@ def main(out: Path) -> None:
     """Draw the page OUT/results.md and its charts again, from the CSV files in OUT/results."""
     folder = out / "results"
     try:
-        described = read_rows(folder / "description.csv", Description)
-        if len(described) != 1:
-            raise PointsError(
-                f"{folder / 'description.csv'}: {len(described)} rows in place of one; run the benchmark again"
-            )
+        description = read_row(folder / "description.csv", Description)
         tables: dict[str, Any] = {name: read_rows(folder / f"{name}.csv", kind) for name, kind in TABLES.items()}
-        write_results(out, Measurements(**tables), described[0], read_held_out(folder), redrawn=True)
+        write_results(out, Measurements(**tables), description, read_held_out(folder), redrawn=True)
     except OSError as error:
         raise click.ClickException(f"{error.filename}: {error.strerror}; give the --out of a benchmark") from error
     except PointsError as error:

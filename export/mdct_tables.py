@@ -12,7 +12,7 @@ import numpy as np
 from rich.progress import track
 
 from vibrocast.codec import Framing, Signal
-from vibrocast.codec.mdct import HOPS, IDENTIFIER, TABLES, UNTRAINED, MdctEncoder, untrained_tables
+from vibrocast.codec.mdct import HOPS, IDENTIFIER, MdctEncoder
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.export.training_data import archive_recordings
 from vibrocast.textures import TextureError
@@ -25,7 +25,24 @@ EXCERPT_S = 1.5
 PASSES = 2
 STEP = 2.0**-9
 """Step of every encoder that learns; an excerpt is scaled so that this is its step."""
+UNTRAINED = -128
+TABLES = np.dtype(
+    [
+        ("cells", "i1", (4, 2, 2, 256)),
+        ("weights", "<i2", (4, 2, 48, 2)),
+        ("silence", "u1", 16),
+        ("centroids", "i1", (2, 3, 16)),
+    ]
+)
+"""Initial tables; docs/reference/bitstream.md describes them. A cell that nothing was coded with is UNTRAINED."""
 _BUILT_IN_SOURCE = Path(__file__).parents[1] / "firmware" / "src" / "core" / "vc_builtin_tables.c"
+
+
+def untrained_tables() -> bytes:
+    """Return initial tables without training: even odds, a weight of 0.6 for each context, silence at one in ten."""
+    tables = np.zeros((), TABLES)
+    tables["cells"], tables["weights"], tables["silence"] = UNTRAINED, 0.6 * 2**14, 26
+    return tables.tobytes()
 
 
 def excerpts(textures: list[Signal], seed: int) -> Iterator[Signal]:

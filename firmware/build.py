@@ -8,7 +8,7 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -23,7 +23,7 @@ from vibrocast.firmware.keys import read_public_key
 from vibrocast.firmware.native_core import CoreError
 
 ROOT = Path(__file__).parent
-SHARED = ("include/vibrocast", "src/core", "src/monocypher", "src/controller")
+SHARED = ("include/vibrocast", "src/core", "src/controller")
 """Folders of every target: public headers, and C sources."""
 
 FLAGS = (
@@ -63,7 +63,8 @@ class Target:
     """One build of the firmware.
 
     `folders`: of its port, below firmware/, whose C sources are compiled with those of `shared`. `defines`: sizes of
-    vibrocast/sizes.h, and settings of its port. `finish`: called with the linked image.
+    vibrocast/sizes.h, and settings of its port. `finish`: called with the linked image. `verifier`: C sources of others
+    that verify signatures; their warnings are no errors.
     """
 
     summary: str
@@ -73,6 +74,7 @@ class Target:
     shared: tuple[str, ...] = SHARED
     defines: Mapping[str, int | str] = field(default_factory=dict)
     finish: Callable[[Path], None] | None = None
+    verifier: tuple[Path, ...] = ()
 
     def sources(self) -> list[Path]:
         """Return its C sources, from ROOT on; a controller has no use for the core's encoders."""
@@ -85,7 +87,10 @@ class Target:
         includes = [f"-I{folder}" for folder in ("include", *self.folders)]
         texts = {name: f'"{value}"' if isinstance(value, str) else value for name, value in self.defines.items()}
         defines = [f"-D{name}={value}" for name, value in texts.items()]
-        return [*FLAGS, *self.flags, *defines, *includes, *map(str, self.sources())]
+        command = [*FLAGS, *self.flags, *defines, *includes, *map(str, self.sources())]
+        if self.verifier:
+            command += ["-DVC_VERIFIER", "-Wno-error", *(f"-I{path.parent}" for path in self.verifier)]
+        return [*command, *map(str, self.verifier)]
 
 
 def cortex_m_flags(processor: str) -> tuple[str, ...]:
@@ -237,17 +242,24 @@ TARGETS: Mapping[str, Target] = {
 }
 
 
-def build(name: str, sizes: Mapping[str, int] | None = None, public_key: bytes | None = None) -> Path:
+def build(
+    name: str,
+    sizes: Mapping[str, int] | None = None,
+    public_key: bytes | None = None,
+    verifier: Sequence[Path] = (),
+) -> Path:
     """Build a target of TARGETS, or `template`, unless it is there already, and return its file.
 
     `sizes`: of vibrocast/sizes.h, in place of the target's. `public_key`: 32 bytes, of Ed25519; model images need its
-    signature, None = they need none. A library's declarations for cffi lie next to it, with the suffix ".cdef". Builds
-    are kept in firmware/build, or in the user's cache where that cannot be written, by a hash of all that they are made
-    from. Raises BuildError and MissingExtraError.
+    signature, None = they need none. `verifier`: C sources with vc_port_verify_signature of vibrocast/port.h, and what
+    else that needs; a controller with a key does not start without one. A library's declarations for cffi lie next to
+    it, with the suffix ".cdef". Builds are kept in firmware/build, or in the user's cache where that cannot be written,
+    by a hash of all that they are made from. Raises BuildError and MissingExtraError.
     """
     target = TEMPLATE if name == "template" else TARGETS[name]
     key = {} if public_key is None else {"VC_PUBLIC_KEY": "".join(f"\\x{byte:02x}" for byte in public_key)}
-    target = replace(target, defines={**target.defines, **(sizes or {}), **key})
+    verifier_paths = tuple(path.resolve() for path in verifier)
+    target = replace(target, defines={**target.defines, **(sizes or {}), **key}, verifier=verifier_paths)
     extras.require("firmware", "ziglang")
     folder = _build_folder() / f"{name}-{_fingerprint(target)}"
     built = folder / f"{name}{target.suffix}"
@@ -288,9 +300,10 @@ def _fingerprint(target: Target) -> str:
     digest = hashlib.sha256(repr((target.command(), sys.platform, platform.machine(), version("ziglang"))).encode())
     if target.finish is not None:
         digest.update(Path(rp2040.__file__).read_bytes())
-    for folder in (*target.shared, *target.folders):
-        for path in sorted((ROOT / folder).iterdir()):
-            if path.suffix in (".c", ".h", ".inc", ".ld"):
+    folders = [ROOT / folder for folder in (*target.shared, *target.folders)]
+    for folder in folders + [path.parent for path in target.verifier]:
+        for path in sorted(folder.iterdir()):
+            if path.suffix in (".c", ".h", ".ld"):
                 digest.update(path.name.encode() + path.read_bytes())
     return digest.hexdigest()[:12]
 
@@ -360,17 +373,31 @@ def size(name: str, sizes: Mapping[str, int] | None = None) -> Size:
     type=click.Path(dir_okay=False, path_type=Path),
     help="Let controllers take only model images that this key signed.",
 )
-def main(names: tuple[str, ...], with_sizes: bool, json_path: Path | None, key_path: Path | None) -> None:
+@click.option(
+    "--verifier",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    multiple=True,
+    help="Compile this C source, for --public-key: it verifies signatures. Repeat it for each source.",
+)
+def main(
+    names: tuple[str, ...],
+    with_sizes: bool,
+    json_path: Path | None,
+    key_path: Path | None,
+    verifier: tuple[Path, ...],
+) -> None:
     """Build targets of the firmware, and print the file of each.
 
     Without TARGET, all targets are built.
     """
     wanted = names or tuple(TARGETS)
+    if key_path is not None and not verifier:
+        raise click.UsageError("a controller with a key verifies signatures: give the C sources for that as --verifier")
     try:
         public_key = None if key_path is None else read_public_key(key_path)
         if not with_sizes and json_path is None:
             for name in wanted:
-                click.echo(f"{name}: {build(name, public_key=public_key)}")
+                click.echo(f"{name}: {build(name, public_key=public_key, verifier=verifier)}")
             return
         sizes = {name: asdict(size(name)) for name in wanted if TARGETS[name].suffix == ".elf"}
     except (BuildError, CoreError, InputFileError, OSError, extras.MissingExtraError) as error:

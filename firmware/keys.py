@@ -1,13 +1,17 @@
-"""Keys and signatures of Ed25519 (RFC 8032) by vc_ed25519.h, and key files in PEM (RFC 8410)."""
+"""Keys and signatures of Ed25519 (RFC 8032) by the package cryptography, and key files in PEM (RFC 8410)."""
 
 import base64
 import os
 import re
 import secrets
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from vibrocast import extras
 from vibrocast.files import InputFileError, atomic_write, read_input
-from vibrocast.firmware.native_core import ffi, library
+
+if TYPE_CHECKING:
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 KEY_BYTES = 32
 SIGNATURE_BYTES = 64
@@ -19,9 +23,10 @@ _DER = {
     "PUBLIC": bytes.fromhex("302a300506032b6570032100"),
 }
 _PEM = re.compile(r"-----BEGIN (PRIVATE|PUBLIC) KEY-----\s([A-Za-z0-9+/=\s]+)-----END \1 KEY-----\s*", re.ASCII)
-# The neutral element, encoded (RFC 8032, section 5.1.2), and 0: with a public key of small order, this signature is
-# right for every message.
-_FORGERY = (1).to_bytes(KEY_BYTES, "little") + bytes(KEY_BYTES)
+_PRIME = 2**255 - 19
+# y of the points of small order (RFC 8032, section 5.1): for such a key, anyone finds a signature of any message.
+_ORDER_8_Y = 0x05FC536D880238B13933C6D305ACDFD5F098EFF289F4C345B027B2C28F95E826
+_SMALL_ORDER_Y = {0, 1, _PRIME - 1, _ORDER_8_Y, _PRIME - _ORDER_8_Y}
 
 
 def new_private_key() -> bytes:
@@ -30,22 +35,37 @@ def new_private_key() -> bytes:
 
 
 def public_key(private_key: bytes) -> bytes:
-    """Return the public key of a private one, 32 bytes."""
-    key = ffi.new("uint8_t[]", KEY_BYTES)
-    library().vc_ed25519_public_key(private_key, key)
-    return bytes(key)
+    """Return the public key of a private one, 32 bytes. Raises MissingExtraError."""
+    return _loaded(private_key).public_key().public_bytes_raw()
 
 
 def sign(private_key: bytes, message: bytes) -> bytes:
-    """Return the signature of a message, 64 bytes."""
-    signature = ffi.new("uint8_t[]", SIGNATURE_BYTES)
-    library().vc_ed25519_sign(private_key, message, len(message), signature)
-    return bytes(signature)
+    """Return the signature of a message, 64 bytes. Raises MissingExtraError."""
+    return _loaded(private_key).sign(message)
+
+
+def _loaded(private_key: bytes) -> "Ed25519PrivateKey":
+    """Return a private key as the package has it, which loads slowly and which few commands need."""
+    extras.require("keys", "cryptography")
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+    return Ed25519PrivateKey.from_private_bytes(private_key)
 
 
 def is_signed(signature: bytes, public_key: bytes, message: bytes) -> bool:
-    """Return whether the owner of a public key has signed a message so. Keys have 32 bytes, signatures 64."""
-    return bool(library().vc_ed25519_check(signature, public_key, message, len(message)))
+    """Return whether the owner of a public key has signed a message so. Keys have 32 bytes, signatures 64.
+
+    Raises MissingExtraError.
+    """
+    extras.require("keys", "cryptography")
+    from cryptography.exceptions import InvalidSignature
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+
+    try:
+        Ed25519PublicKey.from_public_bytes(public_key).verify(signature, message)
+    except InvalidSignature:
+        return False
+    return True
 
 
 def write_private_key(path: Path, private_key: bytes) -> None:
@@ -72,11 +92,11 @@ def read_private_key(path: Path) -> bytes:
 def read_public_key(path: Path) -> bytes:
     """Return the public key in a file of a public or of a private key. Raises InputFileError for another file, OSError.
 
-    Rejects the few keys for which anyone can sign, such as zeros.
+    Rejects the few keys for which anyone can sign, such as zeros. Raises MissingExtraError for a private key.
     """
     kind, key = _read(path)
     found = public_key(key) if kind == "PRIVATE" else key
-    if is_signed(_FORGERY, found, b""):
+    if int.from_bytes(found, "little") % 2**255 % _PRIME in _SMALL_ORDER_Y:
         raise InputFileError(f"{path}: anyone can sign for this key; make another with `vibrocast keys new`")
     return found
 

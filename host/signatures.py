@@ -14,7 +14,7 @@ def signed(image: bytes, private_key: bytes, number: int) -> bytes:
     """Return a packed model image with a signature, in place of any before.
 
     `number`: of the release, from 1 on; a controller takes none below the highest one confirmed. Raises
-    ModelImageError for bytes that are no image, or another number.
+    ModelImageError for bytes that are no image, or another number, and MissingExtraError.
     """
     ModelImage.unpack(image)
     if not 1 <= number <= MAX_NUMBER:
@@ -23,7 +23,10 @@ def signed(image: bytes, private_key: bytes, number: int) -> bytes:
 
 
 def check(image: bytes, public_key: bytes) -> ModelImage:
-    """Return the image that the owner of a public key has signed. Raises ModelImageError for any other."""
+    """Return the image that the owner of a public key has signed.
+
+    Raises ModelImageError for any other, and MissingExtraError.
+    """
     held = ModelImage.unpack(image)
     if not held.signature:
         raise ModelImageError(f"the model image {held.name} has no signature; sign it with `vibrocast keys sign`")

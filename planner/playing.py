@@ -172,12 +172,16 @@ def play(
         try:
             with opener(each.address, bench.actuator(name)) as session:
                 player = _Player(plan, each, session)
-                for number, texture in enumerate(mine[name]):
-                    played[texture.name] = player.play_in_time(texture, partial(tell, name, number))
+                own = [
+                    player.play_in_time(texture, partial(tell, name, number))
+                    for number, texture in enumerate(mine[name])
+                ]
         except (ControllerError, TransportError) as error:
             if len(playing) == 1:
                 raise
             failures[name] = error
+        else:
+            played.update({each.texture.name: each for each in own})
     in_order = [played[texture.name] for texture in wanted if texture.name in played]
     if failures:
         code = next((error.code for error in failures.values() if isinstance(error, ControllerError)), None)

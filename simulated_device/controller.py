@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from vibrocast.firmware import native_core
+from vibrocast import extras
+from vibrocast.device_protocol.model_image import SIGNED_MESSAGE_BYTES
+from vibrocast.firmware import keys, native_core
 from vibrocast.output.actuator import PIEZO_STACK, Actuator, Codes
 from vibrocast.output.actuator_constants import constants
 from vibrocast.simulated_device.callbacks import Callbacks
@@ -27,8 +29,8 @@ class Settings:
     which leave the choice; None = as the image says. `position_sensor`: returns the position of the hand, in nm, at the
     controller's time, in us; None = the host sends it. The other numbers are the limits in the response to Hello:
     `channels` at most 16; `buffer_samples`, `capture_samples` and `profile_samples` (of a height profile, of all
-    channels together) at most these. `public_key`: of Ed25519, 32 bytes; model images need its signature, None = they
-    need none. `serial_number`: at most 31 bytes, empty = none.
+    channels together) at most these. `public_key`: of Ed25519, 32 bytes; model images need its signature, which the
+    extra [keys] verifies, None = they need none. `serial_number`: at most 31 bytes, empty = none.
     """
 
     actuator: Actuator = PIEZO_STACK
@@ -56,7 +58,7 @@ class Controller:
     `flash`: None = a blank one that lasts as long as this object. Exceptions of the flash (PowerCut), of `on_dac` and
     of the position sensor pass through the method that was called; the controller is then without power. `firmware`:
     declarations (FFI) and functions of a build with other sizes, None = the installed one. Raises ValueError for an
-    actuator whose numbers do not fit vc_actuator.
+    actuator whose numbers do not fit vc_actuator, and MissingExtraError.
     """
 
     def __init__(
@@ -133,10 +135,22 @@ class Controller:
             fields["serial_number"] = ffi.new("char[]", settings.serial_number.encode())
         if settings.public_key is not None:
             fields["public_key"] = ffi.new("uint8_t[32]", settings.public_key)
+            fields["verify_signature"] = signature_verifier(ffi, self._callbacks)
         if settings.position_sensor is not None:
             read = settings.position_sensor
             fields["position"] = self._callbacks.make("vc_position_sensor", lambda context, now_us: read(now_us), 0)
         return fields
+
+
+def signature_verifier(ffi: Any, callbacks: Callbacks) -> Any:
+    """Return a vc_signature_verifier, settings.h, by the package cryptography. Raises MissingExtraError."""
+    extras.require("keys", "cryptography")
+
+    def verify(context: Any, public_key: Any, signature: Any, message: Any) -> bool:
+        parts = (signature, keys.SIGNATURE_BYTES), (public_key, keys.KEY_BYTES), (message, SIGNED_MESSAGE_BYTES)
+        return keys.is_signed(*(bytes(ffi.buffer(part, length)) for part, length in parts))
+
+    return callbacks.make("vc_signature_verifier", verify, 0)
 
 
 def _play(ffi: Any, on_dac: Callable[[Codes], None] | None) -> Callable[..., None]:

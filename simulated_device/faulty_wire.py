@@ -176,7 +176,7 @@ class FaultyWire(Device):
         return self._there.waiting_bytes
 
     def change(self, *faults: Fault) -> None:
-        """Have other faults; their schedule begins now. What is on its way goes on."""
+        """Have other faults; their schedule begins now. Bytes on their way go on."""
         self._began_us = self._now_us
         self._set(faults)
 

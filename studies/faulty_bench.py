@@ -75,10 +75,6 @@ class Hanging(Inner):
             data, self._late = self._late, b""
             self.controller.receive(data, now_us)
 
-    def transmit(self) -> bytes:
-        """Return the bytes to send to the host."""
-        return self.controller.transmit()
-
 
 class Restarting(Inner):
     """Loses its power 3 s after the host's first bytes, once."""

@@ -373,30 +373,7 @@ def rendered(loads: Sequence[Load], sizes: Sequence[Size], controller: Sequence[
         board=BOARD,
         profile_unit=PROFILE_UNIT,
         controllers=[(load, CORES[board_cores()[load.board]].clock_hz) for load in controller],
-        channel_counts=CHANNELS,
-        summary_unit=PLAYED[0].unit,
-        summary_packet_samples=PLAYED[0].packet_samples,
-        summary={board: _summary(controller, board) for board in dict.fromkeys(load.board for load in controller)},
     )
-
-
-def _summary(controller: Sequence[ControllerLoad], board: str) -> list[float | None]:
-    """Return loads of a controller in percent: of the first kind of stream by CHANNELS, and of a profile.
-
-    None where there is no such row.
-    """
-    shown = [(PLAYED[0].unit, RATE_HZ, channels, PLAYED[0].packet_samples) for channels in CHANNELS]
-    shown += [
-        (played.unit, played.rate_hz, 1, played.packet_samples) for played in PLAYED if played.unit == PROFILE_UNIT
-    ]
-    percent = {
-        (load.unit, load.rate_hz, load.channels, load.packet_samples): 100
-        * load.instructions
-        / CORES[board_cores()[board]].clock_hz
-        for load in controller
-        if load.board == board
-    }
-    return list(map(percent.get, shown))
 
 
 def _load(loads: Sequence[Load], decoder: str, core: str, kernels: str) -> dict[str, float]:

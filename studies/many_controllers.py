@@ -17,7 +17,6 @@ from studies.latency import PARTS
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.live_format import recording_format
 from vibrocast.codec.stream import Stream
-from vibrocast.device_protocol.coded_stream import MAX_CHANNELS
 from vibrocast.device_protocol.transports import SerialTransport
 from vibrocast.firmware.build import build
 from vibrocast.harness import machine
@@ -29,6 +28,7 @@ from vibrocast.host.live import LiveStream, paced
 from vibrocast.textures import GENERATORS, Recording
 
 RATE_HZ = 2800
+CHANNELS = 10
 TABLE = "many_controllers.csv"
 LIVE_TABLE = "many_live_streams.csv"
 LIVE_STREAMS = (1, 10, 100)
@@ -123,13 +123,13 @@ def pinned() -> Iterator[list[int]]:
         os.sched_setaffinity(0, cores)
 
 
-def measure(count: int, channels: int, seconds: float, buffer_s: float) -> Measured:
+def measure(count: int, seconds: float) -> Measured:
     """Stream to `count` controllers at once, without reading back; this process on one core, theirs on the others."""
-    stream = noise(channels, seconds)
+    stream = noise(CHANNELS, seconds)
     packet_samples = stream.decoder().packet_samples
-    settings = player.PlaybackSettings(buffer_s=buffer_s)
+    settings = player.PlaybackSettings()
     children_s = os.times().children_user + os.times().children_system
-    with pinned() as others, ports(count, channels, others) as names, contextlib.ExitStack() as stack:
+    with pinned() as others, ports(count, CHANNELS, others) as names, contextlib.ExitStack() as stack:
         controllers = [Controller(stack.enter_context(SerialTransport(name))) for name in names]
         works = {
             number: (each, player.play_steps(each, stream.header, stream.packets, packet_samples, settings))
@@ -145,7 +145,7 @@ def measure(count: int, channels: int, seconds: float, buffer_s: float) -> Measu
     played = [result for result in results if isinstance(result, player.PlaybackResult)]
     return Measured(
         count,
-        channels,
+        CHANNELS,
         round(took_s / seconds, 3),
         round(children_s / seconds, 3),
         sum(result.underruns for result in played),
@@ -193,7 +193,7 @@ def measure_live(count: int, seconds: float) -> LiveMeasured:
     return LiveMeasured(count, restarts, *(round(float(each), 3) for each in figures))
 
 
-def rendered(rows: Sequence[Measured], live: Sequence[LiveMeasured], seconds: float, buffer_s: float) -> str:
+def rendered(rows: Sequence[Measured], live: Sequence[LiveMeasured], seconds: float) -> str:
     """Return the page with the table."""
     return page.render(
         "many_controllers",
@@ -203,7 +203,7 @@ def rendered(rows: Sequence[Measured], live: Sequence[LiveMeasured], seconds: fl
         live_texture=LIVE_TEXTURE,
         rate_hz=RATE_HZ,
         seconds=seconds,
-        buffer_s=buffer_s,
+        buffer_s=player.BUFFER_S,
         processor=machine()["processor"],
         cores=os.cpu_count(),
     )
@@ -219,19 +219,13 @@ def rendered(rows: Sequence[Measured], live: Sequence[LiveMeasured], seconds: fl
     show_default=True,
     help="Measure with this number of controllers; may be repeated.",
 )
-@click.option(
-    "--channels", type=Whole("NUMBER", 1, MAX_CHANNELS), default=10, show_default=True, help="Set the channels of each."
-)
 @click.option("--seconds", type=positive("s"), default=10.0, show_default=True, help="Set the duration.")
-@click.option(
-    "--buffer-s", type=positive("s"), default=player.BUFFER_S, show_default=True, help="Set the buffer of each."
-)
-def main(counts: tuple[int, ...], channels: int, seconds: float, buffer_s: float, out: Path) -> None:
+def main(counts: tuple[int, ...], seconds: float, out: Path) -> None:
     """Measure hosts with many controllers, and write the page many_controllers.md."""
-    rows = [measure(count, channels, seconds, buffer_s) for count in counts]
+    rows = [measure(count, seconds) for count in counts]
     live = [measure_live(count, seconds) for count in LIVE_STREAMS]
     tables = ((TABLE, rows, Measured), (LIVE_TABLE, live, LiveMeasured))
-    page.publish(out, "many_controllers", rendered(rows, live, seconds, buffer_s), tables)
+    page.publish(out, "many_controllers", rendered(rows, live, seconds), tables)
 
 
 if __name__ == "__main__":

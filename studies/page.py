@@ -75,10 +75,10 @@ def write_rows(path: Path, rows: Iterable[Row], kind: type[Row]) -> None:
         points.write_rows(partial, rows, kind)
 
 
-def rounded(row: Row, digits: str) -> Row:
-    """Return a row whose numbers have so many digits, as Python's format strings have them."""
+def rounded(row: Row, form: str) -> Row:
+    """Return a row with its numbers in a form of Python's format strings, such as ".4g"."""
     values = {
-        name: float(f"{value:{digits}}") if isinstance(value, float) else value for name, value in vars(row).items()
+        name: float(f"{value:{form}}") if isinstance(value, float) else value for name, value in vars(row).items()
     }
     return type(row)(**values)
 

@@ -219,6 +219,13 @@ def eva_claims(measurements: Measurements) -> Iterator[Claim]:
 
 def dct_claims(rows: Sequence[Result]) -> Iterator[Claim]:
     """Yield the claims of the texture paper, with the results of texture_paper.csv and the actuator."""
+    yield from _compression_claims(rows)
+    yield from _listener_claims()
+    yield from _display_claims()
+
+
+def _compression_claims(rows: Sequence[Result]) -> Iterator[Claim]:
+    """Yield the claims that coding alone decides."""
     ratios = {row.levels: row.paper_percent for row in rows if row.quantiser == "linear" and row.b0_db is None}
     worst = max((abs(ratio - 100 * math.log2(levels) / 16) for levels, ratio in ratios.items()), default=None)
     yield Claim(
@@ -239,7 +246,6 @@ def dct_claims(rows: Sequence[Result]) -> Iterator[Claim]:
         here = None if cut is None else cut.zeros_percent
         claim = f"{surface}: zeros by the cut, b0 = {published.b0_db:g} dB"
         yield _percent(claim, published.zeros_percent, here, "", OTHER_THRESHOLD)
-    listeners = "No people took part. Another page shows what simulated observers answer."
     small = [
         row.huffman_percent
         for surface, published in PUBLISHED.items()
@@ -270,59 +276,47 @@ def dct_claims(rows: Sequence[Result]) -> Iterator[Claim]:
             YES if 2 * peaks > stretches else NO,
             "The energy rises at every L. By chance a third of the stretches would peak here.",
         )
-    levels_text = ", ".join(f"{surface} {published.levels}" for surface, published in PUBLISHED.items())
-    cuts_text = ", ".join(f"{surface} {published.b0_db:g} dB" for surface, published in PUBLISHED.items())
-    yield Claim(DCT, "the least L that listeners did not notice", levels_text, "", None, NOT_YET, listeners)
+
+
+def _listener_claims() -> Iterator[Claim]:
+    """Yield the claims that only people can decide."""
+    levels = ", ".join(f"{surface} {published.levels}" for surface, published in PUBLISHED.items())
+    cuts = ", ".join(f"{surface} {published.b0_db:g} dB" for surface, published in PUBLISHED.items())
+    why = "No people took part. Another page shows what simulated observers answer."
     for claim, stated in (
+        ("the least L that listeners did not notice", levels),
         ("the least L of log levels that listeners did not notice", "wood 14, sandpaper 12"),
         ("levels unexpectedly like the original", "wood 8, sandpaper 10, leather 12"),
         ("t and p of grades in 51 conditions, 10 listeners a texture", "Tables 2 to 4"),
         ("d' of two listeners, linear levels: wood 12, sandpaper 12, leather 10", "0.67 to 0.87"),
         ("d' of two listeners, cut: wood -4, sandpaper 0, leather 8 dB", "0.60 to 1.15"),
+        ("the highest b0 that listeners did not notice", cuts),
+        ("listeners noticed a cut at b0 = 0 dB", "noticed"),
+        ("quality is not monotone in L for listeners", "not monotone"),
     ):
-        yield Claim(DCT, claim, stated, "", None, NOT_YET, listeners)
-    yield Claim(DCT, "the highest b0 that listeners did not notice", cuts_text, "", None, NOT_YET, listeners)
-    yield Claim(DCT, "listeners noticed a cut at b0 = 0 dB", "noticed", "", None, NOT_YET, listeners)
-    yield Claim(DCT, "quality is not monotone in L for listeners", "not monotone", "", None, NOT_YET, listeners)
-    no_hardware = "Computed from the model of the actuator. No recording has been played on a real one."
+        yield Claim(DCT, claim, stated, "", None, NOT_YET, why)
+
+
+def _display_claims() -> Iterator[Claim]:
+    """Yield the claims about the display, held by the model of its actuator."""
     corner_db, falls, deviation_db = display()
-    yield Claim(DCT, "display: -3 dB at 270 Hz", "-3 dB", f"{corner_db:.2f} dB at 270 Hz", None, MODEL, no_hardware)
-    yield Claim(
-        DCT,
-        "display: no resonance up to 400 Hz",
-        "none",
-        "its gain falls throughout" if falls else "its gain rises",
-        None,
-        MODEL,
-        no_hardware,
+    driven = (
+        f"{PIEZO_STACK.dac_rate_hz / 1000:g} kHz; within {deviation_db:.2f} dB up to {HIGHEST_HZ:g} Hz, with the hold"
     )
-    yield Claim(
-        DCT,
-        "driven at 3.0 kHz through the inverse of its response",
-        "3.0 kHz",
-        f"{PIEZO_STACK.dac_rate_hz / 1000:g} kHz; within {deviation_db:.2f} dB up to {HIGHEST_HZ:g} Hz, with the hold",
-        None,
-        MODEL,
-        no_hardware,
-    )
-    yield Claim(
-        DCT,
-        "position sensed to 0.4 um",
-        "0.4 um",
-        f"rounding the positions of a stroke so changes the heights by {sensed():.0f} dB",
-        None,
-        MODEL,
-        no_hardware,
-    )
-    yield Claim(
-        DCT,
-        "a finger does not load the display",
-        "some 800 N",
-        "",
-        None,
-        NOT_YET,
-        "The model has no finger.",
-    )
+    why = "Computed from the model of the actuator. No recording has been played on a real one."
+    for claim, stated, here in (
+        ("display: -3 dB at 270 Hz", "-3 dB", f"{corner_db:.2f} dB at 270 Hz"),
+        ("display: no resonance up to 400 Hz", "none", "its gain falls throughout" if falls else "its gain rises"),
+        ("driven at 3.0 kHz through the inverse of its response", "3.0 kHz", driven),
+        (
+            "position sensed to 0.4 um",
+            "0.4 um",
+            f"rounding the positions of a stroke so changes the heights by {sensed():.0f} dB",
+        ),
+    ):
+        yield Claim(DCT, claim, stated, here, None, MODEL, why)
+    unloaded = "a finger does not load the display"
+    yield Claim(DCT, unloaded, "some 800 N", "", None, NOT_YET, "The model has no finger.")
 
 
 def louder() -> dict[str, tuple[float, int, int]]:

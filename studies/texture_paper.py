@@ -5,11 +5,11 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from scipy.fft import dct as fast_dct
 
@@ -20,9 +20,9 @@ from vibrocast.codec.core import UNIT
 from vibrocast.codec.huffman import code_lengths
 from vibrocast.codec.stream import as_stream
 from vibrocast.codec.threshold import read_threshold, threshold_amplitude
-from vibrocast.evaluation.charts import DPI, FONT_POINTS, WIDTH_IN
+from vibrocast.evaluation.charts import WIDTH_IN
 from vibrocast.evaluation.curves import Curve, Panel, curves
-from vibrocast.files import atomic_write
+from vibrocast.evaluation.pictures import figure_file
 from vibrocast.textures import dataset
 from vibrocast.textures.generate import rough_profile
 
@@ -324,32 +324,32 @@ def draw_levels(path: Path, results: Sequence[Result]) -> None:
 def draw_spectra(path: Path, lines: Sequence[Line]) -> None:
     """Draw a row of panels for each surface: its spectrum, and that of each version, with the threshold."""
     names = list(dict.fromkeys(line.surface for line in lines))
-    figure = Figure(figsize=(WIDTH_IN, 0.4 + PANEL_IN * len(names)), dpi=DPI, layout="constrained")
-    FigureCanvasAgg(figure)
-    grid = figure.subplots(len(names), 4, squeeze=False, sharex=True, sharey=True)
-    for row, name in zip(grid, names, strict=True):
-        own, at = [line for line in lines if line.surface == name], published(name)
-        frequency_hz = [line.frequency_hz for line in own]
-        panels = [
-            (f"{name}\noriginal", [line.original_um for line in own], 0.0),
-            (f"{at.levels} linear levels", [line.linear_um for line in own], 0.0),
-            (f"{at.levels} log levels", [line.log_um for line in own], 0.0),
-            (f"cut at {at.b0_db:+g} dB", [line.cut_um for line in own], at.b0_db),
-        ]
-        for axes, (title, amplitudes_um, b0_db) in zip(row, panels, strict=True):
-            threshold_um = [line.threshold_um * 10 ** (b0_db / 20) for line in own]
-            magnitudes_um = np.clip(np.abs(amplitudes_um), *AMPLITUDES_UM)
-            axes.plot(frequency_hz, threshold_um, color="#d55e00", linestyle="--", linewidth=1)
-            axes.plot(frequency_hz, magnitudes_um, ".", color="#0072b2", markersize=2.5, clip_on=False)
-            axes.set_yscale("log")
-            axes.set_ylim(*AMPLITUDES_UM)
-            axes.set_title(title, fontsize=FONT_POINTS, loc="left")
-            axes.tick_params(labelsize=FONT_POINTS)
-        row[0].set_ylabel("amplitude, um", fontsize=FONT_POINTS)
-    for axes in grid[-1]:
-        axes.set_xlabel("frequency, Hz", fontsize=FONT_POINTS)
-    with atomic_write(path) as partial:
-        figure.savefig(partial)
+    with figure_file(path, WIDTH_IN, 0.4 + PANEL_IN * len(names)) as figure:
+        grid = figure.subplots(len(names), 4, squeeze=False, sharex=True, sharey=True)
+        for row, name in zip(grid, names, strict=True):
+            _draw_spectrum(row, published(name), [line for line in lines if line.surface == name])
+        for axes in grid[-1]:
+            axes.set_xlabel("frequency, Hz")
+
+
+def _draw_spectrum(row: Sequence[Axes], at: Published, lines: Sequence[Line]) -> None:
+    """Draw the panels of one surface."""
+    frequency_hz = [line.frequency_hz for line in lines]
+    panels = [
+        (f"{lines[0].surface}\noriginal", [line.original_um for line in lines], 0.0),
+        (f"{at.levels} linear levels", [line.linear_um for line in lines], 0.0),
+        (f"{at.levels} log levels", [line.log_um for line in lines], 0.0),
+        (f"cut at {at.b0_db:+g} dB", [line.cut_um for line in lines], at.b0_db),
+    ]
+    for axes, (title, amplitudes_um, b0_db) in zip(row, panels, strict=True):
+        threshold_um = [line.threshold_um * 10 ** (b0_db / 20) for line in lines]
+        magnitudes_um = np.clip(np.abs(amplitudes_um), *AMPLITUDES_UM)
+        axes.plot(frequency_hz, threshold_um, color="#d55e00", linestyle="--", linewidth=1)
+        axes.plot(frequency_hz, magnitudes_um, ".", color="#0072b2", markersize=2.5, clip_on=False)
+        axes.set_yscale("log")
+        axes.set_ylim(*AMPLITUDES_UM)
+        axes.set_title(title, loc="left")
+    row[0].set_ylabel("amplitude, um")
 
 
 def _curve(results: Iterable[Result], surface: str, quantiser: str) -> list[Result]:
@@ -380,7 +380,10 @@ def main(out: Path, folder: Path | None, recordings_folder: Path | None) -> None
     results, lines, of_recordings = measure_all(profiles), spectra(profiles), medians(recordings)
     draw_levels(tables / "texture_paper.png", results)
     draw_spectra(tables / "texture_paper_spectra.png", lines)
-    kinds = {"texture_paper": (results, Result), "texture_paper_spectra": (lines, Line)}
+    kinds: dict[str, tuple[Sequence[Any], type[Any]]] = {
+        "texture_paper": (results, Result),
+        "texture_paper_spectra": (lines, Line),
+    }
     if of_recordings:
         kinds["texture_paper_recordings"] = of_recordings, Median
     rows = [(f"{name}.csv", [page.rounded(each, ".4f") for each in some], kind) for name, (some, kind) in kinds.items()]

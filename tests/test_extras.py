@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from vibrocast import extras
+from vibrocast.firmware import keys
 
 ROOT = Path(__file__).parents[1]
 # Hides the packages of all extras.
@@ -78,6 +79,7 @@ def test_the_base_simulates() -> None:
 
 def test_a_command_names_the_extra_that_it_needs(tmp_path: Path) -> None:
     oak, out = "examples/oak.wav", str(tmp_path / "out")
+    keys.write_public_key(tmp_path / "vendor.pub.pem", b"\x02" * 32)
     cases = [
         ("bench", ["bench", "examples", "--out", out]),
         ("bench", ["stability", "--out", out]),
@@ -89,6 +91,8 @@ def test_a_command_names_the_extra_that_it_needs(tmp_path: Path) -> None:
         ("firmware", ["play", oak, "--device", "cortex-m4"]),
         ("firmware", ["play", oak, "--device", "stm32f405"]),
         ("firmware", ["status", "--device", "host"]),
+        ("keys", ["keys", "new", f"{out}.pem"]),
+        ("keys", ["simulate", "--public-key", str(tmp_path / "vendor.pub.pem")]),
         ("plot", ["play", oak, "--plot", f"{out}.png"]),
     ]
     for (extra, command), (code, errors) in zip(cases, run_without_extras(*(case[1] for case in cases)), strict=True):

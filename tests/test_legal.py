@@ -1,6 +1,5 @@
 """Licences and versions: each dependency has a row on the page of licences, and the files agree with pyproject.toml."""
 
-import hashlib
 import re
 import tomllib
 from pathlib import Path
@@ -45,18 +44,6 @@ def test_the_page_names_what_is_under_the_gpl() -> None:
     for name in ("x264", "x265", "QEMU", "LGPL-2.1"):
         assert name in text
     assert "GPL-2.0" in licences_by_package()["unicorn"]
-
-
-def test_monocypher_is_unchanged_and_keeps_its_licence() -> None:
-    folder = ROOT / "firmware" / "src" / "monocypher"
-    stated = dict(
-        re.findall(
-            r"^\| `(monocypher\.\w+)`[^|]* \| `([0-9a-f]{64})` \|", PAGE.read_text(encoding="utf-8"), re.MULTILINE
-        )
-    )
-    kept = folder.glob("monocypher.*")
-    assert stated == {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in kept}
-    assert "Licence 1 (2-clause BSD)" in (folder / "LICENSE.txt").read_text(encoding="utf-8")
 
 
 def test_the_licence_is_apache_2_of_the_authors() -> None:

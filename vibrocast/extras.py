@@ -10,6 +10,7 @@ EXTRAS = {
     "av": ("peers", "bench"),
     "bjontegaard": ("bench",),
     "capstone": ("firmware",),
+    "cryptography": ("keys",),
     "distributed": ("bench",),
     "elftools": ("firmware",),
     "jinja2": ("plan", "bench", "study"),

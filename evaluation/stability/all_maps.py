@@ -3,45 +3,14 @@
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
-from vibrocast.evaluation.stability import page
-from vibrocast.evaluation.stability.actuators import RESONANCE, VOLTAGE
-from vibrocast.evaluation.stability.entropy import ENTROPY
-from vibrocast.evaluation.stability.filters import FILTERS
+from vibrocast.evaluation.stability import learned_signals, output, page, settings, signals, transport
 from vibrocast.evaluation.stability.float_parity import PARITY
-from vibrocast.evaluation.stability.hand_speed import HAND_SPEED
-from vibrocast.evaluation.stability.learned_signals import KINDS, LEVEL, QUIET
 from vibrocast.evaluation.stability.maps import Scope
 from vibrocast.evaluation.stability.model_images import IMAGES
 from vibrocast.evaluation.stability.peers import PEERS
-from vibrocast.evaluation.stability.rate_point_sets import DCT_LEVELS, DCT_SMALLEST, DCT_THRESHOLD, RATE_POINTS
-from vibrocast.evaluation.stability.recordings import RECORDINGS
-from vibrocast.evaluation.stability.signals import ONSETS, SIGNALS
-from vibrocast.evaluation.stability.transport import DRIFT, FLIPS, LOSS, STALLS
 from vibrocast.evaluation.stability.trials import Verdict, run
 
-MAPS = (
-    RECORDINGS,
-    SIGNALS,
-    ONSETS,
-    RATE_POINTS,
-    DCT_LEVELS,
-    DCT_THRESHOLD,
-    DCT_SMALLEST,
-    FILTERS,
-    ENTROPY,
-    LOSS,
-    FLIPS,
-    DRIFT,
-    STALLS,
-    HAND_SPEED,
-    RESONANCE,
-    VOLTAGE,
-    KINDS,
-    QUIET,
-    LEVEL,
-    IMAGES,
-    PARITY,
-)
+MAPS = (*signals.MAPS, *settings.MAPS, *transport.MAPS, *output.MAPS, *learned_signals.MAPS, IMAGES, PARITY)
 
 
 def make_maps(

@@ -1,7 +1,7 @@
 """The same ONNX graphs under other options, as on another machine, and how far the results lie apart."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -12,17 +12,8 @@ from numpy.typing import NDArray
 
 from vibrocast.codec.eva_image import EvaImage
 from vibrocast.codec.graphs import HOP, LATENTS, SIGNAL
-from vibrocast.evaluation.stability.maps import (
-    Group,
-    Map,
-    Place,
-    RatePoint,
-    Rule,
-    Scope,
-    figure,
-    middle_rate_point,
-    with_methods,
-)
+from vibrocast.evaluation.stability import maps
+from vibrocast.evaluation.stability.maps import Group, Map, Place, RatePoint, Rule, Scope, figure
 from vibrocast.evaluation.stability.signals import RATE_HZ, encoded, texture
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, graded
 from vibrocast.evaluation.trained import runtimes
@@ -80,9 +71,7 @@ def measure_analysis(rate_point: RatePoint, way: str) -> Measured:
     """Run the analysis in another way; count the latents that are rounded to other integers."""
     signal, latents = _latents(rate_point)
     assert rate_point.model is not None, "a learned method has models"
-    level, threads, pieces = _WAYS[way]
-    transform = partial(run, rate_point.model.analysis, SIGNAL, LATENTS, level=level, threads=threads)
-    other = _in_pieces(transform, signal, HOP, 1) if pieces else transform(signal)
+    other = _otherwise(way, partial(run, rate_point.model.analysis, SIGNAL, LATENTS), signal, HOP, 1)
     rounded = float(np.mean(np.rint(latents) != np.rint(other)))
     return _judged(latents, other, {"rounded_otherwise_per_million": 1e6 * rounded})
 
@@ -91,12 +80,16 @@ def measure_synthesis(rate_point: RatePoint, way: str) -> Measured:
     """Run the synthesis in another way on the same integers."""
     _, latents = _latents(rate_point)
     assert rate_point.model is not None, "a learned method has models"
-    graph = EvaImage.unpack(rate_point.model.tables).graph
+    synthesis = partial(run, EvaImage.unpack(rate_point.model.tables).graph, LATENTS, SIGNAL)
     values = np.rint(latents)
+    return _judged(synthesis(values), _otherwise(way, synthesis, values, 1, HOP), {})
+
+
+def _otherwise(way: str, graph: Callable[..., Values], values: Values, hop_in: int, hop_out: int) -> Values:
+    """Return a graph's result in one of _WAYS."""
     level, threads, pieces = _WAYS[way]
-    transform = partial(run, graph, LATENTS, SIGNAL, level=level, threads=threads)
-    other = _in_pieces(transform, values, 1, HOP) if pieces else transform(values)
-    return _judged(run(graph, LATENTS, SIGNAL, values), other, {})
+    transform = partial(graph, level=level, threads=threads)
+    return _in_pieces(transform, values, hop_in, hop_out) if pieces else transform(values)
 
 
 def _judged(values: Values, other: Values, figures: dict[str, float | None]) -> Measured:
@@ -120,27 +113,20 @@ def measure_core(rate_point: RatePoint) -> Measured:
     return Measured(Outcome.HOLDS if off == 0 else Outcome.FAILS, {"difference_millionths": 1e6 * off / 32768})
 
 
-def _trials(scope: Scope) -> list[Trial]:
-    trials = []
+def _graphs(scope: Scope) -> Iterator[Trial]:
     for method in scope.learned:
-        rate_point = middle_rate_point(method)
+        rate_point = maps.middle_rate_point(method)
         if rate_point.model is None or not rate_point.model.analysis:
             continue
-        ways = list(_WAYS)[:: 4 if scope.quick else 1]
         parts: dict[str, Callable[[RatePoint, str], Measured]] = {"analysis": measure_analysis}
         if "onnx" in runtimes(rate_point.model):
             parts["synthesis"] = measure_synthesis
-        trials += [
-            Trial(PARITY.name, method.name, f"{part}, {way}", rate_point.text, None, partial(measure, rate_point, way))
-            for part, measure in parts.items()
-            for way in ways
-        ]
+        for part, measure in parts.items():
+            for way in scope.some(list(_WAYS), 4):
+                yield Trial(method.name, f"{part}, {way}", partial(measure, rate_point, way), rate_point.text)
         if "core" in runtimes(rate_point.model):
             core = partial(measure_core, rate_point)
-            trials.append(
-                Trial(PARITY.name, method.name, "integer core, without ONNX Runtime", rate_point.text, None, core)
-            )
-    return trials
+            yield Trial(method.name, "integer core, without ONNX Runtime", core, rate_point.text)
 
 
 PARITY = Map(
@@ -151,9 +137,9 @@ PARITY = Map(
     rule=Rule(
         "largest difference, of the peak", f"up to {1e6 * HELD:g} millionths", f"above {1e6 * FAILED:g} millionths"
     ),
-    trials=_trials,
+    conditions=_graphs,
     message=lambda cells: (
-        f"Floating point differs by at most {1e6 * HELD:g} millionths of the peak {with_methods(cells, 'model')}"
+        f"Floating point differs by at most {1e6 * HELD:g} millionths of the peak {maps.with_methods(cells, 'model')}"
     ),
     place=lambda cell: Place(cell.case, cell.method),
     caption="largest difference, millionths of the peak",

@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache, partial
 
 import numpy as np
@@ -12,36 +12,9 @@ from vibrocast import codec
 from vibrocast.codec import CODECS, Signal
 from vibrocast.codec.stream import Stream
 from vibrocast.evaluation.bd_rate import fewest_bits
-from vibrocast.evaluation.stability import signals
-from vibrocast.evaluation.stability.maps import (
-    Group,
-    Map,
-    Place,
-    RatePoint,
-    Rule,
-    Scope,
-    figure,
-    methods,
-    middle_rate_point,
-    most_hold_up_to,
-    ranges,
-    rate_points,
-    sound_values,
-    with_methods,
-)
-from vibrocast.evaluation.stability.signals import (
-    FAILED_SNR_DB,
-    FAR_LOUDER_DB,
-    MIN_SNR_DB,
-    RATE_HZ,
-    decoded,
-    encoded,
-    judge,
-    louder_db,
-    texture,
-    texture_snr_db,
-    with_bits,
-)
+from vibrocast.evaluation.stability import maps, signals
+from vibrocast.evaluation.stability.maps import Group, Map, Place, RatePoint, Rule, Scope, figure, rate_points
+from vibrocast.evaluation.stability.signals import FAILED_SNR_DB, FAR_LOUDER_DB, RATE_HZ, encoded, texture
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict, graded
 from vibrocast.evaluation.trained import runtimes
 from vibrocast.textures.generate import grating, ridges, rough, stick_slip, taps, wood
@@ -108,7 +81,7 @@ def bits_to_reach(rate_point_set: Sequence[RatePoint], samples: Signal, snr_db: 
     """
     curve = []
     for rate_point in rate_point_set:
-        heard, stream = decoded(samples, RATE_HZ, rate_point)
+        heard, stream = signals.decoded(samples, RATE_HZ, rate_point)
         reached_db = codec.snr_db(samples, heard)
         curve.append((8 * stream.size_bytes / samples.size, math.inf if reached_db is None else reached_db))
     return fewest_bits(curve, snr_db)
@@ -123,7 +96,7 @@ def signal(name: str) -> Signal:
 
 @lru_cache
 def _own_bits(name: str) -> float:
-    return bits_to_reach(rate_points(*methods([OWN], ())), signal(name), WANTED_SNR_DB)
+    return bits_to_reach(rate_points(*maps.methods([OWN], ())), signal(name), WANTED_SNR_DB)
 
 
 def measure_kind(rate_point_set: Sequence[RatePoint], name: str) -> Measured:
@@ -144,8 +117,10 @@ def measure_quiet(rate_point: RatePoint, quieter_db: float) -> Measured:
     samples = texture(seconds=2 * _SECONDS)
     second = slice(len(samples) // 2, len(samples))
     samples[second] *= 10 ** (-quieter_db / 20)
-    heard, stream = decoded(samples, RATE_HZ, rate_point)
-    return with_bits(judge(samples[second], heard[second], texture_snr_db(rate_point)), stream, heard)
+    heard, stream = signals.decoded(samples, RATE_HZ, rate_point)
+    return signals.with_bits(
+        signals.judge(samples[second], heard[second], signals.texture_snr_db(rate_point)), stream, heard
+    )
 
 
 def measure_level(rate_point: RatePoint, runtime: str, name: str) -> Measured:
@@ -159,7 +134,7 @@ def measure_level(rate_point: RatePoint, runtime: str, name: str) -> Measured:
     )
     snr_db, own_db = codec.snr_db(samples, heard[runtime]), codec.snr_db(samples, own)
     assert snr_db is not None and own_db is not None, "a texture is not silent"
-    louder = louder_db(samples, heard[runtime])
+    louder = signals.louder_db(samples, heard[runtime])
     alike_db = codec.snr_db(heard[runtime], heard["core"])
     figures = {
         "snr_db": snr_db,
@@ -171,7 +146,7 @@ def measure_level(rate_point: RatePoint, runtime: str, name: str) -> Measured:
     effect = f"SNR {snr_db:z.1f} dB instead of {own_db:.1f}, {figures['bits_per_sample']:.2f} bits per sample"
     if snr_db < FAILED_SNR_DB or louder > FAR_LOUDER_DB:
         return Measured(Outcome.FAILS, figures, effect)
-    holds = snr_db >= max(MIN_SNR_DB, own_db - LOST_DB)
+    holds = snr_db >= max(signals.MIN_SNR_DB, own_db - LOST_DB)
     return Measured(Outcome.HOLDS if holds else Outcome.DEGRADED, figures, effect)
 
 
@@ -179,63 +154,45 @@ def _by_runtime(stream: Stream, runtime: str) -> Signal:
     return dataclasses.replace(stream, runtime=runtime).decode()
 
 
-def _kind_trials(scope: Scope) -> list[Trial]:
-    names = list(SIGNALS)[:: 5 if scope.quick else 1]
+def _kinds(scope: Scope) -> list[Trial]:
     return [
-        Trial(KINDS.name, method.name, name, "", None, partial(measure_kind, rate_points(method), name))
+        Trial(method.name, name, partial(measure_kind, rate_points(method), name))
         for method in scope.learned
-        for name in names
+        for name in scope.some(list(SIGNALS), 5)
     ]
 
 
-def _quiet_trials(scope: Scope) -> list[Trial]:
+def _quiet_passages(scope: Scope) -> Iterator[Trial]:
     compared = [method for method in scope.methods if method.name == OWN] if scope.learned else []
-    return [
-        Trial(
-            QUIET.name,
-            method.name,
-            "texture",
-            middle_rate_point(method).text,
-            quieter_db,
-            partial(measure_quiet, middle_rate_point(method), quieter_db),
-        )
-        for method in (*scope.learned, *compared)
-        for quieter_db in QUIETER_DB[:: 3 if scope.quick else 1]
-    ]
+    for method in (*scope.learned, *compared):
+        middle = maps.middle_rate_point(method)
+        for quieter_db in scope.some(QUIETER_DB, 3):
+            quiet = partial(measure_quiet, middle, quieter_db)
+            yield Trial(method.name, "texture", quiet, middle.text, quieter_db)
 
 
-def _level_trials(scope: Scope) -> list[Trial]:
-    trials = []
+def _levels(scope: Scope) -> Iterator[Trial]:
     for method in scope.learned:
-        middle = middle_rate_point(method)
+        middle = maps.middle_rate_point(method)
         if "level" not in CODECS[middle.codec].parameters:
             continue
         assert middle.model is not None, "a learned method has models"
-        for off_db in OFF_LEVEL_DB[:: 5 if scope.quick else 1]:
+        for off_db in scope.some(OFF_LEVEL_DB, 5):
             rate_point = RatePoint(middle.codec, {**middle.setting, "level": 10 ** (off_db / 20)}, middle.model)
-            trials += [
-                Trial(
-                    LEVEL.name,
-                    f"{method.name}, {runtime}",
-                    name,
-                    rate_point.text,
-                    off_db,
-                    partial(measure_level, rate_point, runtime, name),
-                )
-                for runtime in runtimes(middle.model)
-                for name in ("texture", "texture with clicks")
-            ]
-    return trials
+            for runtime in runtimes(middle.model):
+                for name in ("texture", "texture with clicks"):
+                    level = partial(measure_level, rate_point, runtime, name)
+                    yield Trial(f"{method.name}, {runtime}", name, level, rate_point.text, off_db)
 
 
 def _quiet_message(cells: Sequence[Verdict]) -> str:
-    limit_db = most_hold_up_to(cells)
+    limit_db = maps.most_hold_up_to(cells)
     return f"Half of the codecs hold up to {limit_db:g} dB quieter" if limit_db else "Few codecs hold a quieter passage"
 
 
 def _level_message(cells: Sequence[Verdict]) -> str:
-    values_db = sound_values(cells)
-    return f"A level that is off by {ranges(values_db, OFF_LEVEL_DB) or 'no'} dB does no harm with any model"
+    values_db = maps.sound_values(cells)
+    return f"A level that is off by {maps.ranges(values_db, OFF_LEVEL_DB) or 'no'} dB does no harm with any model"
 
 
 KINDS = Map(
@@ -248,8 +205,8 @@ KINDS = Map(
         f"up to {HELD_RATIO:g} times",
         f"more than {FAILED_RATIO:g} times, or not reached",
     ),
-    trials=_kind_trials,
-    message=lambda cells: f"Bits stay near those of {OWN} on every signal {with_methods(cells, 'model')}",
+    conditions=_kinds,
+    message=lambda cells: f"Bits stay near those of {OWN} on every signal {maps.with_methods(cells, 'model')}",
     place=lambda cell: Place(cell.case, cell.method),
     caption=f"bits relative to {OWN}",
     label=figure("ratio", ".1f"),
@@ -260,9 +217,8 @@ QUIET = Map(
     title="A quiet passage",
     tried=f"The second half of a texture is quieter, and alone counts. `{OWN}` has a fixed step too.",
     rule=signals.SIGNALS.rule,
-    trials=_quiet_trials,
+    conditions=_quiet_passages,
     message=_quiet_message,
-    place=lambda cell: Place(cell.method, cell.value or 0.0),
     caption="quieter by, dB; SNR of the quiet half in dB",
     label=figure("snr_db"),
     value_name="quieter_db",
@@ -278,11 +234,12 @@ LEVEL = Map(
         f"SNR at most {LOST_DB:g} dB below the right level's",
         f"SNR below {FAILED_SNR_DB:g} dB; more than {FAR_LOUDER_DB:g} dB louder",
     ),
-    trials=_level_trials,
+    conditions=_levels,
     message=_level_message,
-    place=lambda cell: Place(cell.method, cell.value or 0.0, cell.case),
+    place=maps.by_value_and_case,
     caption="level relative to the signal's, dB; SNR in dB",
     label=figure("snr_db"),
     value_name="level_error_db",
     varied="{} dB",
 )
+MAPS = (KINDS, QUIET, LEVEL)

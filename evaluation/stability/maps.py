@@ -1,9 +1,9 @@
 """The parts of a map: its trials, its rule, its picture's rows and columns, and its words."""
 
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from vibrocast.codec import CODECS
 from vibrocast.codec.interface import Setting
@@ -14,7 +14,10 @@ from vibrocast.models import Model
 from vibrocast.pages import listed
 from vibrocast.textures import Recording
 
+LEVELS = ("low", "middle", "high")
+"""The names of a method's three rate points."""
 _MAX_NAMED = 4
+Item = TypeVar("Item")
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +65,16 @@ class Scope:
         """Return whether a codec is among the methods, with its built-in tables."""
         return any(method.name == codec for method in self.methods)
 
+    def some(self, values: Sequence[Item], step: int) -> Sequence[Item]:
+        """Return values: all, or in a quick run every `step`-th of them."""
+        return values[::step] if self.quick else values
+
+    def three_rate_points(self) -> Iterator[tuple[str, str, "RatePoint"]]:
+        """Return the name of each method, with each of its three rate points and the name of that."""
+        for method in self.methods:
+            for level, rate_point in three_rate_points(method).items():
+                yield method.name, level, rate_point
+
 
 class Group(StrEnum):
     """A section of the page."""
@@ -90,6 +103,16 @@ class Place(NamedTuple):
     group: str = ""
 
 
+def by_value(cell: Verdict) -> Place:
+    """Return the place of a cell: methods downwards, values across."""
+    return Place(cell.method, cell.value or 0.0)
+
+
+def by_value_and_case(cell: Verdict) -> Place:
+    """Return the place of a cell: methods downwards, values across, for each case anew."""
+    return Place(cell.method, cell.value or 0.0, cell.case)
+
+
 def letter(cell: Verdict) -> str:
     """Return the letter of a cell's outcome, nothing where it holds."""
     return "" if cell.outcome is Outcome.HOLDS else cell.outcome.letter
@@ -110,9 +133,9 @@ class Map:
     """One map.
 
     `name`: of its files. `tried`: one or two sentences about the trials. `message`: what the cells show, the picture's
-    title. `caption`: of the columns. `label`: the text within a cell. `value_name`: the CSV column of the varied value,
-    with its unit; `varied`: how a sentence says such a value, as in "{} dB". Both are empty where nothing is varied.
-    `judged`: corrects outcomes that depend on other cells.
+    title. `caption`: of the columns. `conditions`: its trials within a scope. `label`: the text within a cell.
+    `value_name`: the CSV column of the varied value, with its unit; `varied`: how a sentence says such a value, as in
+    "{} dB". Both are empty where nothing is varied. `judged`: corrects outcomes that depend on other cells.
     """
 
     name: str
@@ -120,14 +143,18 @@ class Map:
     title: str
     tried: str
     rule: Rule
-    trials: Callable[[Scope], list[Trial]]
+    conditions: Callable[[Scope], Iterable[Trial]]
     message: Callable[[Sequence[Verdict]], str]
-    place: Callable[[Verdict], Place]
     caption: str
+    place: Callable[[Verdict], Place] = by_value
     label: Callable[[Verdict], str] = letter
     value_name: str = ""
     varied: str = ""
     judged: Callable[[list[Verdict]], list[Verdict]] = lambda cells: cells
+
+    def trials(self, scope: Scope) -> list[Trial]:
+        """Return the trials of the map."""
+        return [replace(trial, map=self.name) for trial in self.conditions(scope)]
 
 
 def methods(names: Collection[str] | None, models: Sequence[Model]) -> tuple[Method, ...]:
@@ -157,13 +184,9 @@ def rate_points(method: Method) -> list[RatePoint]:
 
 
 def three_rate_points(method: Method) -> dict[str, RatePoint]:
-    """Return rate points of a method: a quarter of the way up, half of it, and the finest."""
-    rate_point_set = rate_points(method)
-    return {
-        "low": rate_point_set[len(rate_point_set) // 4],
-        "middle": rate_point_set[len(rate_point_set) // 2],
-        "high": rate_point_set[-1],
-    }
+    """Return rate points of a method by LEVELS: a quarter of the way up, half of it, and the finest."""
+    points = rate_points(method)
+    return dict(zip(LEVELS, (points[len(points) // 4], points[len(points) // 2], points[-1]), strict=True))
 
 
 def middle_rate_point(method: Method) -> RatePoint:

@@ -1,7 +1,7 @@
 """Model images that are wrong, damaged or missing: what is rejected, and what plays."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 
@@ -11,10 +11,9 @@ from vibrocast import codec, models
 from vibrocast.codec import Signal
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.model_image import ModelImage
-from vibrocast.evaluation.cells import Method
 from vibrocast.evaluation.stability.maps import Group, Map, Place, RatePoint, Rule, Scope, middle_rate_point
 from vibrocast.evaluation.stability.signals import RATE_HZ, encoded, texture
-from vibrocast.evaluation.stability.transport import CLEAR_ERRORS, flash_with
+from vibrocast.evaluation.stability.transport import flash_with
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
 from vibrocast.evaluation.trained import runtimes
 from vibrocast.host.controller import Controller as Host
@@ -103,8 +102,7 @@ def measure_on_controller(rate_point: RatePoint, image: bytes | None) -> Measure
     return Measured(Outcome.HOLDS, {})
 
 
-def _image_trials(scope: Scope) -> list[Trial]:
-    trials = []
+def _images(scope: Scope) -> Iterator[Trial]:
     for method in scope.learned:
         rate_point = middle_rate_point(method)
         assert rate_point.model is not None, "a learned method has models"
@@ -116,28 +114,15 @@ def _image_trials(scope: Scope) -> list[Trial]:
             "no image on the controller": partial(measure_on_controller, image=None),
             "other image on the controller": partial(measure_on_controller, image=another),
         }
-        trials += [_trial(method, case, None, partial(measure, rate_point), True) for case, measure in rejected.items()]
-        trials += [
-            _trial(method, CUT, percent, partial(measure_cut, rate_point, percent), True) for percent in CUTS_PERCENT
-        ]
-        trials += [
-            _trial(
-                method,
-                ", ".join(filter(None, (CHANGED, runtime))),
-                percent,
-                partial(measure_changed, rate_point, runtime, percent),
-                False,
-            )
-            for runtime in runtimes(rate_point.model)
-            for percent in PLACES_PERCENT[:: 4 if scope.quick else 1]
-        ]
-    return trials
-
-
-def _trial(method: Method, case: str, percent: float | None, measure: Callable[[], Measured], rejected: bool) -> Trial:
-    return Trial(
-        IMAGES.name, method.name, case, middle_rate_point(method).text, percent, measure, rejected, CLEAR_ERRORS
-    )
+        trial = partial(Trial, method.name, setting=rate_point.text)
+        for case, measure in rejected.items():
+            yield trial(case, partial(measure, rate_point), to_be_rejected=True)
+        for percent in CUTS_PERCENT:
+            yield trial(CUT, partial(measure_cut, rate_point, percent), value=percent, to_be_rejected=True)
+        for runtime in runtimes(rate_point.model):
+            for percent in scope.some(PLACES_PERCENT, 4):
+                changed = partial(measure_changed, rate_point, runtime, percent)
+                yield trial(", ".join(filter(None, (CHANGED, runtime))), changed, value=percent)
 
 
 def _place(cell: Verdict) -> Place:
@@ -164,7 +149,7 @@ IMAGES = Map(
     tried="A stream gets an image that it was not coded for. CRC, hash or controller must reject it. Then one byte "
     "changes, and CRC and hash are made to fit.",
     rule=Rule("decoded samples", "the same, or rejected as required", "crash (other samples: degraded)"),
-    trials=_image_trials,
+    conditions=_images,
     message=_message,
     place=_place,
     caption="",

@@ -1,18 +1,18 @@
 """Writes what the trials showed: CSV files and a picture for each map, and the page with failures and remedies."""
 
 import math
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
 
 from vibrocast import pages
-from vibrocast.evaluation.points import PointsError, read_rows, write_rows
+from vibrocast.evaluation.points import read_row, write_rows
 from vibrocast.evaluation.stability import pictures
 from vibrocast.evaluation.stability.cell_files import read_cells, write_cells
 from vibrocast.evaluation.stability.known_causes import CRASH, explanation, known_causes
 from vibrocast.evaluation.stability.maps import Group, Map, ranges
 from vibrocast.evaluation.stability.trials import Outcome, Verdict
+from vibrocast.evaluation.tables import grouped
 
 PAGE, FOLDER = "stability.md", "stability"
 TITLE = "# Where codecs hold and where they fail"
@@ -22,9 +22,6 @@ _MAX_METHODS = 5
 _FAMILY = 3
 """So many methods of one prefix are named together."""
 _BAD_FIRST = sorted(Outcome, key=list(Outcome).index, reverse=True)
-
-Item = TypeVar("Item")
-Key = TypeVar("Key", bound=Hashable)
 
 
 class PageError(ValueError):
@@ -102,14 +99,10 @@ def redraw(out: Path, maps: Sequence[Map]) -> list[Failure]:
     as folder_in.
     """
     folder = folder_in(out)
-    described = read_rows(folder / "description.csv", Description)
-    if len(described) != 1:
-        raise PointsError(
-            f"{folder / 'description.csv'}: {len(described)} rows in place of one; run `vibrocast stability` again"
-        )
+    description = read_row(folder / "description.csv", Description)
     found = [(each, path) for each in maps if (path := folder / f"{each.name}.csv").exists()]
     cells = [cell for each, path in found for cell in read_cells(path, each)]
-    return write(out, maps, cells, described[0].command, redrawn=True)
+    return write(out, maps, cells, description.command, redrawn=True)
 
 
 def markdown(maps: Sequence[tuple[Map, Sequence[Verdict]]], names: dict[str, str], command: str) -> str:
@@ -143,8 +136,8 @@ def _shares(maps: Sequence[tuple[Map, Sequence[Verdict]]]) -> list[tuple[str, in
     of_maps = [frozenset(cell.method for cell in cells) for _, cells in maps]
     methods = max(of_maps, key=lambda own: (of_maps.count(own), len(own)), default=frozenset())
     common = [cell for (_, cells), own in zip(maps, of_maps, strict=True) if methods <= own for cell in cells]
-    grouped = _grouped([cell for cell in common if cell.method in methods], lambda cell: cell.method)
-    shares = [(method, sum(cell.sound for cell in own) / len(own)) for method, own in grouped.items()]
+    by_method = grouped([cell for cell in common if cell.method in methods], lambda cell: cell.method)
+    shares = [(method, sum(cell.sound for cell in own) / len(own)) for method, own in by_method.items()]
     return [(method, math.floor(100 * share)) for method, share in sorted(shares, key=lambda each: -each[1])]
 
 
@@ -159,7 +152,7 @@ def failures(maps: Sequence[tuple[Map, Sequence[Verdict]]]) -> list[Failure]:
     found = []
     for each, cells in maps:
         unsound = [cell for cell in cells if not cell.sound]
-        for failure, own in _grouped(unsound, lambda cell: explanation(cell).failure).items():
+        for failure, own in grouped(unsound, lambda cell: explanation(cell).failure).items():
             if failure:
                 methods, remedy = _named(own, cells), explanation(own[0]).remedy
                 found.append(Failure(each, failure, methods, boundary(each, own, cells), remedy))
@@ -213,8 +206,8 @@ def boundary(each: Map, own: Sequence[Verdict], cells: Sequence[Verdict]) -> str
 def boundaries(each: Map, cells: Sequence[Verdict]) -> list[Boundary]:
     """Return a row for each method, outcome and cause."""
     rows = []
-    for method, own in _grouped(cells, lambda cell: cell.method).items():
-        kinds = _grouped(own, lambda cell: (list(Outcome).index(cell.outcome), explanation(cell)))
+    for method, own in grouped(cells, lambda cell: cell.method).items():
+        kinds = grouped(own, lambda cell: (list(Outcome).index(cell.outcome), explanation(cell)))
         for (place, known), some in sorted(kinds.items()):
             worst = min(some, key=_worst_first)
             rows.append(
@@ -237,7 +230,7 @@ def where(each: Map, cells: Sequence[Verdict], method_cells: Sequence[Verdict]) 
     if len(cells) == len(method_cells):
         return "everywhere"
     named: dict[str, list[str]] = {}
-    for case, own in _grouped(cells, lambda cell: cell.case).items():
+    for case, own in grouped(cells, lambda cell: cell.case).items():
         of_case = [cell for cell in method_cells if cell.case == case]
         if each.varied and any(cell.value is not None for cell in own):
             values = each.varied.format(ranges(_values(own), _values(of_case)))
@@ -251,13 +244,6 @@ def where(each: Map, cells: Sequence[Verdict], method_cells: Sequence[Verdict]) 
 
 def _values(cells: Sequence[Verdict]) -> list[float]:
     return [cell.value for cell in cells if cell.value is not None]
-
-
-def _grouped(items: Sequence[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
-    groups: dict[Key, list[Item]] = {}
-    for item in items:
-        groups.setdefault(key(item), []).append(item)
-    return groups
 
 
 def _link(text: str, title: str) -> str:

@@ -90,7 +90,7 @@ PEERS = Map(
         f"from {HELD_SNR_DB:g} dB; at most {FALL_DB:g} dB below a coarser setting's",
         f"below {FAILED_SNR_DB:g} dB",
     ),
-    trials=lambda scope: [],
+    conditions=lambda scope: [],
     message=lambda cells: f"Hardest for other codecs: {hardest(cells)}",
     place=lambda cell: Place(cell.case, cell.setting, cell.method),
     caption="settings of each codec, from coarse to fine",

@@ -32,35 +32,28 @@ def write(folder: Path, each: Map, cells: Sequence[Verdict]) -> str:
     Raises OSError.
     """
     vector, raster = (folder / f"{each.name}.{suffix}" for suffix in ("svg", "png"))
-    outcome_map(vector, cells, each.message(cells), each.place, each.label, each.caption)
+    _draw(vector, each, cells)
     if vector.stat().st_size <= MAX_SVG_BYTES:
         raster.unlink(missing_ok=True)
         return vector.name
     vector.unlink()
-    outcome_map(raster, cells, each.message(cells), each.place, each.label, each.caption)
+    _draw(raster, each, cells)
     return raster.name
 
 
-def outcome_map(
-    path: Path,
-    cells: Sequence[Verdict],
-    title: str,
-    place: Callable[[Verdict], Place],
-    label: Callable[[Verdict], str],
-    caption: str = "",
-) -> None:
-    """Draw each cell's `label` at its `place`, on the colour of its outcome. Raises OSError.
+def _draw(path: Path, each: Map, cells: Sequence[Verdict]) -> None:
+    """Draw each cell with its label at its place, on the colour of its outcome. Raises OSError.
 
     Where several cells share a place, the worst of them shows. Rows stand in the order of the cells. So do columns that
     are words; columns that are numbers follow them, rising.
     """
-    shown = _worst_of_each(cells, place)
-    rows = list(dict.fromkeys(each.row for each in shown))
+    shown = _worst_of_each(cells, each.place)
+    rows = list(dict.fromkeys(place.row for place in shown))
     columns = _columns(shown)
     names = [column if isinstance(column, str) else f"{column:g}" for _, column in columns]
     groups = list(dict.fromkeys(group for group, _ in columns))
     rows_in = _CHARACTER_IN * _longest(rows) + 0.2
-    text_in = 0.06 + _CHARACTER_IN * _longest(map(label, shown.values()))
+    text_in = 0.06 + _CHARACTER_IN * _longest(map(each.label, shown.values()))
     column_in = max(_COLUMN_IN, text_in, (_MIN_WIDTH_IN - rows_in) / len(columns))
     upright = _CHARACTER_IN * _longest(names) > column_in
     names_in = {
@@ -74,8 +67,8 @@ def outcome_map(
     )
     groups_in = _CHARACTER_IN * _longest(groups) if upright_groups else _LINE_IN
     width_in = rows_in + column_in * len(columns)
-    heading = textwrap.fill(title, int(width_in / _BOLD_CHARACTER_IN))
-    lines = heading.count("\n") + 3 + bool(caption)
+    heading = textwrap.fill(each.message(cells), int(width_in / _BOLD_CHARACTER_IN))
+    lines = heading.count("\n") + 3 + bool(each.caption)
     with figure_file(
         path, width_in, _ROW_IN * len(rows) + _LINE_IN * lines + max(names_in.values()) + groups_in
     ) as figure:
@@ -96,11 +89,11 @@ def outcome_map(
             axes.add_patch(_bars(outcome, grid))
         for y, row in enumerate(grid):
             for x, cell in enumerate(row):
-                if cell is not None and (text := label(cell)):
+                if cell is not None and (text := each.label(cell)):
                     axes.text(x + 0.5, y + 0.53, text, color=COLOURS[cell.outcome][1], ha="center", va="center")
         axes.vlines(range(len(columns) + 1), 0, len(rows), color="white", linewidth=0.8)
         axes.hlines(range(len(rows) + 1), 0, len(columns), color="white", linewidth=0.8)
-        axes.set(xlim=(0, len(columns)), ylim=(len(rows), 0), xlabel=caption)
+        axes.set(xlim=(0, len(columns)), ylim=(len(rows), 0), xlabel=each.caption)
         axes.set_yticks(np.arange(len(rows)) + 0.5, rows)
         axes.set_xticks(np.arange(len(columns)) + 0.5, names, rotation=90 if upright else 0)
         axes.xaxis.tick_top()

@@ -1,7 +1,7 @@
-"""Signals that are hard to code: every codec at three of its settings, through whole coded streams and back."""
+"""Hard signals, and recordings of the user's: every codec at three of its settings, through whole streams and back."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
@@ -12,6 +12,7 @@ from vibrocast import codec
 from vibrocast.codec.stream import Stream, as_stream
 from vibrocast.evaluation import trained
 from vibrocast.evaluation.stability.maps import (
+    LEVELS,
     Group,
     Map,
     Place,
@@ -47,6 +48,8 @@ DRIFT_RMS = 8.0
 SWING_HZ = 0.3
 
 HOUR_S = 3600
+MAX_S = 60.0
+"""Of a recording: what is coded."""
 _ONSET_HZ = 250.0
 _ONSET_SHIFTS = (0, 7, 19, 37, 61, 97)  # in samples, so that the onset falls anywhere in a block
 
@@ -284,74 +287,69 @@ def measure_onset(rate_point: RatePoint) -> Measured:
     return graded(before_db, PRE_ECHO_HELD_DB, PRE_ECHO_FAILED_DB, figures, effect)
 
 
-def _trials(scope: Scope) -> list[Trial]:
-    names = QUICK_CONDITIONS if scope.quick else tuple(CONDITIONS)
-    trials = []
+def measure_recording(rate_point: RatePoint, recording: Recording) -> Measured:
+    """Code a recording, at most its first MAX_S, and grade the decoded samples. Raises CodecError."""
+    rate_hz = round(recording.rate_hz)
+    samples = recording.samples[: round(MAX_S * rate_hz)]
+    heard, stream = decoded(samples, rate_hz, rate_point, recording.unit)
+    return with_bits(judge(samples, heard, texture_snr_db(rate_point)), stream, heard)
+
+
+def _signals(scope: Scope) -> Iterator[Trial]:
     for method in scope.methods:
         if not scope.quick:
             rate_point = middle_rate_point(method)
-            hour = partial(measure_hour, rate_point)
-            trials.append(Trial(SIGNALS.name, method.name, LONG_CASE, f"middle: {rate_point.text}", None, hour))
+            yield Trial(method.name, LONG_CASE, partial(measure_hour, rate_point), f"middle: {rate_point.text}")
         for level, rate_point in three_rate_points(method).items():
-            trials += [
-                Trial(
-                    SIGNALS.name,
-                    method.name,
-                    name,
-                    f"{level}: {rate_point.text}",
-                    None,
-                    partial(measure, rate_point, name),
-                    CONDITIONS[name].rejected,
-                )
-                for name in names
-            ]
-    return trials
+            for name in QUICK_CONDITIONS if scope.quick else CONDITIONS:
+                one = partial(measure, rate_point, name)
+                setting = f"{level}: {rate_point.text}"
+                yield Trial(method.name, name, one, setting, to_be_rejected=CONDITIONS[name].rejected)
 
 
-def _onset_trials(scope: Scope) -> list[Trial]:
-    return [
-        Trial(
-            ONSETS.name,
-            method.name,
-            f"{level} rate point",
-            f"{level}: {rate_point.text}",
-            None,
-            partial(measure_onset, rate_point),
-        )
-        for method in scope.methods
-        for level, rate_point in three_rate_points(method).items()
-    ]
+def _onsets(scope: Scope) -> Iterator[Trial]:
+    for method, level, rate_point in scope.three_rate_points():
+        onset = partial(measure_onset, rate_point)
+        yield Trial(method, f"{level} rate point", onset, f"{level}: {rate_point.text}")
 
 
-def place_at_level(cell: Verdict) -> Place:
-    """Return the place of a cell at one of three rate points: signals downwards, each codec's rate points across."""
-    return Place(cell.case, {"low": 1.0, "middle": 2.0, "high": 3.0}[cell.setting.partition(":")[0]], cell.method)
-
-
-THREE_RATE_POINTS = "rate points of each codec: 1 a quarter and 2 half of the way up, 3 the finest"
+def _recordings(scope: Scope) -> Iterator[Trial]:
+    for method, level, rate_point in scope.three_rate_points():
+        for recording in scope.recordings:
+            own = partial(measure_recording, rate_point, recording)
+            yield Trial(method, recording.name, own, f"{level}: {rate_point.text}")
 
 
 def _before_onset(cell: Verdict) -> str:
     return "lost" if cell.figure("noise_after_db") > -MIN_SNR_DB else figure("pre_echo_5ms_db")(cell)
 
 
-SIGNALS = Map(
-    name="signals",
+_graded_signals = partial(
+    Map,
     group=Group.SIGNALS,
-    title="Hard signals",
-    tried=f"Gravity adds {GRAVITY_M_S2:g} m/s² to a texture with a peak of {PEAK:g} m/s². A ramp and a swing of "
-    f"{SWING_HZ:g} Hz reach {DRIFT_RMS:g} times its RMS value. These three count above {HIGHPASS_HZ:g} Hz. Of an hour, "
-    f"the last minute counts; silence must stay below {SILENT:g} of full scale.",
     rule=Rule(
         "SNR; level",
         f"SNR from {MIN_SNR_DB:g} dB, and at most {SNR_MARGIN_DB:g} dB below an ordinary texture's, or "
         f"{ENOUGH_SNR_DB:g} dB; at most {LOUDER_DB:g} dB louder",
         f"SNR below {FAILED_SNR_DB:g} dB; more than {FAR_LOUDER_DB:g} dB louder",
     ),
-    trials=_trials,
     message=lambda cells: f"Hardest to code: {hardest(cells)}",
-    place=place_at_level,
-    caption=THREE_RATE_POINTS,
+    place=lambda cell: Place(cell.case, 1.0 + list(LEVELS).index(cell.setting.partition(":")[0]), cell.method),
+    caption="rate points of each codec: 1 a quarter and 2 half of the way up, 3 the finest",
+)
+RECORDINGS = _graded_signals(
+    name="recordings",
+    title="Your recordings",
+    tried=f"The first {MAX_S:g} s of each recording, at its own rate, are coded as a whole stream and decoded.",
+    conditions=_recordings,
+)
+SIGNALS = _graded_signals(
+    name="signals",
+    title="Hard signals",
+    tried=f"Gravity adds {GRAVITY_M_S2:g} m/s² to a texture with a peak of {PEAK:g} m/s². A ramp and a swing of "
+    f"{SWING_HZ:g} Hz reach {DRIFT_RMS:g} times its RMS value. These three count above {HIGHPASS_HZ:g} Hz. Of an hour, "
+    f"the last minute counts; silence must stay below {SILENT:g} of full scale.",
+    conditions=_signals,
 )
 ONSETS = Map(
     name="pre_echo",
@@ -364,9 +362,10 @@ ONSETS = Map(
         f"up to {PRE_ECHO_HELD_DB:g} dB",
         f"above {PRE_ECHO_FAILED_DB:g} dB",
     ),
-    trials=_onset_trials,
+    conditions=_onsets,
     message=lambda cells: f"Silence before an onset stays silent at every rate point {with_methods(cells)}",
     place=lambda cell: Place(cell.method, cell.case.partition(" ")[0]),
     caption="rate point; dB before the onset (lost: no onset is left)",
     label=_before_onset,
 )
+MAPS = (RECORDINGS, SIGNALS, ONSETS)

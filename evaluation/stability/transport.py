@@ -11,26 +11,12 @@ from numpy.typing import NDArray
 
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import Configure, Start, Status, StreamData
-from vibrocast.evaluation.stability import trials
-from vibrocast.evaluation.stability.maps import (
-    Group,
-    Map,
-    Place,
-    RatePoint,
-    Rule,
-    Scope,
-    figure,
-    middle_rate_point,
-    most_hold_up_to,
-    ranges,
-    sound_values,
-    with_methods,
-)
+from vibrocast.evaluation.stability import maps
+from vibrocast.evaluation.stability.maps import Group, Map, RatePoint, Rule, Scope, figure, middle_rate_point
 from vibrocast.evaluation.stability.signals import RATE_HZ, encoded, texture
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict, graded
 from vibrocast.host import uploader
 from vibrocast.host.controller import Controller as Host
-from vibrocast.host.controller import ControllerError
 from vibrocast.host.player import BUFFER_S, play
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.output.rendering import render
@@ -39,8 +25,6 @@ from vibrocast.simulated_device.faulty_link import MemoryLink
 from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
 from vibrocast.simulated_device.flash import FlashMemory
 
-CLEAR_ERRORS = (*trials.CLEAR_ERRORS, ControllerError)
-"""Errors that tell a person what to do, those of controllers included."""
 SECONDS = 5.0
 LOOPS = 4
 OFF_PART = 0.01
@@ -180,107 +164,90 @@ def measure_paced(rate_point: RatePoint, drift_ppm: int) -> Measured:
     return graded(share, 0.0, FAILED_SHARE, figures, effect)
 
 
-def _trials(
-    name: str, values: Sequence[float], faults: Callable[[float], LinkFaults], buffers_s: Sequence[float], scope: Scope
-) -> list[Trial]:
-    chosen = (values[0], values[-1]) if scope.quick else values
-    return [
-        Trial(
-            name,
-            method.name if buffer_s == BUFFER_S else f"{method.name}, buffer of {buffer_s:g} s",
-            f"buffer of {buffer_s:g} s",
-            middle_rate_point(method).text,
-            float(value),
-            partial(measure, middle_rate_point(method), faults(value), buffer_s),
-            clear_errors=CLEAR_ERRORS,
-        )
-        for method in scope.methods
-        for buffer_s in (buffers_s if method is scope.methods[0] else buffers_s[:1])
-        for value in chosen
-    ]
+def _playbacks(
+    values: Sequence[float], faults: Callable[[float], LinkFaults], buffers_s: Sequence[float], scope: Scope
+) -> Iterator[Trial]:
+    """Return every codec's trials with each value of a fault; the first codec's with each buffer."""
+    for method in scope.methods:
+        rate_point = middle_rate_point(method)
+        for buffer_s in buffers_s if method is scope.methods[0] else buffers_s[:1]:
+            case = f"buffer of {buffer_s:g} s"
+            name = method.name if buffer_s == BUFFER_S else f"{method.name}, {case}"
+            for value in scope.some(values, len(values) - 1):
+                played = partial(measure, rate_point, faults(value), buffer_s)
+                yield Trial(name, case, played, rate_point.text, float(value))
 
 
-def _drift_trials(scope: Scope) -> list[Trial]:
+def _drifts(scope: Scope) -> Iterator[Trial]:
     """Return every codec's trials by the player, and the first codec's from a source with its own pace."""
+    yield from _playbacks(DRIFTS_PPM, lambda ppm: LinkFaults(drift_ppm=round(ppm)), (BUFFER_S,), scope)
     first, rate_point = scope.methods[0], middle_rate_point(scope.methods[0])
-    return [
-        *_trials(DRIFT.name, DRIFTS_PPM, lambda ppm: LinkFaults(drift_ppm=round(ppm)), (BUFFER_S,), scope),
-        *(
-            Trial(
-                DRIFT.name,
-                f"{first.name}, its own pace",
-                f"source {PACED_AHEAD_S:g} s ahead",
-                rate_point.text,
-                float(drift_ppm),
-                partial(measure_paced, rate_point, drift_ppm),
-                clear_errors=CLEAR_ERRORS,
-            )
-            for drift_ppm in PACED_DRIFTS_PPM[:: 3 if scope.quick else 1]
-        ),
-    ]
+    for drift_ppm in scope.some(PACED_DRIFTS_PPM, 3):
+        case, paced = f"source {PACED_AHEAD_S:g} s ahead", partial(measure_paced, rate_point, drift_ppm)
+        yield Trial(f"{first.name}, its own pace", case, paced, rate_point.text, float(drift_ppm))
 
 
 def _up_to(what: str, cells: Sequence[Verdict]) -> str:
     """Return the message of a map that most codecs bear up to a limit, with the usual buffer."""
     usual = [cell for cell in cells if cell.case == USUAL_BUFFER]
-    limit = most_hold_up_to(usual)
+    limit = maps.most_hold_up_to(usual)
     return f"Most codecs bear {what.format(f'up to {limit:g}' if limit else 'no')}"
 
 
 def _drift_message(cells: Sequence[Verdict]) -> str:
     paced = [cell for cell in cells if cell.case == USUAL_BUFFER]
     own = [cell for cell in cells if cell.case != USUAL_BUFFER]
-    values = ranges(sound_values(own), [cell.value for cell in own if cell.value is not None]) or "no"
-    return f"Credit makes drift harmless {with_methods(paced)}; a source with its own pace holds at {values} ppm only"
+    values = maps.ranges(maps.sound_values(own), [cell.value for cell in own if cell.value is not None]) or "no"
+    return (
+        f"Credit makes drift harmless {maps.with_methods(paced)}; a source with its own pace holds at {values} ppm only"
+    )
 
 
-_playbacks = partial(
+_link_map = partial(
     Map,
     group=Group.LINK,
     rule=_RULE,
-    place=lambda cell: Place(cell.method, cell.value or 0.0),
     label=figure("off_share", factor=100),
 )
-LOSS = _playbacks(
+LOSS = _link_map(
     name="loss",
     title="Lost frames",
     tried=f"The player streams a texture for {LOOPS * SECONDS:g} s. Frames are lost by chance, in both directions.",
-    trials=partial(_trials, "loss", LOSSES_PERCENT, lambda percent: LinkFaults(lost=percent / 100), (BUFFER_S,)),
+    conditions=partial(_playbacks, LOSSES_PERCENT, lambda percent: LinkFaults(lost=percent / 100), (BUFFER_S,)),
     message=partial(_up_to, "{} % of lost frames"),
     caption="frames lost, %; samples that differ, %",
     value_name="lost_percent",
     varied="{} %",
 )
-FLIPS = _playbacks(
+FLIPS = _link_map(
     name="bit_flips",
     title="Damaged frames",
     tried="One byte of a frame changes by chance. The frame fails its CRC and is dropped.",
-    trials=partial(
-        _trials, "bit_flips", DAMAGES_PERCENT, lambda percent: LinkFaults(flipped=percent / 100), (BUFFER_S,)
-    ),
+    conditions=partial(_playbacks, DAMAGES_PERCENT, lambda percent: LinkFaults(flipped=percent / 100), (BUFFER_S,)),
     message=partial(_up_to, "{} % of damaged frames"),
     caption="frames damaged, %; samples that differ, %",
     value_name="damaged_percent",
     varied="{} %",
 )
-DRIFT = _playbacks(
+DRIFT = _link_map(
     name="drift",
     title="Clock drift",
     tried="The controller's clock is faster or slower than the host's. A source with its own pace sends for "
     f"{PACED_S:g} s, whatever the controller's credit.",
-    trials=_drift_trials,
+    conditions=_drifts,
     message=_drift_message,
     caption="drift of the controller's clock, ppm; samples that differ, %",
     value_name="drift_ppm",
     varied="{} ppm",
 )
-STALLS = _playbacks(
+STALLS = _link_map(
     name="stalls",
     title="Stalls",
     tried=f"About every {STALLS_EVERY_S:g} s nothing passes for a while. The first codec shows other buffers too.",
-    trials=partial(_trials, "stalls", STALLS_S, lambda stall_s: LinkFaults(stall_s=stall_s), BUFFERS_S),
+    conditions=partial(_playbacks, STALLS_S, lambda stall_s: LinkFaults(stall_s=stall_s), BUFFERS_S),
     message=partial(_up_to, f"stalls of {{}} s with a {USUAL_BUFFER}"),
     caption="length of a stall, s; samples that differ, %",
     value_name="stall_s",
     varied="{} s",
 )
+MAPS = (LOSS, FLIPS, DRIFT, STALLS)

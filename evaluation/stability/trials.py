@@ -12,6 +12,7 @@ from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.device_protocol.messages import MessageError
 from vibrocast.device_protocol.model_image import ModelImageError
 from vibrocast.device_protocol.transports import TransportError
+from vibrocast.host.controller import ControllerError
 from vibrocast.textures import TextureError
 from vibrocast.workers import cores, on_cores
 
@@ -19,6 +20,7 @@ LIMIT_S = 240.0
 """A trial that takes more processor time hangs. Most take a second, coding of an hour up to 20."""
 CLEAR_ERRORS = (
     CodecError,
+    ControllerError,
     MessageError,
     ModelImageError,
     StreamError,
@@ -59,20 +61,19 @@ def graded(value: float, held: float, failed: float, figures: Mapping[str, float
 
 @dataclass(frozen=True)
 class Trial:
-    """One condition: its map, method and case, the value that the map varies, and the measurement.
+    """One condition: its method and case, the measurement, the setting, and the value that the map varies.
 
     `measure`: a function of a module, or a partial of one, so that another process can be given it. `to_be_rejected`:
-    that it must end with an error that a person can act on, one of `clear_errors`.
+    that it must end with an error that a person can act on, one of CLEAR_ERRORS. `map`: as Map.trials fills it in.
     """
 
-    map: str
     method: str
     case: str
-    setting: str
-    value: float | None
     measure: Callable[[], Measured]
+    setting: str = ""
+    value: float | None = None
     to_be_rejected: bool = False
-    clear_errors: tuple[type[Exception], ...] = CLEAR_ERRORS
+    map: str = ""
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,7 @@ def attempt(trial: Trial) -> Verdict:
         measured = trial.measure()
         if trial.to_be_rejected:
             measured = Measured(Outcome.FAILS, {}, "accepted, though it must be rejected")
-    except trial.clear_errors as error:
+    except CLEAR_ERRORS as error:
         measured = Measured(Outcome.REJECTED, {}, " ".join(str(error).split()))
     except Exception as error:
         measured = Measured(Outcome.FAILS, {}, f"CRASH: {type(error).__name__}: {' '.join(str(error).split())}")

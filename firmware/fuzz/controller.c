@@ -197,7 +197,7 @@ void vc_fuzz_controller(const uint8_t *data, size_t length)
     settings.actuator = test->actuator;
     settings.profile = malloc(vc_controller_profile_size());
     vc_frame_reader_init(test->host);
-    vc_controller_init(test->controller, &settings, &flash, &dac, test->now_us);
+    vc_fuzz_check(vc_controller_init(test->controller, &settings, &flash, &dac, test->now_us) == VC_OK, "no start");
     while (vc_fuzz_record(&data, &length, &record, &record_length)) {
         if (record_length > 0)
             take_record(test, record, record_length);

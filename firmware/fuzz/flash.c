@@ -122,6 +122,7 @@ void vc_fuzz_flash(const uint8_t *data, size_t length)
                  {PIECE_BYTES, ENTRY_BYTES},
                  {2 * PIECE_BYTES, SLOT_BYTES},
                  {2 * PIECE_BYTES + SLOT_BYTES, SLOT_BYTES}};
+    static const vc_controller_settings settings = {.hardware = "board"};
     vc_image_store *store = malloc(sizeof *store);
     uint8_t *record;
     size_t record_length;
@@ -138,7 +139,7 @@ void vc_fuzz_flash(const uint8_t *data, size_t length)
     for (part = 0; part < 2; part++)
         vc_number_bytes(memory->bytes + parts[part].offset + ENTRY_BYTES,
                         vc_crc32(memory->bytes + parts[part].offset, ENTRY_BYTES, 0), 4);
-    vc_image_store_init(store, &flash, "board", NULL, check, NULL);
+    vc_image_store_init(store, &flash, &settings, check, NULL);
     boot(store, &flash);
     while (vc_fuzz_record(&data, &length, &record, &record_length)) {
         if (record_length > 0)

@@ -8,9 +8,9 @@ static vc_controller controller;
 static uint8_t outgoing[VC_PIECE_BYTES];
 static size_t filled, sent; /* bytes of `outgoing` */
 
-void vc_loop_start(const vc_controller_settings *settings, const vc_flash *flash, const vc_dac_port *dac)
+int vc_loop_start(const vc_controller_settings *settings, const vc_flash *flash, const vc_dac_port *dac)
 {
-    vc_controller_init(&controller, settings, flash, dac, vc_port_now_us());
+    return vc_controller_init(&controller, settings, flash, dac, vc_port_now_us());
 }
 
 int vc_loop_turn(void)

@@ -1,6 +1,7 @@
 """The controller's firmware as a process of this machine, behind its own pseudo-terminal."""
 
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
 
 from vibrocast.device_protocol.transports import Closing, TransportError
@@ -11,14 +12,14 @@ from vibrocast.host.devices import FirmwareDevice
 class HostProcess(Closing):
     """Runs the firmware built for `host`; a context manager. `name`: the serial port that a host program opens.
 
-    `options`: of the program firmware/ports/host/main.c. `public_key`: as for `build`. Raises BuildError, and
-    TransportError if the program does not start.
+    `options`: of the program firmware/ports/host/main.c. `public_key` and `verifier`: as for `build`. Raises
+    BuildError, and TransportError if the program does not start.
     """
 
-    def __init__(self, *options: str | Path, public_key: bytes | None = None) -> None:
+    def __init__(self, *options: str | Path, public_key: bytes | None = None, verifier: Sequence[Path] = ()) -> None:
         # The process ends with its input, so nothing outlives a host program that is killed.
         self._process = subprocess.Popen(
-            [build("host", public_key=public_key), *options],
+            [build("host", public_key=public_key, verifier=verifier), *options],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

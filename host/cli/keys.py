@@ -37,14 +37,15 @@ def new(key: Path) -> None:
     next to it, to vendor.pub.pem. A lost private key cannot be made again.
     """
     private_key = key_files.new_private_key()
+    public_key = key_files.public_key(private_key)
     public_path = key.with_suffix(PUBLIC_SUFFIX)
     for path in (key, public_path):
         if path.exists():
             raise BadInput(f"{path} exists, and a key cannot be made again; name another file")
     key_files.write_private_key(key, private_key)
-    key_files.write_public_key(public_path, key_files.public_key(private_key))
-    public_key = key_files.public_key(private_key).hex()
-    tell(f"{public_path}: public key {public_key}", file=str(public_path), public_key=public_key)
+    key_files.write_public_key(public_path, public_key)
+    shown = public_key.hex()
+    tell(f"{public_path}: public key {shown}", file=str(public_path), public_key=shown)
 
 
 @keys.command()

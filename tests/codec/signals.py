@@ -1,8 +1,12 @@
-"""Signals for the codec's tests: textures made here, and inputs on which codecs are known to fail."""
+"""Parts of the codecs' tests: textures made here, inputs on which codecs are known to fail, steps in turn."""
+
+import itertools
+from collections.abc import Iterable, Sequence
+from typing import Protocol
 
 import numpy as np
 
-from vibrocast.codec import Signal
+from vibrocast.codec import Choice, Decoded, Decoder, RateControl, Signal
 
 RATE_HZ = 2800
 
@@ -38,3 +42,36 @@ def edge_signals() -> dict[str, Signal]:
     }
     signals |= {f"{length} samples": texture(length + 64)[64:, 0] for length in (1, 2, 10, 31, 32, 33, 511, 513)}
     return {name: np.asarray(signal, dtype=np.float64)[:, None] for name, signal in signals.items()}
+
+
+def golden_signal(samples: int = 400) -> Signal:
+    """Made of integers only, so that every machine has the same: (samples, 2)."""
+    state, values = 1, []
+    for _ in range(2 * samples):
+        state = (state * 1103515245 + 12345) % 2**31
+        values.append((state >> 16) % 256 - 128)
+    return np.array(values, dtype=np.float64).reshape(samples, 2).cumsum(axis=0) / 8192
+
+
+def in_turn(quantiser_offsets: Sequence[int]) -> RateControl:
+    """Choose these quantiser offsets, one after the other and over again, or the nearest that there are."""
+    turn = itertools.cycle(quantiser_offsets)
+    return lambda trial: Choice(min(max(next(turn), trial.quantiser_offsets[0]), trial.quantiser_offsets[-1]))
+
+
+def played(decoder: Decoder, packets: Iterable[bytes]) -> Decoded:
+    """Return the samples of packets, one after another."""
+    return np.concatenate([decoder.decode(packet) for packet in packets])
+
+
+class Reference(Protocol):
+    """A decoder that is written from the documentation."""
+
+    def samples(self, packet: bytes) -> Signal:
+        """Return the exact samples of a packet, 32768 = full scale."""
+
+
+def difference(reference: Reference, packets: Sequence[bytes], samples: Decoded) -> float:
+    """Return by how much decoded samples of packets differ most from the documented ones, in the last bit."""
+    exact = np.concatenate([reference.samples(packet) for packet in packets])
+    return float(np.max(np.abs(np.clip(exact, -32768, 32767) - samples)))

@@ -1,6 +1,9 @@
-"""Duties of every codec: take any signal, state its packets, survive damage and loss, and play on a controller."""
+"""Duties of every codec: take any signal, state its packets, survive damage and loss, control its rate, and play."""
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 import pytest
@@ -8,12 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.codec.eva_models import tiny_model
-from tests.codec.signals import RATE_HZ, edge_signals, texture
+from tests.codec.signals import RATE_HZ, edge_signals, in_turn, played, texture
 from vibrocast import codec, textures
-from vibrocast.codec import CodecError, Decoder, Signal
+from vibrocast.codec import CodecError, Decoder, Framing, Signal
 from vibrocast.codec.core import CoreDecoder
 from vibrocast.codec.encoding import encode_recording
+from vibrocast.codec.interface import Choice, Encoder, RateControl, Trial
 from vibrocast.codec.registry import Source
+from vibrocast.codec.rotation import COMMON, OWN, Rotation
 from vibrocast.host import playback as end_to_end
 from vibrocast.host import uploader
 from vibrocast.host.controller import Controller
@@ -22,6 +27,8 @@ from vibrocast.simulated_device.faulty_link import MemoryLink
 
 every_codec = pytest.mark.parametrize("name", list(codec.CODECS))
 waveform_codec = pytest.mark.parametrize("name", [name for name, known in codec.CODECS.items() if known.keeps_waveform])
+RATE_CONTROLLED = [name for name, known in codec.CODECS.items() if known.controls_rate]
+every_rate_controlled_codec = pytest.mark.parametrize("name", RATE_CONTROLLED)
 RATE_POINTS = {rate_point_set: name for name, known in codec.CODECS.items() for rate_point_set in known.rate_point_sets}
 
 
@@ -60,6 +67,68 @@ def decode_integers(stream: codec.CodedSignal) -> codec.Decoded:
 def decoder_of(stream: codec.CodedSignal) -> Decoder:
     identifier = codec.codec_by_name(stream.codec).identifier
     return codec.decoder(identifier, stream.configuration, stream.channels, tables_of(stream.codec))
+
+
+FRAMING = Framing(128, 5)
+
+
+def encoder_of(
+    name: str,
+    signal: Signal,
+    rate_control: RateControl | None = None,
+    setting: codec.Setting | None = None,
+    framing: Framing = FRAMING,
+) -> Encoder:
+    rms = tuple(float(np.sqrt(np.mean(channel**2))) or 1.0 for channel in signal.T)
+    signal_format = codec.SignalFormat(RATE_HZ, "full scale", (1.0,) * signal.shape[1], rms)
+    complete = codec.CODECS[name].complete({**middle_setting(name), **(setting or {})})
+    return codec.CODECS[name].make_encoder(complete, signal_format, framing, model_of(name), rate_control)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A codec at a setting. `rises`: samples after a gap until its samples are those of a stream without one."""
+
+    name: str
+    rises: int
+    setting: codec.Setting = field(default_factory=dict)
+    channels: int = 1
+    runtime: str = "core"
+
+    def encoder(self, signal: Signal, steered: bool = False) -> Encoder:
+        """Return an encoder of packets of 128 samples; if `steered`, at quantiser offsets that differ."""
+        return encoder_of(self.name, signal, in_turn([-20, 5, 33, 7, 7, 60, -3]) if steered else None, self.setting)
+
+    def decoder(self, configuration: bytes) -> Decoder:
+        identifier = codec.CODECS[self.name].identifier
+        return codec.decoder(identifier, configuration, self.channels, tables_of(self.name), self.runtime)
+
+    @property
+    def unlike(self) -> int:
+        """By how much samples may differ: ONNX Runtime may sum in another order."""
+        return int(self.runtime == "onnx")
+
+
+ROTATION = Rotation((0, 11, 3), (COMMON, OWN, COMMON, 0), (5, 20, 33), ((7, 8, 9),)).pack().hex()
+CASES = {
+    "mdct": Case("mdct", 32),
+    "mdct, rotated": Case("mdct", 32 + 11, {"rotation": ROTATION}, 3),
+    "dct": Case("dct", 64, {"block": "64"}),
+    "slp": Case("slp", 64),
+    "eva": Case("eva", 56),
+    "eva by ONNX Runtime": Case("eva", 56, runtime="onnx"),
+}
+every_case = pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+
+
+@cache
+def live_stream(name: str) -> tuple[bytes, list[bytes], codec.Decoded]:
+    """Return the configuration of a case, 40 packets, and what they decode to."""
+    case = CASES[name]
+    signal = texture(40 * 128 - 64, case.channels)
+    encoder = case.encoder(signal)
+    packets = [*encoder.encode(signal), *encoder.finish()][:40]
+    return encoder.configuration, packets, played(case.decoder(encoder.configuration), packets).astype(int)
 
 
 def quality(known: codec.Codec, signal: Signal, decoded: Signal) -> float:
@@ -145,6 +214,82 @@ def test_decoding_is_repeatable(name: str) -> None:
     np.testing.assert_array_equal(decode_integers(stream), decode_integers(stream))
 
 
+@pytest.mark.parametrize("steered", [False, True])
+@pytest.mark.parametrize("name", [name for name in CASES if "ONNX" not in name] + ["parametric"])
+@given(seed=st.integers(0, 3), lengths=st.lists(st.integers(1, 400), min_size=1, max_size=8))
+@settings(max_examples=12, deadline=None)
+def test_packets_do_not_depend_on_how_samples_arrive(name: str, steered: bool, seed: int, lengths: list[int]) -> None:
+    case = CASES.get(name) or Case(name, 0)
+    steered = steered and codec.CODECS[case.name].controls_rate
+    signal = texture(sum(lengths), case.channels, seed)
+    one, other = (case.encoder(signal, steered) for _ in range(2))
+    whole = one.encode(signal) + one.finish()
+    packets = [packet for part in np.split(signal, np.cumsum(lengths)[:-1]) for packet in other.encode(part)]
+    assert packets + other.finish() == whole
+    assert one.configuration == other.configuration
+
+
+@pytest.mark.parametrize("name", CASES)
+@given(lost=st.sets(st.integers(0, 39), max_size=39))
+@settings(max_examples=25, deadline=None)
+def test_a_lost_packet_costs_at_most_the_time_to_the_next_refresh(name: str, lost: set[int]) -> None:
+    """From some samples after the refresh on, the samples are those of a stream without a gap."""
+    case, (configuration, packets, clean) = CASES[name], live_stream(name)
+    decoder = case.decoder(configuration)
+    playing = True
+    for index, packet in enumerate(packets):
+        part = (decoder.conceal() if index in lost else decoder.decode(packet)).astype(int)
+        before, playing = playing, index not in lost and (playing or bool(packet[0] & 1))
+        if playing:
+            rises = 0 if before else case.rises
+            expected = clean[index * 128 : (index + 1) * 128]
+            np.testing.assert_allclose(part[rises:], expected[rises:], rtol=0, atol=case.unlike)
+        assert np.max(np.abs(part)) <= 4 * np.max(np.abs(clean))
+
+
+@pytest.mark.parametrize("steered", [False, True])
+@every_case
+def test_decoding_that_begins_at_a_refresh_gives_the_same_samples(case: Case, steered: bool) -> None:
+    """The noise in place of zeros and the quantiser offset are the same, too."""
+    signal = texture(3000, case.channels)
+    encoder = case.encoder(signal, steered)
+    packets = encoder.encode(signal)
+    whole, late = (played(case.decoder(encoder.configuration), part).astype(int) for part in (packets, packets[10:]))
+    np.testing.assert_allclose(late[case.rises :], whole[1280 + case.rises :], rtol=0, atol=case.unlike)
+
+
+@pytest.mark.parametrize("name", [name for name in CASES if name != "dct"])
+def test_a_packet_out_of_order_is_not_played(name: str) -> None:
+    configuration, packets, _ = live_stream(name)
+    decoder = CASES[name].decoder(configuration)
+    assert not np.any(decoder.decode(packets[1])), "the first packet must be a refresh"
+    for index in (0, 3, 4):
+        decoder.decode(packets[index])
+    assert not np.any(decoder.decode(packets[6]))
+
+
+@every_codec
+def test_lengths_of_packets_that_no_stream_has_are_rejected(name: str) -> None:
+    for samples in (0, 2**25):
+        with pytest.raises(CodecError, match="are not possible"):
+            encoder_of(name, texture(100), framing=Framing(samples, 1))
+
+
+FINEST: list[tuple[str, codec.Setting]] = [
+    ("mdct", {"step": 2.0**-17}),
+    ("dct", {"levels": 65_535, "entropy": "huffman"}),
+    ("dct", {"levels": 65_535, "entropy": "range"}),
+    ("slp", {"quality": 31, "order": 0}),
+]
+
+
+@pytest.mark.parametrize(("name", "setting"), FINEST)
+def test_a_packet_that_does_not_fit_is_rejected(name: str, setting: codec.Setting) -> None:
+    noise = np.random.default_rng(1).uniform(-1, 1, (2**14, 16))
+    with pytest.raises(CodecError, match="shorter packets"):
+        encoder_of(name, noise, setting=setting, framing=Framing(2**14, 0)).encode(noise)
+
+
 @every_codec
 @given(data=st.data())
 @settings(max_examples=20)
@@ -164,10 +309,12 @@ def test_damaged_packets_decode_safely(name: str, data: st.DataObject) -> None:
 
 
 @every_codec
-@given(packets=st.lists(st.binary(max_size=200), max_size=6))
-@settings(max_examples=25)
-def test_any_bytes_decode_safely(name: str, packets: list[bytes]) -> None:
-    decoder = decoder_of(coded(name, texture(300), live=True))
+@given(packets=st.lists(st.binary(max_size=300), max_size=6), channels=st.sampled_from([1, 2, 16]))
+@settings(max_examples=40, deadline=None)
+def test_any_bytes_decode_safely(name: str, packets: list[bytes], channels: int) -> None:
+    """At the coarsest steps, where they are the loudest."""
+    coarsest = next(iter(codec.CODECS[name].rate_point_sets.values()))[0]
+    decoder = decoder_of(coded(name, np.sign(texture(300, channels)), live=True, setting=coarsest))
     for packet in [b"\x01", *packets, *(b"\x01" + packet for packet in packets)]:
         try:
             check_decoded(decoder.decode(packet), decoder)
@@ -197,17 +344,20 @@ def test_a_gap_fades_and_a_refresh_ends_it(name: str) -> None:
     decoder = decoder_of(stream)
     count = len(stream.packets)
     lost = {count // 3, count // 3 + 1}
-    played = np.concatenate(
+    heard = np.concatenate(
         [decoder.conceal() if index in lost else decoder.decode(packet) for index, packet in enumerate(stream.packets)]
     ).astype(int)
     start = min(lost) * decoder.packet_samples
-    np.testing.assert_array_equal(played[:start], clean[:start])
-    assert np.max(np.abs(np.diff(played, axis=0))) <= 1.5 * np.max(np.abs(np.diff(clean, axis=0)))
-    silent = played[start + decoder.packet_samples : (max(lost) + 1) * decoder.packet_samples]
+    np.testing.assert_array_equal(heard[:start], clean[:start])
+    assert np.max(np.abs(np.diff(heard, axis=0))) <= 1.5 * np.max(np.abs(np.diff(clean, axis=0)))
+    before, fading = heard[:start], heard[start : start + decoder.packet_samples]
+    assert np.any(fading)
+    assert np.std(fading[-len(fading) // 4 :]) < 0.5 * np.std(before[-decoder.packet_samples :])
+    silent = heard[start + decoder.packet_samples : (max(lost) + 1) * decoder.packet_samples]
     assert not np.any(silent[len(silent) // 2 :])
-    assert np.any(played[(max(lost) + 1) * decoder.packet_samples :])
+    assert np.any(heard[(max(lost) + 1) * decoder.packet_samples :])
     end = slice(-2000, None)
-    assert (codec.snr_db(clean[end].astype(float), played[end].astype(float)) or math.inf) > 10
+    assert (codec.snr_db(clean[end].astype(float), heard[end].astype(float)) or math.inf) > 10
 
 
 @pytest.mark.parametrize("runtime", codec.RUNTIMES)
@@ -235,17 +385,20 @@ def test_the_first_packet_must_be_a_refresh(name: str) -> None:
 
 @every_codec
 def test_bad_signals_and_settings_are_rejected(name: str) -> None:
-    for signal in (np.zeros((0, 1)), np.full((100, 1), math.nan), np.full((100, 1), math.inf), np.zeros(100)):
+    for signal in (
+        *(np.zeros(shape) for shape in ((0, 1), (100,), (10, 0), (10, 17))),
+        *(np.full((100, 1), number) for number in (math.nan, math.inf)),
+    ):
         with pytest.raises(CodecError):
             codec.encode(signal, RATE_HZ, middle_setting(name), codec=name, model=model_of(name))
     with pytest.raises(CodecError, match="no parameter softness"):
         codec.encode(texture(100), RATE_HZ, {"softness": 1.0}, codec=name, model=model_of(name))
     for parameter, described in codec.CODECS[name].parameters.items():
         assert described.checked(parameter, described.default) == described.default
-        with pytest.raises(CodecError, match=parameter):
-            codec.encode(
-                texture(100), RATE_HZ, {parameter: "\x00 nothing of the kind"}, codec=name, model=model_of(name)
-            )
+        numbers = (math.nan, math.inf, described.low - 1) if described.fractional else ()
+        for value in ("\x00 nothing of the kind", *numbers):
+            with pytest.raises(CodecError, match=parameter):
+                codec.encode(texture(100), RATE_HZ, {parameter: value}, codec=name, model=model_of(name))
         if not described.per_channel:
             with pytest.raises(CodecError, match=parameter):
                 codec.encode(texture(100, 2), RATE_HZ, {parameter: (14, 16)}, codec=name, model=model_of(name))
@@ -327,3 +480,119 @@ def test_a_search_finds_the_best_rate_point_without_trying_all(
     )
     assert found.packets == coded_by_rate_point[nearest].packets
     assert len(trials) <= min(len(rate_points), 12)
+
+
+def steered(name: str, signal: Signal, rate_control: RateControl) -> tuple[Encoder, list[bytes]]:
+    encoder = encoder_of(name, signal, rate_control)
+    return encoder, encoder.encode(signal) + encoder.finish()
+
+
+def decoded(name: str, encoder: Encoder, packets: list[bytes], channels: int) -> codec.Decoded:
+    return played(Case(name, 0, channels=channels).decoder(encoder.configuration), packets)
+
+
+def at_places(places: list[int], min_bytes: int = 0) -> RateControl:
+    """Choose the quantiser offsets at these places, in 1/64 of all that can be chosen, one after the other."""
+    count = 0
+
+    def rate_control(trial: Trial) -> Choice:
+        nonlocal count
+        count += 1
+        place = places[count % len(places)] * (len(trial.quantiser_offsets) - 1) // 64
+        return Choice(trial.quantiser_offsets[place], min_bytes)
+
+    return rate_control
+
+
+@every_rate_controlled_codec
+def test_trials_change_no_state_and_equal_the_coded_packet(name: str) -> None:
+    signal = texture(2000, 2)
+    choose = at_places([20, 25, 40, 22])
+    packets: list[bytes] = []
+    previous = 0
+
+    def rate_control(trial: Trial) -> Choice:
+        nonlocal previous
+        assert trial.previous == previous
+        choice = choose(trial)
+        sizes = [len(trial.packet(quantiser_offset)) for quantiser_offset in trial.quantiser_offsets[::40]]
+        assert sizes[-1] <= sizes[0]
+        packets.append(trial.packet(choice.quantiser_offset))
+        previous = choice.quantiser_offset
+        return choice
+
+    assert steered(name, signal, rate_control)[1] == packets
+    assert steered(name, signal, at_places([20, 25, 40, 22]))[1] == packets
+
+
+@every_rate_controlled_codec
+def test_coarser_takes_fewer_bytes_and_errs_more(name: str) -> None:
+    signal = texture(2800)
+    results = []
+    for place in range(0, 65, 8):
+        encoder, packets = steered(name, signal, at_places([place]))
+        heard = decoded(name, encoder, packets, 1)[encoder.delay_samples :][: len(signal)] / 32768
+        results.append((sum(map(len, packets)), float(np.sqrt(np.mean((heard - signal) ** 2)))))
+    sizes, errors = np.array(results).T
+    assert np.all(np.diff(sizes) <= 0.02 * sizes[:-1])
+    assert sizes[-1] < 0.5 * sizes[0]
+    assert errors[-1] > 3 * errors[0]
+
+
+@every_rate_controlled_codec
+def test_the_samples_of_a_trial_are_what_its_packet_stands_for(name: str) -> None:
+    wanted: list[Signal] = []
+
+    def finest(trial: Trial) -> Choice:
+        wanted.append(trial.samples)
+        return Choice(trial.quantiser_offsets[0])
+
+    signal = texture(2000, 2)
+    encoder, packets = steered(name, signal, finest)
+    assert {part.shape for part in wanted} == {(encoder.packet_samples, 2)}
+    heard = decoded(name, encoder, packets, 2) / 32768
+    expected = np.concatenate(wanted)
+    assert (codec.snr_db(expected[:2000], heard[:2000]) or 0) > 5
+    delayed = np.concatenate([np.zeros((encoder.delay_samples, 2)), signal])
+    np.testing.assert_allclose(expected[: len(delayed)], delayed[: len(expected)], atol=1e-3)
+
+
+@every_rate_controlled_codec
+@given(places=st.lists(st.integers(0, 64), min_size=1, max_size=6), padding=st.integers(0, 300))
+@settings(max_examples=6)
+def test_padding_changes_nothing_but_the_length(name: str, places: list[int], padding: int) -> None:
+    signal = texture(900, 2)
+    encoder, packets = steered(name, signal, at_places(places))
+    _, padded = steered(name, signal, at_places(places, padding))
+    assert [len(packet) for packet in padded] == [max(len(packet), padding) for packet in packets]
+    assert all(long.rstrip(b"\0") == short.rstrip(b"\0") for long, short in zip(padded, packets, strict=True))
+    np.testing.assert_array_equal(decoded(name, encoder, padded, 2), decoded(name, encoder, packets, 2))
+
+
+@every_rate_controlled_codec
+@pytest.mark.parametrize(
+    "choose",
+    [
+        lambda trial: Choice(trial.quantiser_offsets[0] - 1),
+        lambda trial: Choice(trial.quantiser_offsets[-1] + 1),
+        lambda trial: Choice(0, 65_536),
+        lambda trial: Choice(0, len(trial.packet(trial.quantiser_offsets[-1] + 1))),
+    ],
+)
+def test_choices_that_no_packet_can_have_are_rejected(name: str, choose: Callable[[Trial], Choice]) -> None:
+    with pytest.raises(CodecError, match=r"it must choose|; choose"):
+        steered(name, texture(1000), choose)
+
+
+@pytest.mark.parametrize("name", [name for name in codec.CODECS if name not in RATE_CONTROLLED])
+def test_codecs_that_have_no_rate_control_say_so(name: str) -> None:
+    with pytest.raises(CodecError, match="one quality; choose"):
+        encoder_of(name, texture(100), at_places([0]))
+
+
+@every_rate_controlled_codec
+def test_the_configuration_says_whether_a_stream_is_rate_controlled(name: str) -> None:
+    signal = texture(300)
+    plain, rate_controlled = encoder_of(name, signal, None), encoder_of(name, signal, at_places([0]))
+    assert plain.configuration != rate_controlled.configuration
+    assert len(plain.configuration) <= len(rate_controlled.configuration) <= len(plain.configuration) + 1

@@ -259,7 +259,7 @@ def test_a_larger_rate_buffer_makes_the_quality_more_even() -> None:
 
 def test_a_codec_whose_decoder_cannot_be_copied_holds_no_quality() -> None:
     class Single(FakeDecoder):
-        copy = property()  # type: ignore[assignment]
+        copy = property()
 
     with pytest.raises(CodecError, match="cannot hold a quality"):
         CappedRate(15, SnrMeter(RATE_HZ), 100_000).begin(Single(), 0, SECONDS)

@@ -119,13 +119,6 @@ def test_gain_is_the_next_number_of_eight_bits(peak: float) -> None:
     assert mantissa == int(mantissa)
 
 
-def test_a_silent_channel_next_to_a_loud_one() -> None:
-    signal = texture(2000, 2)
-    signal[:, 1] = 0
-    coded = codec.encode_to_snr(codec.Source(signal, RATE_HZ), 15.0)
-    assert not np.any(codec.decode(coded)[:, 1])
-
-
 @pytest.mark.parametrize("live", [False, True])
 @given(samples=st.integers(1, 700) | st.sampled_from([4064, 4095, 4096, 4097, 8192]))
 @settings(max_examples=60)
@@ -138,33 +131,12 @@ def test_every_length_has_just_the_packets_that_hold_it(live: bool, samples: int
     assert ratio is None or ratio > 10
 
 
-@pytest.mark.parametrize(
-    "signal",
-    [
-        np.zeros((0, 1)),
-        np.zeros(10),
-        np.zeros((10, 0)),
-        np.zeros((10, 17)),
-        np.array([[0.0], [math.nan]]),
-        np.array([[0.0], [math.inf]]),
-    ],
-)
-def test_signals_that_cannot_be_coded_are_rejected(signal: codec.Signal) -> None:
-    with pytest.raises(CodecError):
-        codec.encode(signal, RATE_HZ, {"step": 0.3})
-
-
-@pytest.mark.parametrize("step", [0.0, -1.0, math.nan, math.inf])
-def test_steps_that_are_no_step_are_rejected(step: float) -> None:
-    with pytest.raises(CodecError):
-        codec.encode(texture(100), RATE_HZ, {"step": step})
-
-
 def test_unknown_codecs_are_named() -> None:
     with pytest.raises(CodecError, match="mdct"):
         codec.encode(texture(100), RATE_HZ, {"step": 0.3}, codec="mp3")
-    with pytest.raises(CodecError, match="number 14"):
-        codec.decoder(14, b"", 1)
+    for identifier, flaw in ((14, "number 14"), (12, "has the former codec lapped, which only earlier versions play")):
+        with pytest.raises(CodecError, match=flaw):
+            codec.decoder(identifier, b"", 1)
 
 
 def test_missing_packets_at_the_end_are_reported() -> None:

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.codec.signals import RATE_HZ, texture
-from tests.codec.test_mdct import TABLES, coded, in_turn
+from tests.codec.signals import RATE_HZ, in_turn, played, texture
+from tests.codec.test_mdct import TABLES, coded
 from vibrocast import codec
 from vibrocast.codec import CodecError, Framing, mdct
 from vibrocast.codec.encoding import encode_recording
@@ -18,8 +18,7 @@ from vibrocast.textures import GENERATORS, Recording
 
 
 def decoded(stream: tuple[bytes, list[bytes]], channels: int, tables: bytes) -> codec.Decoded:
-    decoder = mdct.MdctDecoder(stream[0], channels, tables)
-    return np.concatenate([decoder.decode(packet) for packet in stream[1]])
+    return played(mdct.MdctDecoder(stream[0], channels, tables), stream[1])
 
 
 def refresh_samples(stream: tuple[bytes, list[bytes]], channels: int, tables: bytes) -> list[int]:

@@ -1,5 +1,6 @@
-"""Tests of the choice of curves in charts, and of their files."""
+"""Tests of the choice of curves in charts, of their labels, and of their files."""
 
+from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -9,8 +10,11 @@ import pytest
 from vibrocast import pictures
 from vibrocast.evaluation import charts
 from vibrocast.evaluation.bd_rate import SNR
+from vibrocast.evaluation.comparison import best_of
+from vibrocast.evaluation.curves import Curve, Panel
+from vibrocast.evaluation.curves import curves as draw_curves
+from vibrocast.evaluation.labels import spread
 from vibrocast.evaluation.peers import named, peers
-from vibrocast.evaluation.tables import as_rows
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -39,8 +43,7 @@ def test_a_curve_belongs_to_a_group(codec: str, group: str) -> None:
 
 def test_a_group_is_drawn_by_its_own_name_or_else_by_its_best_curve() -> None:
     table = curves("slp", "mdct", "mdct-live", "eva-16", "eva-32", "haar")
-    groups = charts.mean_curves_by_group(table)
-    assert [codec for group in groups.values() for codec in group] == ["mdct", "eva-32", "haar", "slp"]
+    assert list(charts.mean_curves_by_group(table)) == ["mdct", "eva-32", "haar", "slp"]
 
 
 def test_known_codecs_keep_their_colour_and_unknown_ones_get_one() -> None:
@@ -74,7 +77,7 @@ def test_no_decoder_lies_above_the_line_of_loads(tmp_path: Path) -> None:
     table = pl.DataFrame(rows, ["codec", "value", "load_percent", "memory_bytes"], orient="row").with_columns(
         quality=pl.lit("snr_db"), cost=pl.lit("load of a processor, %")
     )
-    assert [charts._beaten(row, as_rows(table)) for row in as_rows(table)] == [False, True, False]
+    assert best_of((load, value) for _, value, load, _ in rows) == [(1.0, 10.0), (4.0, 11.0)]
     charts.plot_loads(tmp_path / "load.svg", table, "Loads", [SNR])
     assert {"mdct", "slp", "eva-16", "load of a processor, %", "20 kB"} <= set(texts(tmp_path / "load.svg"))
 
@@ -98,3 +101,26 @@ def test_every_known_peer_has_a_name_of_its_own_or_shares_it_with_an_imported_on
     assert named("haar").name == "haar"
     labels = [peer.name for peer in peers().values() if "@" not in peer.codec]
     assert len(set(labels)) == len(labels)
+
+
+def test_labels_that_fit_stay_at_their_targets() -> None:
+    assert spread([0.2, 0.5, 0.9], [0.1, 0.1, 0.1]) == pytest.approx([0.2, 0.5, 0.9])
+    assert spread([], []) == []
+
+
+def test_labels_that_collide_move_apart_and_stay_in_the_panel() -> None:
+    assert spread([0.5, 0.5], [0.1, 0.3]) == pytest.approx([0.5, 0.7])
+    assert spread([0.9, 0.95], [0.1, 0.1]) == pytest.approx([0.85, 0.95])
+    assert spread([0.0, 1.0], [0.2, 0.2]) == pytest.approx([0.1, 0.9])
+
+
+def test_too_many_labels_shrink() -> None:
+    heights = spread([0.5] * 20, [0.1] * 20)
+    assert [after - before for before, after in pairwise(heights)] == pytest.approx([0.05] * 19)
+    assert 0 < heights[0] < heights[-1] < 1
+
+
+def test_names_of_curves_do_not_collide(tmp_path: Path) -> None:
+    same = [Curve(f"curve {number}", [1, 2], [5, 5], [False, True]) for number in range(12)]
+    draw_curves(tmp_path / "same.png", [Panel("", "", "", same, lines=(5,))])
+    assert (tmp_path / "same.png").stat().st_size > 1000

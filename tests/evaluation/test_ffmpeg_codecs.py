@@ -1,4 +1,4 @@
-"""Codecs of FFmpeg's libraries: delay, rates, edge inputs, what is rejected, stored streams, peers."""
+"""Codecs of FFmpeg's libraries: delay, rates, edge inputs, their own programs."""
 
 import csv
 import subprocess
@@ -11,7 +11,7 @@ import pytest
 from tests.codec.signals import RATE_HZ, edge_signals, texture
 from vibrocast import codec
 from vibrocast.codec import PEERS, CodecError, CodedSignal, Setting, Signal
-from vibrocast.codec.stream import as_stream, read_stream
+from vibrocast.codec.stream import as_stream
 from vibrocast.evaluation.peers import measured_codecs
 
 HERE = Path(__file__).parent
@@ -39,9 +39,8 @@ def encode(name: str, signal: Signal, setting: Setting | None = None) -> CodedSi
     return codec.encode(signal, RATE_HZ, setting or {}, codec=name)
 
 
-def decoder_of(stream: CodedSignal, configuration: bytes | None = None) -> codec.Decoder:
-    held = stream.configuration if configuration is None else configuration
-    return codec.decoder(PEERS[stream.codec].identifier, held, stream.channels)
+def decoder_of(stream: CodedSignal) -> codec.Decoder:
+    return codec.decoder(PEERS[stream.codec].identifier, stream.configuration, stream.channels)
 
 
 @every_setting
@@ -101,71 +100,6 @@ def test_a_benchmark_measures_them_and_no_other_command_lists_them() -> None:
     assert "the stream has the former codec opus, which only earlier versions play" in told.stderr
 
 
-def test_packets_with_too_many_frames_or_uneven_ones_are_rejected() -> None:
-    stream = codec.encode(texture(2000, 2), RATE_HZ, {}, codec="amr-nb", framing=codec.Framing(160, 0))
-    head, frames = stream.packets[0][:1], stream.packets[0][1:]
-    assert decoder_of(stream).decode(head + frames).shape == (160, 2)
-    for damaged in (frames + frames, frames[:32], frames[:-1], frames + b"\0"):
-        with pytest.raises(CodecError, match="damaged"):
-            decoder_of(stream).decode(head + damaged)
-
-
-def test_frames_of_another_length_or_format_are_rejected() -> None:
-    import av
-
-    stream = encode("flac", texture(2000))
-    (longer,) = encode("flac", texture(800)).packets
-    with pytest.raises(CodecError, match="damaged"):
-        decoder_of(stream).decode(longer)
-    context = av.CodecContext.create("flac", "w")
-    assert isinstance(context, av.AudioCodecContext)
-    context.sample_rate, context.layout, context.format = 8000, "mono", av.AudioFormat("s32")
-    context.options = {"frame_size": "128"}
-    frame = av.AudioFrame.from_ndarray(np.ones((1, 128), dtype=np.int32), format="s32", layout="mono")
-    frame.sample_rate = 8000
-    (deep,) = map(bytes, context.encode(frame))
-    with pytest.raises(CodecError, match="sample format"):
-        decoder_of(stream).decode(b"\x01" + bytes((len(deep),)) + deep)
-    with pytest.raises(CodecError, match="empty frame"):
-        decoder_of(stream).decode(b"\x01\x00")
-
-
-@pytest.mark.parametrize(
-    "configuration",
-    [
-        b"",
-        b"\0\0\0",
-        b"\0\0\1\0",
-        b"\0\x08\0\4",
-        b"\0\x08\1\4\0",
-        b"\0\x08\1\6",
-        b"\0\xff\xff\3\xff\x01\4",
-        b"\x80" * 9,
-    ],
-)
-def test_damaged_configurations_are_rejected(configuration: bytes) -> None:
-    stream = encode("g726", texture(100))
-    with pytest.raises(CodecError):
-        decoder_of(stream, configuration)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_damage_is_not_reported_in_addition_to_the_errors(name: str, capfd: pytest.CaptureFixture[str]) -> None:
-    """FFmpeg would write its own complaints to standard error."""
-    stream = encode(name, texture(3000))
-    generator = np.random.default_rng(4)
-    decoder, rejected = decoder_of(stream), 0
-    for packet in stream.packets:
-        damaged = np.frombuffer(packet, dtype=np.uint8).copy()
-        damaged[1:] ^= generator.integers(0, 256, len(damaged) - 1, dtype=np.uint8)
-        try:
-            decoder.decode(damaged.tobytes())
-        except CodecError:
-            rejected += 1
-    assert rejected > 0 or name in ("g726", "g723-1")
-    assert capfd.readouterr() == ("", "")
-
-
 def test_limits_of_an_encoder() -> None:
     known = PEERS["g726"]
     for channels, packet_samples in ((0, 100), (17, 100), (1, 70_000), (1, 0)):
@@ -184,18 +118,6 @@ def test_av_is_loaded_at_first_need_and_missed_by_name(monkeypatch: pytest.Monke
         decoder_of(stream)
     with pytest.raises(CodecError, match=r"needs av; install the extra \[peers\]: "):
         encode("g726", texture(100))
-
-
-GOLDEN_SNR_DB = {"opus": 12.01, "amr-nb": 2.16, "g723-1": 3.34, "g726": 15.96, "wavpack": 29.48, "flac": 90.06}
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_stored_streams_decode_to_what_they_did(name: str) -> None:
-    """Within a tolerance: a decoder in floating point may change its last bits from build to build."""
-    stream = read_stream(HERE / f"golden_{name}.vct")
-    signal = texture(stream.samples, 2)
-    assert stream.codec_name == name
-    assert codec.snr_db(signal, stream.decode()) == pytest.approx(GOLDEN_SNR_DB[name], abs=0.05)
 
 
 @pytest.mark.skipif(not SHARED.exists(), reason="the development recordings are not here")

@@ -81,6 +81,4 @@ def test_the_stability_maps_take_it() -> None:
     def measure() -> Measured:
         return signals.measure(rate_point, "texture")
 
-    assert (
-        attempt(Trial("signals", NAME, "texture", f"high: {rate_point.text}", None, measure)).outcome is Outcome.HOLDS
-    )
+    assert attempt(Trial(NAME, "texture", measure)).outcome is Outcome.HOLDS

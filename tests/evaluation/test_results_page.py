@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from polars.testing import assert_frame_equal
 
 from vibrocast.codec import CODECS
-from vibrocast.evaluation import bench, learned_page, results_page
-from vibrocast.evaluation.bd_rate import PSNR, SNR, ST_SIM_2800, bd_rate
+from vibrocast.evaluation import bench, results_page
+from vibrocast.evaluation.bd_rate import PSNR, SNR, ST_SIM_2800
 from vibrocast.evaluation.charts import FAR_DB, MAX_NAME, _set_log_axis, _short, plot_cost_points
 from vibrocast.evaluation.comparison import (
     FIT,
@@ -74,27 +74,27 @@ def timed(points: Sequence[Point], encode_s: float, decode_s: float) -> list[Tim
     return [Timing(point.trace, point.codec, point.setting, encode_s, decode_s, point.source) for point in points]
 
 
-def measured() -> tuple[list[Point], list[Timing], list[CodecCost]]:
+def measured() -> Measurements:
     """Return three codecs on two traces: slp needs 1.9 times the bits of mdct and half the time, vcpwq four times."""
     mdct = curve("mdct") + curve("mdct", "b", 1.1)
     slp = curve("slp", rate_factor=1.9) + curve("slp", "b", 2.09)
     peer = curve("vcpwq", rate_factor=4, source="imported") + curve("vcpwq", "b", 4.4, source="imported")
     timings = timed(mdct, 2.0, 1.0) + timed(slp, 1.0, 0.5) + timed(peer, 0.1, 0.1)
-    return mdct + slp + peer, timings, [CodecCost("mdct", 9000, 5_000_000, "core"), CodecCost("slp", None, None, "")]
+    costs = [CodecCost("mdct", 9000, 5_000_000, "core"), CodecCost("slp", None, None, "")]
+    return Measurements(mdct + slp + peer, timings, costs, [])
 
 
-def write(
-    out: Path,
-    points: Sequence[Point],
-    timings: Sequence[Timing] = (),
-    costs: Sequence[CodecCost] = (),
-    failures: Sequence[Failure] = (),
-    speeds: Sequence[Speed] = (),
-    kinds: Sequence[TraceKind] = (),
-) -> str:
+MEASURED = measured()
+
+
+def of(*points: Point, timings: Sequence[Timing] = ()) -> Measurements:
+    """Return measurements of points alone, or with timings."""
+    return Measurements(points, timings, [], [])
+
+
+def write(out: Path, measurements: Measurements) -> str:
     """Write the rows as a benchmark does, and the page; return the page."""
     (out / "results").mkdir(parents=True, exist_ok=True)
-    measurements = Measurements(points, timings, costs, failures, speeds, kinds)
     bench.write(out / "results", measurements)
     write_results(out, measurements, DESCRIPTION)
     return (out / "results.md").read_text()
@@ -106,8 +106,7 @@ def assert_written(path: Path, table: pl.DataFrame) -> None:
 
 
 def test_a_mean_curve_spans_the_rates_of_every_recording() -> None:
-    points, timings, costs = measured()
-    rows = [row for row in as_rows(mean_curves(Measurements(points, timings, costs, []), SNR)) if row.codec == "mdct"]
+    rows = [row for row in as_rows(mean_curves(MEASURED, SNR)) if row.codec == "mdct"]
     assert rows[0].bits_per_sample == pytest.approx(0.55)
     assert rows[-1].bits_per_sample == pytest.approx(2.0)
     for row in rows:
@@ -119,7 +118,7 @@ def test_a_mean_curve_spans_the_rates_of_every_recording() -> None:
 
 def test_a_codec_that_lacks_a_recording_has_no_mean() -> None:
     points = curve("mdct") + curve("mdct", "b") + curve("slp")
-    measurements = Measurements(points, timed(points, 1, 1), [], [])
+    measurements = of(*points, timings=timed(points, 1, 1))
     assert set(mean_curves(measurements, SNR)["codec"]) == {"mdct"}
     assert set(cost_points(measurements, SNR, TIMES)["codec"]) == {"mdct"}
     assert set(rate_excesses(measurements)["codec"]) == {"mdct", "slp"}
@@ -128,26 +127,26 @@ def test_a_codec_that_lacks_a_recording_has_no_mean() -> None:
 def test_a_recording_too_short_to_compare_is_in_no_mean(tmp_path: Path) -> None:
     short = Point("short", "mdct", "", 1, 24, 30.0, 2800.0, 30.0)
     points = [*curve("mdct"), *curve("mdct", "b"), short]
-    with_it, without = (mean_curves(Measurements(some, [], [], []), SNR) for some in (points, points[:-1]))
+    with_it, without = (mean_curves(of(*some), SNR) for some in (points, points[:-1]))
     assert_frame_equal(with_it, without)
-    assert Measurements([short], [], [], []).compared == ["short"]
-    assert "so in no mean: `short`." in write(tmp_path, points)
+    assert of(short).compared == ["short"]
+    assert "so in no mean: `short`." in write(tmp_path, of(*points))
 
 
-def test_imported_points_stand_aside() -> None:
+def test_imported_points_stand_aside_and_get_their_psnr_from_the_crest_factor() -> None:
     """Where the codec was measured, and on traces that were not."""
     points = curve("mdct") + curve("mdct", rate_factor=9, source="imported") + curve("peer", "c", source="imported")
-    assert Measurements(points, [], [], []).curves == {"mdct": {"a": curve("mdct")}}
+    assert of(*points).curves == {"mdct": {"a": curve("mdct")}}
     only_imported = curve("peer", "c", source="imported")
-    assert Measurements(only_imported, [], [], []).curves == {"peer": {"c": only_imported}}
+    assert of(*only_imported).curves == {"peer": {"c": only_imported}}
+    peer = [replace(point, psnr_db=None) for point in curve("peer", source="imported")]
+    (imported,) = of(*curve("mdct"), *peer).curves["peer"].values()
+    assert [point.psnr_db for point in imported] == [snr_db + 13 for snr_db in SNRS_DB]
 
 
 def test_times_are_those_of_the_nearest_rate_and_the_front_is_of_measured_codecs() -> None:
-    points, _, costs = measured()
-    timings = [
-        Timing(point.trace, point.codec, point.setting, point.bits_per_sample, 1.0, point.source) for point in points
-    ]
-    marks = as_rows(cost_points(Measurements(points, timings, costs, []), SNR, TIMES))
+    timings = [timing for point in MEASURED.points for timing in timed([point], point.bits_per_sample, 1.0)]
+    marks = as_rows(cost_points(replace(MEASURED, timings=timings), SNR, TIMES))
     encoding = {(mark.bits_per_sample, mark.codec): mark for mark in marks if mark.cost == "encode_s_per_megasample"}
     assert encoding[1.6, "mdct"].value == pytest.approx((1.587 + 1.746) / 2, abs=0.001)
     assert encoding[1.6, "mdct"].quality == pytest.approx(12 * math.log2(3.2) - 6 * math.log2(1.1), abs=0.01)
@@ -158,22 +157,15 @@ def test_times_are_those_of_the_nearest_rate_and_the_front_is_of_measured_codecs
 
 
 def test_excess_bits_are_counted_from_the_best_of_each_recording() -> None:
-    points, _, _ = measured()
-    rows = {(row.trace, row.codec): row for row in as_rows(rate_excesses(Measurements(points, [], [], [])))}
+    rows = {(row.trace, row.codec): row for row in as_rows(rate_excesses(MEASURED))}
     assert rows["a", "mdct"].bits_per_sample == pytest.approx(1.0, abs=0.001)
     assert {key: round(row.excess_percent) for key, row in rows.items()} == {
-        ("a", "mdct"): 0,
-        ("a", "slp"): 90,
-        ("a", "vcpwq"): 300,
-        ("b", "mdct"): 0,
-        ("b", "slp"): 90,
-        ("b", "vcpwq"): 300,
+        (trace, codec): percent for trace in "ab" for codec, percent in (("mdct", 0), ("slp", 90), ("vcpwq", 300))
     }
 
 
 def test_bd_rates_are_relative_to_every_anchor_at_every_quality() -> None:
-    points, _, _ = measured()
-    rows = as_rows(mean_bd_rates(trace_bd_rates(Measurements(points, [], [], []))))
+    rows = as_rows(mean_bd_rates(trace_bd_rates(MEASURED)))
     snr = {(row.anchor, row.codec): round(row.mean) for row in rows if row.quality == "snr_db"}
     assert snr == {
         ("mdct", "slp"): 90,
@@ -185,22 +177,22 @@ def test_bd_rates_are_relative_to_every_anchor_at_every_quality() -> None:
     }
     assert {row.quality for row in rows} == {"snr_db", "psnr_db", "st_sim_2800", "st_sim_8000", "spqi"}
     assert {row.traces for row in rows} == {2}
+    (by_cubic,) = [row for row in rows if (row.quality, row.anchor, row.codec) == ("psnr_db", "mdct", "slp")]
+    assert by_cubic.cubic_mean == pytest.approx(90, abs=0.1)
 
 
 def test_costs_are_of_the_codec_that_a_rate_point_set_belongs_to() -> None:
-    points, timings, costs = measured()
-    rows = {row.codec: row for row in as_rows(curve_costs(Measurements(points, timings, costs, [])))}
+    rows = {row.codec: row for row in as_rows(curve_costs(MEASURED))}
     assert rows["mdct"].real_time_factor == pytest.approx(3.0 * 2800 / 1e6)
     assert (rows["mdct"].peak_memory_bytes, rows["mdct"].settings, rows["mdct"].delay_ms) == (5_000_000, 7, 21)
     assert (rows["vcpwq"].decoder_bytes, rows["vcpwq"].source) == (None, "imported")
     rate_point_set = next(rate_point_set for rate_point_set in CODECS["dct"].rate_point_sets if rate_point_set != "dct")
-    of_a_rate_point_set = Measurements(curve(rate_point_set), [], [CodecCost("dct", 7, None, "")], [])
-    assert curve_costs(of_a_rate_point_set)["decoder_bytes"].to_list() == [7]
+    costs = [CodecCost("dct", 7, None, "")]
+    assert curve_costs(Measurements(curve(rate_point_set), [], costs, []))["decoder_bytes"].to_list() == [7]
 
 
 def test_advice_follows_its_rules_and_never_names_an_imported_codec() -> None:
-    points, timings, costs = measured()
-    chosen = {row.need: row for row in as_rows(recommendations(Measurements(points, timings, costs, [])))}
+    chosen = {row.need: row for row in as_rows(recommendations(MEASURED))}
     assert chosen["the fewest bits at 10 dB SNR or more"].codec == "mdct"
     assert chosen["the fewest bits at 10 dB SNR or more"].bits_per_sample == pytest.approx(
         1.05 * 2 ** (10 / 12) / 2, rel=0.01
@@ -212,10 +204,9 @@ def test_advice_follows_its_rules_and_never_names_an_imported_codec() -> None:
 
 
 def test_a_copy_and_more_than_is_needed_count_as_reached() -> None:
-    points, timings, costs = measured()
     exact = [replace(point, codec="exact", snr_db=math.inf, delay_ms=0.0) for point in curve("x", snrs_db=[24.0])]
     exact += [replace(point, trace="b") for point in exact]
-    measurements = Measurements(points + exact, timings, costs, [])
+    measurements = replace(MEASURED, points=[*MEASURED.points, *exact])
     assert list(bits_to_reach(measurements, 10)) == ["mdct", "slp", "exact", "vcpwq"]
     assert bits_to_reach(measurements, 60) == {"exact": 2.0}
     chosen = {row.need: row.codec for row in as_rows(recommendations(measurements))}
@@ -224,9 +215,8 @@ def test_a_copy_and_more_than_is_needed_count_as_reached() -> None:
 
 
 def test_the_bits_at_a_needed_snr_stand_with_delay_and_saving() -> None:
-    points, timings, costs = measured()
-    peer = [replace(point, delay_ms=None) if point.codec == "vcpwq" else point for point in points]
-    rows = {row.codec: row for row in as_rows(at_needed_snr(Measurements(peer, timings, costs, [])))}
+    points = [replace(point, delay_ms=None) if point.codec == "vcpwq" else point for point in MEASURED.points]
+    rows = {row.codec: row for row in as_rows(at_needed_snr(replace(MEASURED, points=points)))}
     mdct, vcpwq = rows["mdct"], rows["vcpwq"]
     assert mdct.bits_per_sample == pytest.approx(1.05 * 2 ** (10 / 12) / 2, rel=0.01)
     assert mdct.bits_per_second == 2800 * mdct.bits_per_sample
@@ -235,15 +225,16 @@ def test_the_bits_at_a_needed_snr_stand_with_delay_and_saving() -> None:
     assert (vcpwq.name, vcpwq.source, vcpwq.delay_from) == ("VC-PWQ", "imported", "frames")
     assert vcpwq.delay_low_ms == vcpwq.delay_high_ms == pytest.approx(512 / 2.8)
     assert (round(vcpwq.anchor_percent), vcpwq.recordings) == (-75, 2)
-    mixed = [*points, *curve("mdct", "c"), *(replace(point, rate_hz=4000.0) for point in curve("slp", "c"))]
-    assert at_needed_snr(Measurements(mixed, [], [], []))["bits_per_second"].null_count() > 0
+    mixed = [*MEASURED.points, *curve("mdct", "c"), *(replace(point, rate_hz=4000.0) for point in curve("slp", "c"))]
+    assert at_needed_snr(of(*mixed))["bits_per_second"].null_count() > 0
 
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The page of `measured`, with failures; not to be changed."""
     out = tmp_path_factory.mktemp("page")
-    write(out, *measured(), [Failure("a", "slp", f"step={number}", "a | b\n<c>") for number in range(25)])
+    failures = [Failure("a", "slp", f"step={number}", "a | b\n<c>") for number in range(25)]
+    write(out, replace(MEASURED, failures=failures))
     return out
 
 
@@ -264,15 +255,14 @@ def test_every_chart_has_its_data_next_to_it(written: Path) -> None:
         assert f"(results/{image.stem}.csv)" in page
         with image.with_suffix(".csv").open(newline="") as file:
             assert {row["codec"] for row in csv.DictReader(file)} >= {"mdct"}
-    measurements = Measurements(*measured(), [])
     drawn = written / "results"
-    assert_written(drawn / "quality_against_rate_snr_db.csv", mean_curves(measurements, SNR))
+    assert_written(drawn / "quality_against_rate_snr_db.csv", mean_curves(MEASURED, SNR))
     with (drawn / "quality_against_time_snr_db.csv").open(newline="") as file:
         rows = [(row["codec"], float(row["value"]), float(row["quality"])) for row in csv.DictReader(file)]
-    assert rows == [(mark.codec, mark.value, mark.quality) for mark in as_rows(cost_points(measurements, SNR, TIMES))]
-    assert_written(drawn / "excess_bits.csv", rate_excesses(measurements))
-    assert_written(drawn / "bd_rate_traces.csv", trace_bd_rates(measurements))
-    assert_written(drawn / "bd_rate.csv", mean_bd_rates(trace_bd_rates(measurements)))
+    assert rows == [(mark.codec, mark.value, mark.quality) for mark in as_rows(cost_points(MEASURED, SNR, TIMES))]
+    assert_written(drawn / "excess_bits.csv", rate_excesses(MEASURED))
+    assert_written(drawn / "bd_rate_traces.csv", trace_bd_rates(MEASURED))
+    assert_written(drawn / "bd_rate.csv", mean_bd_rates(trace_bd_rates(MEASURED)))
 
 
 def test_the_page_says_what_it_is_of(written: Path) -> None:
@@ -290,10 +280,12 @@ def test_the_page_says_what_it_is_of(written: Path) -> None:
         "| VC-PWQ | 3.74 | -75.0 % | 80 to 88 | ≈ 0.1 |",
         "| decoding time (1 s) | `slp` 0.5 s |",
         "### Bits relative to `mdct`",
+        "| EVA (paper), Intel Core i7-8700 | 1.6 | 24.99 | 21.42 |",
+        "not like for like",
         "| slp | +90.0 % |",
     ):
         assert words in page
-    assert str(written) not in page
+    assert str(written) not in page and "Trained models" not in page
 
 
 @pytest.mark.slow
@@ -355,7 +347,7 @@ def test_files_that_cannot_be_drawn_are_named(copied: Path, spoil: Callable[[Pat
     ],
 )
 def test_a_page_of_whatever_there_is(tmp_path: Path, points: list[Point]) -> None:
-    page = write(tmp_path, points, timed(points, 0.0, 1.0))
+    page = write(tmp_path, of(*points, timings=timed(points, 0.0, 1.0)))
     assert page.startswith("# Results\n") and page.endswith("\n")
     assert "nan" not in page
     shown = {name for name in page.split("(results/") if name.split(")")[0].endswith(".svg")}
@@ -384,12 +376,12 @@ def test_many_recordings_still_fit(tmp_path: Path) -> None:
     points = [
         point for number in range(100) for point in curve("mdct", f"trace {number}", 1 + number / 100, (8.0, 16.0))
     ]
-    assert "100 recordings" in write(tmp_path, points)
+    assert "100 recordings" in write(tmp_path, of(*points))
     assert (tmp_path / "results" / "excess_bits.svg").stat().st_size > 5000
 
 
 def test_charts_of_what_is_gone_are_removed(copied: Path) -> None:
-    page = write(copied, [])
+    page = write(copied, of())
     assert list((copied / "results").glob("*.svg")) == []
     assert "no codec has the values" in page
     assert (copied / "results" / "excess_bits.csv").read_text() == "trace,codec,source,bits_per_sample,excess_percent\n"
@@ -397,17 +389,16 @@ def test_charts_of_what_is_gone_are_removed(copied: Path) -> None:
 
 def learned() -> Measurements:
     """Return a learned codec that needs nine tenths of the bits of slp, on fingertip textures fewer than mdct too."""
-    points, timings, costs = measured()
-    factors = {"a": 1.71, "b": 1.0}
-    points += [point for trace, factor in factors.items() for point in curve("eva-16", trace, factor)]
-    costs.append(CodecCost("eva-16", 10_000, 1, "", 4000, "eva", 16))
+    points = [*MEASURED.points, *curve("eva-16", "a", 1.71), *curve("eva-16", "b", 1.0)]
+    costs = [*MEASURED.costs, CodecCost("eva-16", 10_000, 1, "", 4000, "eva", 16)]
     setting = "4.0 dB"
     speeds = [
         Speed("mdct", 1.6, "", setting, 1000, 1.6, 17.0, 0.5, 0.03),
         Speed("eva-16", 1.6, "core", setting, 1000, 1.6, 17.0, 0.3, 0.2),
         Speed("eva-16", 1.6, "onnx", setting, 1000, 1.6, 17.1, 0.05, 0.02),
     ]
-    return Measurements(points, timings, costs, [], speeds, [TraceKind("a", "tool"), TraceKind("b", "fingertip")])
+    kinds = [TraceKind("a", "tool"), TraceKind("b", "fingertip")]
+    return Measurements(points, MEASURED.timings, costs, [], speeds, kinds)
 
 
 def test_trained_models_are_compared_by_kind(tmp_path: Path) -> None:
@@ -426,8 +417,8 @@ def test_charts_of_the_papers_form_show_the_widest_autoencoder_and_its_anchor() 
     wider = curve("eva-32", "a") + curve("eva-32", "b")
     costs = [*few.costs, CodecCost("eva-32", 10_000, 1, "", 4000, "eva", 32), CodecCost("net", 1, 1, "", 1, "mdct")]
     assert Measurements([*few.points, *wider, *curve("net")], [], costs, []).paper_pair == ["eva-32", "slp"]
-    assert Measurements(*measured(), []).paper_pair == ["slp", "mdct"]
-    assert Measurements(curve("mdct"), [], [], []).paper_pair == ["mdct"]
+    assert MEASURED.paper_pair == ["slp", "mdct"]
+    assert of(*curve("mdct")).paper_pair == ["mdct"]
 
 
 def test_the_fit_goes_through_the_points_of_all_recordings() -> None:
@@ -454,17 +445,7 @@ def test_the_shaded_region_is_what_bd_rate_integrates() -> None:
         assert test.percent == pytest.approx(-10, abs=0.1)
     points = table.filter(codec="slp", quality="psnr_db", in_region=False)
     assert points["value"].to_list() == [snr_db + 13 for snr_db in SNRS_DB]
-    assert bd_regions(Measurements(curve("mdct"), [], [], []), [PSNR]).is_empty()
-
-
-def test_the_table_has_bd_rate_by_the_papers_method_too(written: Path) -> None:
-    rates = bd_rate(PSNR.curve(curve("mdct")), PSNR.curve(curve("slp", rate_factor=1.9)), PSNR)
-    stored = pl.read_csv(written / "results" / "bd_rate.csv").row(
-        by_predicate=(pl.col("quality") == "psnr_db") & (pl.col("anchor") == "mdct") & (pl.col("codec") == "slp"),
-        named=True,
-    )
-    assert rates is not None and stored["cubic_mean"] == pytest.approx(rates.cubic_percent, rel=1e-4)
-    assert stored["cubic_mean"] == pytest.approx(90, abs=0.1)
+    assert bd_regions(of(*curve("mdct")), [PSNR]).is_empty()
 
 
 def test_recordings_kept_apart_lead_the_page(copied: Path) -> None:
@@ -488,13 +469,13 @@ def test_recordings_kept_apart_lead_the_page(copied: Path) -> None:
 
 def test_a_note_in_the_folder_stands_on_the_page(copied: Path) -> None:
     (copied / "results" / results_page.NOTE).write_text("Chosen on *these* recordings.\n")
-    assert "\n\nChosen on *these* recordings.\n\n" in write(copied, *measured())
+    assert "\n\nChosen on *these* recordings.\n\n" in write(copied, MEASURED)
 
 
 @pytest.mark.slow
 def test_results_of_few_points_are_marked(tmp_path: Path) -> None:
     few = [point for trace in "ab" for point in curve("few", trace, 0.5, (4.0, 10.0, 16.0, 22.0))]
-    page = write(tmp_path, [*measured()[0], *few])
+    page = write(tmp_path, of(*MEASURED.points, *few))
     row = next(line for line in page.splitlines() if line.startswith("| few | -"))
     assert row.count("†") == 4
     slp = next(line for line in page.splitlines() if line.startswith("| slp |"))
@@ -527,11 +508,6 @@ def test_one_codec_far_off_does_not_squeeze_the_others(tmp_path: Path, monkeypat
     plot_cost_points(tmp_path / "all_far.svg", marks[1:], "", SNR)
 
 
-def test_without_trained_models_there_is_no_section_of_them(tmp_path: Path, written: Path) -> None:
-    assert learned_page.section(tmp_path, Measurements(*measured(), [])) == {}
-    assert "Trained models" not in (written / "results.md").read_text()
-
-
 def test_a_decibel_has_a_price_in_bytes_in_time_and_in_flash() -> None:
     rows = {(row.codec, row.runtime): row for row in as_rows(marginal_costs(learned()))}
     assert next(iter(rows)) == ("eva-16", "onnx")
@@ -544,15 +520,3 @@ def test_a_decibel_has_a_price_in_bytes_in_time_and_in_flash() -> None:
     assert mdct.flash_bytes == pytest.approx(-5000 / gained_db, rel=0.01)
     slower = rows["eva-16", "core"]
     assert slower.gained_db is not None and slower.gained_db < 0 and slower.decode_s_per_megasample is None
-
-
-def test_the_papers_speeds_stand_next_to_ours_with_their_processor(written: Path) -> None:
-    page = (written / "results.md").read_text()
-    assert "| EVA (paper), Intel Core i7-8700 | 1.6 | 24.99 | 21.42 |" in page
-    assert "not like for like" in page
-
-
-def test_imported_points_get_their_psnr_from_the_crest_factor() -> None:
-    peer = [replace(point, psnr_db=None) for point in curve("peer", source="imported")]
-    (imported,) = Measurements([*curve("mdct"), *peer], [], [], []).curves["peer"].values()
-    assert [point.psnr_db for point in imported] == [snr_db + 13 for snr_db in SNRS_DB]

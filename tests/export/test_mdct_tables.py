@@ -36,7 +36,7 @@ def test_trained_tables_spend_fewer_bits_than_untrained_ones(tmp_path: Path) -> 
     unheard = rough(99, 2.0).samples
     sizes = [
         sum(map(len, codec.encode(unheard, 2800, {"step": 0.5}, model=codec.Model(tables)).packets))
-        for tables in (model.payload, mdct.untrained_tables())
+        for tables in (model.payload, mdct_tables.untrained_tables())
     ]
     assert sizes[0] < 0.95 * sizes[1]
 

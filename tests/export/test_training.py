@@ -373,7 +373,7 @@ def test_a_sweep_trains_every_width_and_lambda_by_name(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.output
     for number, lambda_ in enumerate((1.0, 20.0), 1):
         one = checkpoint.load(tmp_path / "out" / f"tiny-20-{number}" / training.CHECKPOINT)
-        assert one.shape == EvaShape(20, 20)
+        assert one.model.shape == EvaShape(20, 20)
         assert one.training["model"]["lambda"] == lambda_
         assert one.progress["step"] == 1 + number
 

@@ -24,7 +24,7 @@ FLAGS = ["-std=c99", "-g", "-O1", "-Wall", "-Wextra", "-Werror", "-fno-sanitize-
 COUNTING = "-fsanitize-coverage=inline-8bit-counters"
 """The option of Clang by which the engine sees which code an input reaches."""
 
-_FOLDERS = [*(FIRMWARE / "src" / name for name in ("core", "monocypher", "controller")), FUZZ]
+_FOLDERS = [*(FIRMWARE / "src" / name for name in ("core", "controller")), FUZZ]
 # A small controller, which is quick to reset for each input.
 _SIZES = {
     "VC_CHANNELS": 2,

@@ -7,16 +7,17 @@ import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from tests.codec.eva_models import random_image, with_extreme_weights
 from tests.codec.signals import RATE_HZ, texture
+from tests.device_protocol import test_messages
 from tests.firmware.fuzzing import CODECS, CORPUS, TARGETS
-from vibrocast import codec
-from vibrocast.codec import Choice, Framing, Model, Setting, SignalFormat, eva, mdct
+from vibrocast import codec, models
+from vibrocast.codec import eva, mdct
 from vibrocast.codec.eva_image import PRIOR_KINDS
-from vibrocast.codec.rotation import COMMON, OWN, Rotation
 from vibrocast.device_protocol import messages
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT, STREAM_UNITS, StreamHeader, pack_file, unpack_file
 from vibrocast.device_protocol.encoding import pack_varint
@@ -32,12 +33,12 @@ from vibrocast.device_protocol.messages import (
     FlashVerify,
     Gain,
     Hello,
+    HelloResponse,
     Loop,
     Message,
     Pause,
     Position,
     Resume,
-    SinglePacket,
     SlotState,
     Start,
     StatusRequest,
@@ -46,52 +47,37 @@ from vibrocast.device_protocol.messages import (
     Tap,
 )
 from vibrocast.device_protocol.model_image import ModelImage, sha256, with_signature
+from vibrocast.export import mdct_tables
 
-GOLDEN = Path(__file__).parents[1] / "codec"
-HEADER = StreamHeader(
-    1, RATE_HZ, 700, "m/s^2", (2.5, 1.0), mdct.configuration(16, 4, [700, 700], 3), b"\x01\x02\x03\x04"
-)
+FOLDER = Path(__file__).parents[1] / "codec"
 IMAGE = ModelImage(4, "oak", "1.0", "board", random_image(1, 2, 2).pack()).pack()
-SETTINGS: tuple[tuple[str, Setting], ...] = (
-    ("mdct", {"step": 0.05}),
-    ("mdct", {"step": 0.05, "noise_filling": 0.1, "hop": "16"}),
-    ("mdct", {"step": 0.05, "rotation": Rotation((0, 5), (COMMON, OWN, 0, 0), (16,), ((9,),)).pack().hex()}),
-    ("dct", {"levels": 14, "entropy": "huffman", "block": "64"}),
-    ("dct", {"levels": 100, "entropy": "range", "quantiser": "log", "block": "64"}),
-    ("slp", {"quality": 20}),
-    ("parametric", {"hop": "16", "frame": "4"}),
-)
+
+
+class Golden(NamedTuple):
+    """A golden stream; `image`: its model image, empty if it needs none."""
+
+    codec_name: str
+    header: StreamHeader
+    packets: tuple[bytes, ...]
+    image: bytes
+
+
+def golden_streams() -> list[Golden]:
+    """Return the golden streams that controllers decode."""
+    found = []
+    for name in CODECS:
+        for path in sorted(FOLDER.glob(f"golden_{name}*.vct")):
+            header, packets = unpack_file(path.read_bytes())
+            image = path.with_name(path.name.replace("_steered", "")).with_suffix(".vcmi")
+            model = models.by_hash(header.image_hash) if header.image_hash else None
+            held = model.image if model else image.read_bytes() if image.exists() else b""
+            found.append(Golden(name, header, tuple(packets), held))
+    return found
 
 
 def record(data: bytes) -> bytes:
     """Return a record of the targets whose inputs have several."""
     return len(data).to_bytes(2, "little") + data
-
-
-def host_messages() -> list[Message]:
-    """Return one message of each type that a host sends, and a second where it has another shape."""
-    return [
-        Hello(),
-        StatusRequest(),
-        Configure(7, HEADER.pack(), 280, 40, 4, 0),
-        Start(5_000_000),
-        Pause(),
-        Resume(),
-        Stop(),
-        Loop(3),
-        Gain(0.5),
-        EndStream(7, 30),
-        CaptureRead(Tap.DAC, 100, 50),
-        FlashBegin(1, len(IMAGE), sha256(IMAGE), "board é"),
-        FlashData(1, 0, IMAGE[:200]),
-        FlashVerify(1),
-        FlashActivate(1),
-        FlashConfirm(1),
-        Position(1_000_000, -5_000_000),
-        SinglePacket(7, b"\x05abc"),
-        StreamData(7, 0, (b"\x01abc", b"\x02defg")),
-        StreamData(7, 1 << 31, (b"\x01" * 200, b"")),
-    ]
 
 
 def stream(configuration: bytes, packets: Sequence[bytes], models: Sequence[bytes] = (), channels: int = 2) -> bytes:
@@ -100,62 +86,30 @@ def stream(configuration: bytes, packets: Sequence[bytes], models: Sequence[byte
     return b"".join(map(record, [bytes([channels - 1]) + configuration, *models, *kept]))
 
 
-def coded(name: str, setting: Setting, model: Model | None = None, offsets: Sequence[int] = ()) -> tuple[bytes, ...]:
-    """Return the configuration and the packets of a short stream. `offsets`: of the packets' quantisers, in turn."""
-    turn = itertools.cycle(offsets)
-    signal_format = SignalFormat(RATE_HZ, "um", (1.0, 1.0), (0.2, 0.2))
-    known = codec.codec_by_name(name)
-    steered = (lambda trial: Choice(next(turn), 12)) if offsets else None
-    encoder = known.make_encoder(known.complete(setting), signal_format, Framing(64, 4), model, steered)
-    return (encoder.configuration, *encoder.encode(texture(400, 2)), *encoder.finish())
-
-
-def differing(offsets: Sequence[int]) -> Iterator[tuple[str, Setting, Sequence[int]]]:
-    """Go through SETTINGS, then through those of codecs whose packets may differ in their quality."""
-    for name, setting in SETTINGS:
-        yield name, setting, ()
-    for name, setting in SETTINGS:
-        if codec.codec_by_name(name).controls_rate:
-            yield name, setting, offsets
-
-
-def built_in_streams() -> Iterator[tuple[str, bytes]]:
-    """Yield the target and a stream of each of SETTINGS."""
-    for name, setting, offsets in differing((0, 0, 16, -3, 50)):
-        configuration, *packets = coded(name, setting, offsets=offsets)
-        yield name, stream(configuration, packets, [b""] if name == "mdct" else [])
-
-
-def learned_streams() -> Iterator[tuple[str, bytes]]:
-    """Yield the target and a stream of codecs with tables, or with a whole model."""
-    changes = bytes(map(operator.xor, mdct.built_in_tables(), mdct.untrained_tables()))
-    for hop in ("16", "64"):
-        configuration, *packets = coded("mdct", {"step": 0.05, "hop": hop}, Model(mdct.untrained_tables()))
-        yield "mdct", stream(configuration, packets, [changes])
-        yield "mdct", stream(configuration, packets, [b"\0\1\xff"])
+def decoded(golden: Sequence[Golden]) -> Iterator[tuple[str, bytes]]:
+    """Yield the targets of codecs, each with inputs: its golden streams, other tables and windows, hostile models."""
+    changes = bytes(map(operator.xor, mdct.built_in_tables(), mdct_tables.untrained_tables()))
+    for name, header, packets, image in golden:
+        payload = ModelImage.unpack(image).payload if image else b""
+        ways = {
+            "mdct": [[b"", b""], [changes, b""]],
+            "eva": [[payload]],
+        }
+        for records in ways.get(name, [[]]):
+            yield name, stream(header.configuration, packets, records, header.channels)
     generator = np.random.default_rng(1)
-    for prior, steered in itertools.product(PRIOR_KINDS, ("", "_steered")):
-        model = ModelImage.unpack((GOLDEN / f"golden_eva_{prior}.vcmi").read_bytes()).payload
-        header, packets = unpack_file((GOLDEN / f"golden_eva_{prior}{steered}.vct").read_bytes())
-        yield "eva", stream(header.configuration, packets[:8], [model], header.channels)
+    for prior, steered in itertools.product(PRIOR_KINDS, (False, True)):
         noise = [pack_varint(2 * number + (number % 4 == 0)) + generator.bytes(30) for number in range(8)]
-        configuration = eva.configuration(3, [700], bool(steered))
-        yield "eva", stream(configuration, noise, [random_image(2, 2, 3, prior).pack()], 1)
+        yield "eva", stream(eva.configuration(3, [700], steered), noise, [random_image(2, 2, 3, prior).pack()], 1)
     for width in (2, 5):
         extreme = with_extreme_weights(random_image(3, width, 2), width).pack()
         yield "eva", stream(eva.configuration(3, [700, 30000]), noise, [extreme])
 
 
-def headers(streams: Sequence[tuple[str, bytes]]) -> list[bytes]:
-    """Return a stream header of each unit, and of each codec with the configurations of its streams."""
+def headers(golden: Sequence[Golden]) -> list[bytes]:
+    """Return a stream header of each unit, and those of golden streams."""
     made = [StreamHeader(1, RATE_HZ, None, unit, (1.0,), b"").pack() for unit in STREAM_UNITS]
-    for name, data in streams:
-        length = int.from_bytes(data[:2], "little")
-        gains, image_hash = (1.0,) * (data[2] + 1), b"hash" if name == "eva" else b""
-        identifier = codec.codec_by_name(name).identifier
-        header = StreamHeader(identifier, RATE_HZ, 1000, "um", gains, data[3 : 2 + length], image_hash)
-        made.append(header.pack())
-    return sorted(set(made))
+    return sorted({*made, *(each.header.pack() for each in golden)})
 
 
 def played(header: StreamHeader, packets: Sequence[bytes], image: bytes = b"") -> list[bytes]:
@@ -178,19 +132,17 @@ def played(header: StreamHeader, packets: Sequence[bytes], image: bytes = b"") -
     ]
 
 
-def files() -> list[bytes]:
-    """Return inputs of the decoder library: streams of each codec, of one packet, of no known length, with a model."""
+def files(golden: Sequence[Golden]) -> list[bytes]:
+    """Return inputs of the decoder library: golden streams; of one packet, of no known length, with a model."""
     made = []
-    for name, setting in SETTINGS:
-        configuration, *packets = coded(name, setting)
-        header = StreamHeader(codec.codec_by_name(name).identifier, RATE_HZ, 400, "um", (1.0, 1.0), configuration)
-        made += played(header, packets)
+    for _, header, packets, image in golden:
+        if not image:
+            made += played(header, packets)
     made += [record(little((0, 1), (0, 1), (80, 2), (3, 2), (0, 2))) + record(b"") + pack_file(header, packets)]
     made += played(replace(header, samples=20), packets[:1])
     made += played(replace(header, samples=None), packets[:3])
-    image = (GOLDEN / "golden_eva_static.vcmi").read_bytes()
-    header, packets = unpack_file((GOLDEN / "golden_eva_static.vct").read_bytes())
-    return made + played(replace(header, samples=None), packets[:6], image)
+    learned = next(each for each in golden if each.codec_name == "eva")
+    return made + played(replace(learned.header, samples=None), learned.packets[:6], learned.image)
 
 
 def little(*numbers: tuple[int, int]) -> bytes:
@@ -336,17 +288,20 @@ def controllers() -> list[bytes]:
 
 def main() -> None:
     """Write firmware/fuzz/corpus.zip."""
-    payloads = [messages.pack(message, number + 1) for number, message in enumerate(host_messages())]
+    golden = golden_streams()
+    streams = list(decoded(golden))
+    configure = Configure(7, golden[0].header.pack(), 280)
+    from_host = [message for message, _ in test_messages.GOLDEN if message.TYPE < HelloResponse.TYPE]
+    payloads = [messages.pack(message, 5) for message in (*from_host, configure)]
     wire = [write_frame(payload) for payload in payloads]
     tagged = payloads[0] + b"\xee\x02\x00ab"
     damaged_image = bytes([*IMAGE[:-4], *zlib.crc32(IMAGE).to_bytes(4, "little")])
-    streams = [*built_in_streams(), *learned_streams()]
     inputs = {
         **{name: [data for target, data in streams if target == name] for name in CODECS},
-        "streams": files(),
+        "streams": files(golden),
         "frames": [b"\0" + b"".join(wire), b"".join(frame[:-3] + b"\0" for frame in wire), b"\x02" * 700 + wire[0]],
         "messages": [*payloads, tagged, b"\x3e\x34\x12", b""],
-        "headers": headers(streams),
+        "headers": headers(golden),
         "images": [
             IMAGE,
             damaged_image,

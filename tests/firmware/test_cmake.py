@@ -9,7 +9,7 @@ import kconfiglib
 import numpy as np
 import pytest
 
-from tests.firmware.test_small import coded
+from tests.firmware.boards import coded
 from vibrocast.device_protocol.transports import SerialTransport
 from vibrocast.firmware.build import ROOT
 from vibrocast.host.controller import Controller
@@ -106,12 +106,12 @@ def test_a_project_links_the_decoder(tmp_path: Path, tools: Path, installed: Pat
 
 def plays_slp_alone(folder: Path) -> None:
     """Decode by the program that was built in a folder: a stream of slp, and one of mdct, which it lacks."""
-    stream = coded("slp")
+    stream = coded("slp", 0.2, channels=1)
     stream.save(folder / "a.vct")
     run(folder / "build" / "player", folder / "a.vct", folder / "a.pcm")
     samples = np.fromfile(folder / "a.pcm", "<i2")
     np.testing.assert_array_equal(samples, stream.decode_integers()[: stream.samples, 0])
-    coded("mdct").save(folder / "b.vct")
+    coded("mdct", 0.2, channels=1).save(folder / "b.vct")
     command = [str(folder / name) for name in ("build/player", "b.vct", "b.pcm")]
     assert "this build lacks the codec" in subprocess.run(command, capture_output=True, text=True).stderr
 

@@ -9,17 +9,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import SymbolTableSection
 from numpy.typing import NDArray
 
+from tests.firmware.boards import coded
 from tests.firmware.native import ffi, native
-from tests.harness.boards.test_emulated import coded
 from vibrocast import codec, models
-from vibrocast.codec.stream import Stream, read_stream
+from vibrocast.codec.stream import Stream
 from vibrocast.firmware.build import FLAGS, ROOT, SHARED
-from vibrocast.host.cli.command_line import main
 
 ZIG = [sys.executable, "-m", "ziglang"]
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "use_the_decoder.md"
@@ -27,7 +25,7 @@ CODECS = ("mdct", "dct", "slp", "eva", "parametric")
 HEADERS = sorted((ROOT / "include" / "vibrocast").glob("*.h"))
 CORE = [path for path in sorted((ROOT / "src" / "core").glob("*.c")) if not path.stem.endswith("_encoder")]
 CONTROLLER = [
-    *(path for folder in ("controller", "monocypher") for path in sorted((ROOT / "src" / folder).glob("*.c"))),
+    *sorted((ROOT / "src" / "controller").glob("*.c")),
     ROOT / "ports" / "loop.c",
 ]
 
@@ -67,17 +65,6 @@ def test_example_decodes_each_codec_to_the_same_bits(program: Path, tmp_path: Pa
     status, said, samples = decoded(program, bytes(stream), tmp_path, *image)
     assert (status, said) == (0, "")
     np.testing.assert_array_equal(samples.reshape(-1, 2), expected(stream))
-
-
-def test_example_agrees_with_vibrocast_decode(program: Path, tmp_path: Path) -> None:
-    oak = PAGE.parents[2] / "examples" / "oak.wav"
-    coded_file, npy, pcm = tmp_path / "oak.vct", tmp_path / "oak.npy", tmp_path / "oak.pcm"
-    for arguments in (("encode", oak, coded_file, "--snr-db", "15"), ("decode", coded_file, npy)):
-        done = CliRunner().invoke(main, [str(argument) for argument in arguments])
-        assert done.exit_code == 0, done.output
-    assert run(program, coded_file, pcm).returncode == 0
-    (gain,) = read_stream(coded_file).header.gains
-    np.testing.assert_array_equal(np.fromfile(pcm, "<i2") * (gain / 32768), np.load(npy).ravel())
 
 
 def test_each_cut_and_damaged_file_is_rejected(program: Path, tmp_path: Path) -> None:
@@ -165,27 +152,11 @@ def header_of(stream: Stream) -> tuple[int, bytes]:
     return stream.header.codec_identifier, stream.header.configuration
 
 
-def test_any_bytes_are_safe() -> None:
-    generator = np.random.default_rng(2)
-    sources = [bytes(coded(name, 0.1)) for name in ("mdct", "dct", "slp", "parametric")]
-    samples = ffi.new("int16_t[]", 1 << 20)
-    statuses = set()
-    for trial in range(400):
-        data = bytearray(sources[trial % 4])
-        for _ in range(int(generator.integers(1, 4))):
-            data[int(generator.integers(min(len(data), 40 if trial % 2 else 1 << 20)))] = int(generator.integers(256))
-        stream, status, kept = opened(bytes(data[: int(generator.integers(1, len(data) + 1))]))
-        assert kept
-        if status == native.VC_OK and stream.packet_samples * stream.channels > len(samples):
-            continue
-        while status == native.VC_OK:
-            status = native.vc_stream_next(stream)
-            while status == native.VC_OK and native.vc_stream_poll(stream, samples) < stream.packet_samples:
-                pass
-            assert stream.first <= stream.last <= stream.packet_samples
-        statuses.add(status)
-        assert ffi.string(native.vc_status_text(status)) != b"unknown status"
-    assert {native.VC_BAD_HEADER, native.VC_BAD_CHECKSUM, native.VC_CUT} <= statuses
+def test_every_status_has_a_sentence() -> None:
+    text = (ROOT / "include" / "vibrocast" / "status.h").read_text(encoding="utf-8")
+    names = re.findall(r"^    (VC_\w+) = ", text, re.MULTILINE)
+    sentences = {ffi.string(native.vc_status_text(getattr(native, name))) for name in names}
+    assert len(sentences) == len(names) > 10 and b"unknown status" not in sentences
 
 
 @pytest.mark.parametrize("language", ["c", "c++"])
@@ -239,7 +210,7 @@ def test_names_begin_with_vc_and_a_shared_library_exports_those_of_the_headers(t
     objects = sorted(tmp_path.glob("*.o"))
     names = {name for path in objects for name in symbols(path, ".symtab")}
     assert {name for name in names if not name.startswith("vc_")} == set()
-    assert {"vc_crypto_wipe", "vc_mdct_feed"} <= names
+    assert "vc_mdct_feed" in names
     done = run(*ZIG, "cc", *flags[:2], "-shared", *objects, "-o", tmp_path / "library.so")
     assert done.returncode == 0, done.stderr
     assert symbols(tmp_path / "library.so", ".dynsym") == declared()

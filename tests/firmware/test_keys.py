@@ -1,6 +1,5 @@
 """Key files: what OpenSSL writes, the vector of RFC 8410, permissions, and files that hold no key."""
 
-import base64
 import shutil
 import stat
 import subprocess
@@ -22,12 +21,27 @@ PUBLIC_PEM = """-----BEGIN PUBLIC KEY-----
 MCowBQYDK2VwAyEAGb9ECWmEzf6FQbrBZ9w7lshQhqowtrbLDFw4rXAxZuE=
 -----END PUBLIC KEY-----
 """
-SMALL_ORDER = [bytes(32), (1).to_bytes(32, "little"), bytes.fromhex("ec" + "ff" * 30 + "7f")]
-"""Points of order 4, 1 and 2: y = 0, 1 and -1."""
-
-
-def text_of(kind: str, der: bytes) -> str:
-    return f"-----BEGIN {kind} KEY-----\n{base64.b64encode(der).decode()}\n-----END {kind} KEY-----\n"
+# A key of another kind: NIST P-256.
+P256_PEM = """-----BEGIN PUBLIC KEY-----
+MFkwEwYHKoZIzj0CAQYIKoZIzj0DAQcDQgAEaxfR8uEsQkf4vOblY6RA8ncDfYEt
+6zOg9KE5RdiYwpZP40Li/hp/m47n60p8D54WK84zV2sxXs7LtkBoN79R9Q==
+-----END PUBLIC KEY-----
+"""
+# The encodings of points of order 1, 2, 4 and 8, those of y at or above 2^255 - 19 too, as libsodium lists them.
+SMALL_ORDER = [
+    "00" * 32,
+    "01" + "00" * 31,
+    "26e8958fc2b227b045c3f489f2ef98f0d5dfac05d3c63339b13802886d53fc05",
+    "c7176a703d4dd84fba3c0b760d10670f2a2053fa2c39ccc64ec7fd7792ac037a",
+    *(low + "ff" * 30 + "7f" for low in ("ec", "ed", "ee")),
+]
+# RFC 8032, section 7.1, TEST 3: private key, public key, message, signature.
+VECTOR = (
+    "c5aa8df43f9f837bedb7442f31dcb7b166d38535076f094b85ce3a2e0b4458f7",
+    "fc51cd8e6218a1a38da47ed00230f0580816ed13ba3303ac5deb911548908025",
+    "af82",
+    "6291d657deec24024827e69c3abe01a30ce548a284743a445e3680d7db5ac3ac18ff9b538d16f290ae67f760984dc6594a7c15e9716ed28dc027beceea1ec40a",
+)
 
 
 def test_files_of_rfc_8410_are_read_and_written(tmp_path: Path) -> None:
@@ -65,6 +79,7 @@ def test_openssl_reads_and_writes_the_same_files(tmp_path: Path) -> None:
         PUBLIC_PEM.replace("ZuE=", "Zu"),
         PUBLIC_PEM.replace("ZuE=", "ZuEA"),
         PUBLIC_PEM[:-20],
+        P256_PEM,
         PUBLIC_PEM + PUBLIC_PEM,
         PUBLIC_PEM + "\u00e9",
         "-----BEGIN ",
@@ -90,19 +105,22 @@ def test_any_bytes_are_a_key_or_rejected(data: bytes) -> None:
                 read(Path("key.pem"))
 
 
-def test_a_public_key_signs_nothing(tmp_path: Path) -> None:
-    path = tmp_path / "key.pub.pem"
-    path.write_text(PUBLIC_PEM)
-    with pytest.raises(InputFileError, match="signs nothing"):
-        keys.read_private_key(path)
-
-
 @pytest.mark.parametrize("key", SMALL_ORDER)
-def test_keys_for_which_anyone_can_sign_are_rejected(key: bytes, tmp_path: Path) -> None:
+@pytest.mark.parametrize("sign", [0, 0x80])
+def test_keys_for_which_anyone_can_sign_are_rejected(key: str, sign: int, tmp_path: Path) -> None:
     path = tmp_path / "key.pub.pem"
-    path.write_text(text_of("PUBLIC", bytes.fromhex("302a300506032b6570032100") + key))
+    point = bytearray.fromhex(key)
+    point[-1] |= sign
+    keys.write_public_key(path, bytes(point))
     with pytest.raises(InputFileError, match="anyone can sign"):
         keys.read_public_key(path)
+
+
+def test_signatures_are_those_of_rfc_8032() -> None:
+    private, public, message, signature = map(bytes.fromhex, VECTOR)
+    assert (keys.public_key(private), keys.sign(private, message)) == (public, signature)
+    assert keys.is_signed(signature, public, message)
+    assert not keys.is_signed(signature, public, message + b"x")
 
 
 def test_no_new_key_is_like_another() -> None:

@@ -12,35 +12,18 @@ from tests.firmware.native import ffi, load, native, piece_bytes, rejection_text
 from vibrocast.device_protocol import messages
 from vibrocast.device_protocol.frames import FrameReader
 from vibrocast.device_protocol.layout import Fixed, Tag, WireField, wire_fields
-from vibrocast.device_protocol.messages import (
-    FROM_HOST,
-    RESPONSES,
-    ActuatorDescription,
-    CaptureData,
-    CodecDescription,
-    CodingDescription,
-    Error,
-    FlashStatus,
-    HelloResponse,
-    ImageDescription,
-    Limits,
-    Message,
-    MessageError,
-    SlotState,
-    Status,
-)
 
 STRUCTS = {
-    ActuatorDescription: "vc_actuator_description",
-    CaptureData: "vc_capture_data",
-    CodecDescription: "vc_codec_description",
-    CodingDescription: "vc_coding_description",
-    Error: "vc_error",
-    FlashStatus: "vc_flash_status",
-    HelloResponse: "vc_hello_response",
-    ImageDescription: "vc_image_description",
-    Limits: "vc_controller_limits",
-    Status: "vc_status_report",
+    messages.ActuatorDescription: "vc_actuator_description",
+    messages.CaptureData: "vc_capture_data",
+    messages.CodecDescription: "vc_codec_description",
+    messages.CodingDescription: "vc_coding_description",
+    messages.Error: "vc_error",
+    messages.FlashStatus: "vc_flash_status",
+    messages.HelloResponse: "vc_hello_response",
+    messages.ImageDescription: "vc_image_description",
+    messages.Limits: "vc_controller_limits",
+    messages.Status: "vc_status_report",
 }
 
 
@@ -73,7 +56,7 @@ def field_in_python(field: WireField, struct_in_c: Any) -> Any:
     return field.type(value)
 
 
-def in_python(message: Any) -> Message:
+def in_python(message: Any) -> messages.Message:
     """Return what C has read as the message of Python."""
     kind = messages.MESSAGES[message.type]
     values = {field.name: field_in_python(field, getattr(message.body, snake(kind))) for field in wire_fields(kind)}
@@ -124,40 +107,42 @@ def check_read_as_in_python(payload: bytes) -> None:
     code = native.vc_message_read(message, memory, len(payload), rejection)
     try:
         sequence, expected = messages.unpack(payload)
-    except MessageError as error:
+    except messages.MessageError as error:
         assert (code, rejection.code, message.sequence) == (error.code, error.code, error.sequence)
         assert rejection_text(rejection)
     else:
         assert (code, message.sequence, in_python(message)) == (0, sequence, expected)
 
 
-@pytest.mark.parametrize("message_type", FROM_HOST)
+@pytest.mark.parametrize("message_type", messages.FROM_HOST)
 @given(data=st.data(), sequence=u16)
-def test_reads_every_message_of_a_host(message_type: type[Message], data: st.DataObject, sequence: int) -> None:
+def test_reads_every_message_of_a_host(
+    message_type: type[messages.Message], data: st.DataObject, sequence: int
+) -> None:
     check_read_as_in_python(messages.pack(data.draw(MESSAGES[message_type]), sequence))
 
 
-from_host = any_message.filter(lambda message: message.TYPE < HelloResponse.TYPE)
+from_host = any_message.filter(lambda message: message.TYPE < messages.HelloResponse.TYPE)
 
 
 @given(from_host, st.data())
-def test_reads_or_rejects_damaged_messages_as_python(message: Message, data: st.DataObject) -> None:
+def test_reads_or_rejects_damaged_messages_as_python(message: messages.Message, data: st.DataObject) -> None:
     payload = bytearray(messages.pack(message, 5))
     place = data.draw(st.integers(0, len(payload) - 1))
     check_read_as_in_python(bytes(payload[:place]))
     check_read_as_in_python(bytes(payload) + data.draw(st.binary(max_size=8)))
     payload[place] = data.draw(u8)
-    if payload[0] < HelloResponse.TYPE:
+    if payload[0] < messages.HelloResponse.TYPE:
         check_read_as_in_python(bytes(payload))
 
 
-@given(st.integers(0, HelloResponse.TYPE - 1), st.binary(max_size=80))
+@given(st.integers(0, messages.HelloResponse.TYPE - 1), st.binary(max_size=80))
 def test_reads_or_rejects_any_bytes_as_python(message_type: int, body: bytes) -> None:
     check_read_as_in_python(bytes([message_type]) + body)
 
 
-@given(st.sampled_from(FROM_HOST), st.binary(max_size=100))
-def test_reads_or_rejects_any_body_as_python(message_type: type[Message], body: bytes) -> None:
+@given(st.sampled_from(messages.FROM_HOST), st.binary(max_size=100))
+def test_reads_or_rejects_any_body_as_python(message_type: type[messages.Message], body: bytes) -> None:
     check_read_as_in_python(bytes([message_type.TYPE]) + body)
 
 
@@ -198,13 +183,15 @@ class Writer:
         return payload
 
 
-@pytest.mark.parametrize("message_type", RESPONSES)
+@pytest.mark.parametrize("message_type", messages.RESPONSES)
 @given(data=st.data(), sequence=u16)
-def test_writes_every_message_of_a_controller(message_type: type[Message], data: st.DataObject, sequence: int) -> None:
+def test_writes_every_message_of_a_controller(
+    message_type: type[messages.Message], data: st.DataObject, sequence: int
+) -> None:
     message = data.draw(MESSAGES[message_type])
     writer, memory = Writer(), InC()
     getattr(native, f"vc_write_{snake(message_type)}")(writer.pointer, sequence, memory.struct(message))
-    if isinstance(message, CaptureData):
+    if isinstance(message, messages.CaptureData):
         count = len(message.data) // 2
         samples = memory.memory("int16_t[]", list(struct.unpack(f"<{count}h", message.data)))
         cut = data.draw(st.integers(0, count))
@@ -216,7 +203,7 @@ def test_writes_every_message_of_a_controller(message_type: type[Message], data:
 def test_hash_that_is_not_there_is_written_as_zeros() -> None:
     writer = Writer()
     native.vc_write_flash_status(writer.pointer, 5, ffi.new("vc_flash_status *", [1, 2, 3, ffi.NULL]))
-    assert writer.payload() == messages.pack(FlashStatus(1, SlotState.VERIFIED, 3), 5)
+    assert writer.payload() == messages.pack(messages.FlashStatus(1, messages.SlotState.VERIFIED, 3), 5)
 
 
 @given(u16, u16, st.text(max_size=300))
@@ -228,7 +215,7 @@ def test_error_keeps_as_many_characters_as_fit(code: int, sequence: int, text: s
     native.vc_rejection_add_piece(rejection, [memory, len(encoded)])
     rejection.code = code
     native.vc_write_rejection(writer.pointer, sequence, rejection)
-    assert writer.payload() == messages.pack(Error(code, encoded[:200].decode(errors="ignore")), sequence)
+    assert writer.payload() == messages.pack(messages.Error(code, encoded[:200].decode(errors="ignore")), sequence)
 
 
 @given(st.integers(0, 2**64 - 1), st.integers(0, 2**64 - 1), st.binary(max_size=8))
@@ -257,5 +244,5 @@ def test_longest_hello_response_fits_the_smallest_payload() -> None:
     length = small.vc_frame_end(writer)
     (payload,) = FrameReader().feed(bytes(frame)[:length])
     _, read = messages.unpack(payload)
-    assert isinstance(read, HelloResponse)
+    assert isinstance(read, messages.HelloResponse)
     assert (read.build, len(read.codecs), [image.name for image in read.images]) == ("x" * 63, 8, ["x" * 16] * 2)

@@ -3,22 +3,13 @@
 import numpy as np
 import pytest
 
-from tests.harness.boards.test_emulated import between_rests, session
-from vibrocast import textures
-from vibrocast.codec.encoding import encode_recording
-from vibrocast.codec.stream import Stream
-from vibrocast.device_protocol.messages import State
+from tests.firmware.boards import between_rests, coded, play_as_computed, session
 from vibrocast.firmware.build import build, size
 from vibrocast.harness.boards import cortex_m
 from vibrocast.harness.boards.cortex_m import CortexM
 from vibrocast.host.controller import ControllerError
 from vibrocast.host.player import play
 from vibrocast.output.actuator import PIEZO_STACK, Codes
-from vibrocast.output.rendering import render
-
-
-def coded(codec_name: str) -> Stream:
-    return encode_recording(textures.GENERATORS["rough"](3, 0.2), codec_name=codec_name, snr_db=12, live=True).stream
 
 
 @pytest.mark.parametrize(("name", "flash_bytes", "ram_bytes"), [("slp", 1 << 16, 1 << 14), ("mdct", None, 1 << 15)])
@@ -35,14 +26,9 @@ def test_it_plays_its_codec_and_rejects_another(name: str, other: str, monkeypat
     device = CortexM("cortex-m4", on_dac=codes.append)
     link, host = session(device)
     assert [codec.name for codec in host.description.codecs] == [name]
-    stream = coded(other)
+    stream = coded(other, 0.2, channels=1)
     with pytest.raises(ControllerError, match="is needed, which this controller does not have"):
         play(host, stream.header, stream.packets, stream.decoder().packet_samples)
-    stream = coded(name)
-    result = play(host, stream.header, stream.packets, stream.decoder().packet_samples)
-    link.sleep(0.2)
-    assert (result.state, result.underruns, result.lost_packets) == (State.FINISHED, 0, 0)
-    decoder = stream.decoder()
-    expected, _ = render(stream.header, stream.decode_integers(), decoder.delay_samples, PIEZO_STACK)
+    expected = play_as_computed(link, host, coded(name, 0.2, channels=1), PIEZO_STACK, capture=False)
     np.testing.assert_array_equal(between_rests(np.concatenate(codes)), between_rests(expected))
     assert device.processor.stack_bytes() < size(f"small-{name}").stack

@@ -20,10 +20,11 @@ FUNCTIONS = {
 }
 PAGE = "docs/how-to/port_the_firmware.md"
 REPOSITORY = building.ROOT.resolve().parent
+Rebuilt = Callable[[Callable[[str], str]], Path]
 
 
 @pytest.fixture
-def rebuilt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[str], str]], Path]:
+def rebuilt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Rebuilt:
     """Return a function that builds the template after a change of its main.c."""
     root = tmp_path / "firmware"
     shutil.copytree(building.ROOT, root, ignore=shutil.ignore_patterns("build", "__pycache__", "fuzz"))
@@ -49,7 +50,7 @@ def test_the_command_names_every_function_that_is_missing() -> None:
     assert (REPOSITORY / PAGE).exists()
 
 
-def test_a_port_without_a_function_of_the_loop_is_told_which(rebuilt: Callable[[Callable[[str], str]], Path]) -> None:
+def test_a_port_without_a_function_of_the_loop_is_told_which(rebuilt: Rebuilt) -> None:
     def without_write(source: str) -> str:
         return re.sub(r"size_t vc_port_write\(.*?\n}\n", "", without_marks(source), flags=re.DOTALL)
 
@@ -59,22 +60,20 @@ def test_a_port_without_a_function_of_the_loop_is_told_which(rebuilt: Callable[[
 
 @pytest.mark.slow
 def test_a_port_that_calls_another_unknown_function_gets_the_linkers_words(
-    rebuilt: Callable[[Callable[[str], str]], Path],
+    rebuilt: Rebuilt,
 ) -> None:
     with pytest.raises(BuildError, match=r"cannot be compiled(.|\n)*clock_start"):
         rebuilt(lambda source: without_marks(source).replace("board_start();", "clock_start();"))
 
 
 @pytest.mark.slow
-def test_a_port_with_all_functions_is_linked(rebuilt: Callable[[Callable[[str], str]], Path]) -> None:
+def test_a_port_with_all_functions_is_linked(rebuilt: Rebuilt) -> None:
     image = Elf(rebuilt(without_marks))
     assert {"main", "vc_port_read", "vc_loop_turn"} <= set(image.functions.values())
 
 
 @pytest.fixture
-def small_board(
-    rebuilt: Callable[[Callable[[str], str]], Path], monkeypatch: pytest.MonkeyPatch
-) -> Callable[[str], Path]:
+def small_board(rebuilt: Rebuilt, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Path]:
     """Return a function that builds a target of the page for a board with 128 KiB of flash and 64 KiB of RAM."""
     snippets = re.findall(r'```text\n("my-board": .*?),\n```', (REPOSITORY / PAGE).read_text("utf-8"), re.DOTALL)
 

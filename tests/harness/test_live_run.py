@@ -6,12 +6,12 @@ from dataclasses import replace
 import pytest
 
 from studies.faulty_bench import Misreading, at_half_gain
+from tests.conftest import session
 from vibrocast import textures
 from vibrocast.codec import SignalFormat
 from vibrocast.device_protocol.messages import Message, SinglePacket
 from vibrocast.harness import LiveRun, measure_latency, run_live
 from vibrocast.host.bench_limits import BenchLimits, missed
-from vibrocast.host.controller import Controller
 from vibrocast.host.live import LiveStream
 from vibrocast.host.live_watch import CodedSignal, LiveQuality, judged
 from vibrocast.host.playback import Member, actuator_model, member
@@ -27,8 +27,7 @@ ROUGH = textures.GENERATORS["rough"](seconds=1.0)
 
 def played_by(device: Device) -> Member:
     """Return who plays, in simulated time."""
-    link = MemoryLink(device)
-    return member(Controller(link, link.clock, link.sleep), "sim", None)
+    return member(session(MemoryLink(device)), "sim", None)
 
 
 def figures_of(run: LiveRun) -> dict[str, float | None]:

@@ -1,15 +1,13 @@
 """Throughput, load and gaps in simulated time, where what a controller bears is known."""
 
-import numpy as np
 import pytest
 
+from tests.conftest import linked, noise, session, texture
 from vibrocast.harness import load
-from vibrocast.host.controller import Controller
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
 from vibrocast.simulated_device.faulty_link import MemoryLink
-from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
-from vibrocast.textures import Recording
+from vibrocast.simulated_device.faulty_wire import Fault
 
 
 class WaitingLink(MemoryLink):
@@ -29,26 +27,19 @@ class WaitingLink(MemoryLink):
         return data
 
 
-def session(link: MemoryLink) -> Controller:
-    return Controller(link, link.clock, link.sleep)
-
-
-def noise() -> Recording:
-    return Recording(np.random.default_rng(2).standard_normal((2800, 1)), 2800.0, "um", "noise")
+NOISE = texture(noise())
 
 
 def test_throughput_is_that_of_the_link() -> None:
-    measured = load.throughput(session(WaitingLink(SimulatedController(), 90_000)), noise())
+    measured = load.throughput(session(WaitingLink(SimulatedController(), 90_000)), NOISE)
     assert measured.to_controller_bytes_per_s == pytest.approx(90_000, rel=0.05)
     assert measured.to_host_bytes_per_s == pytest.approx(90_000, rel=0.05)
     assert measured.bad_frames == 0
 
 
 def test_load_beyond_the_link_is_seen_as_underruns() -> None:
-    line = FaultyWire(
-        SimulatedController(Settings(channels=2)), [Fault(bits_per_second=40_000, direction="to_controller")]
-    )
-    loads = load.underruns(session(MemoryLink(line)), noise())
+    slow = Fault(bits_per_second=40_000, direction="to_controller")
+    loads = load.underruns(linked(Settings(channels=2), [slow])[1], NOISE)
     assert [(each.channels, each.rate_hz) for each in loads] == [(1, 2800), (2, 2800), (1, 8000), (2, 8000)]
     assert loads[0].held
     assert not loads[-1].held
@@ -61,7 +52,7 @@ def test_load_beyond_the_link_is_seen_as_underruns() -> None:
 def test_the_max_gap_is_the_buffer_or_the_watchdog(
     buffer_s: float, watchdog_ms: int, survived_ms: float, ended_by: str
 ) -> None:
-    link = MemoryLink(SimulatedController(Settings(watchdog_ms=watchdog_ms)))
-    gap = load.max_gap(session(link), noise(), buffer_s)
+    _, controller = linked(Settings(watchdog_ms=watchdog_ms))
+    gap = load.max_gap(controller, NOISE, buffer_s)
     assert gap.survived_ms == pytest.approx(survived_ms, rel=0.06)
     assert gap.ended_by == ended_by

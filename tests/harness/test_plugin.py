@@ -54,7 +54,6 @@ LOADED = ("-p", "no:vibrocast", "-p", "vibrocast.harness.plugin", "-p", "no:cach
     ("arguments", "name"),
     [
         ([], "piezo-stack"),
-        pytest.param(["--vibrocast-device", "sim-usb"], "piezo-stack", marks=pytest.mark.slow),
         pytest.param(["--vibrocast-bench", "bench.toml"], "stack 3", marks=pytest.mark.slow),
         pytest.param(
             ["--vibrocast-bench", "bench.toml", "--vibrocast-device", "right"], "voice-coil", marks=pytest.mark.slow
@@ -130,6 +129,7 @@ def test_the_plugin_loads_no_library():
 }
 
 
+@pytest.mark.slow
 def test_a_project_that_does_not_use_the_plugin_is_left_alone(
     pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -161,6 +161,7 @@ ONE = '[[textures]]\ngenerate = "rough"\nseconds = 0.5\n'
 TWO = f'{ONE}[[textures]]\ngenerate = "taps"\nseconds = 0.5\n'
 
 
+@pytest.mark.slow
 def test_each_texture_is_a_test_of_its_own(pytester: pytest.Pytester) -> None:
     test = "def test_it(vibrocast_texture): assert vibrocast_texture.name.startswith(('rough', 'taps'))"
     result = users_run(pytester, test, SIM + TWO, "-v")
@@ -168,6 +169,7 @@ def test_each_texture_is_a_test_of_its_own(pytester: pytest.Pytester) -> None:
     result.stdout.fnmatch_lines(["*test_it[[]rough] PASSED*", "*test_it[[]taps] PASSED*"])
 
 
+@pytest.mark.slow
 def test_a_missed_limit_fails_a_test_and_keeps_its_frames(pytester: pytest.Pytester) -> None:
     test = "def test_it(vibrocast_play, vibrocast_texture): vibrocast_play(vibrocast_texture)"
     bench = SIM + ONE + "[limits]\nmin_gain = 9\n"
@@ -185,6 +187,7 @@ def test_a_missed_limit_fails_a_test_and_keeps_its_frames(pytester: pytest.Pytes
     assert dict(properties) == {f"vibrocast_{kind}": f"kept/{trace.stem}.{suffix}" for kind, suffix in names.items()}
 
 
+@pytest.mark.slow
 def test_a_test_breaks_the_wire(pytester: pytest.Pytester) -> None:
     test = """
 def test_lost_frames_are_noticed(vibrocast_play, vibrocast_wire, vibrocast_texture):
@@ -205,6 +208,7 @@ def test_a_pulled_cable_is_survived(vibrocast_play, vibrocast_wire, vibrocast_de
     users_run(pytester, test, SIM + ONE + "[limits]\nmax_lost_percent = 100\n").assert_outcomes(passed=2)
 
 
+@pytest.mark.slow
 def test_an_absent_controller_is_waited_for_and_then_skipped(pytester: pytest.Pytester) -> None:
     test = "def test_it(vibrocast_device): pass"
     bench = '[[controllers]]\nname = "it"\naddress = "serial:nowhere"\n'
@@ -214,6 +218,7 @@ def test_an_absent_controller_is_waited_for_and_then_skipped(pytester: pytest.Py
     result.stdout.fnmatch_lines(["*cannot open serial port nowhere*"])
 
 
+@pytest.mark.slow
 def test_power_is_cycled_by_the_program_of_the_bench_file(pytester: pytest.Pytester) -> None:
     test = """
 def test_it(vibrocast_power_cycle, vibrocast_device):
@@ -276,6 +281,7 @@ def test_several(vibrocast_devices, vibrocast_bench):
     users_run(pytester, test, BENCH + limits).assert_outcomes(passed=6)
 
 
+@pytest.mark.slow
 def test_a_test_that_takes_too_long_is_ended(pytester: pytest.Pytester) -> None:
     test = """
 def test_it(vibrocast_device):
@@ -287,8 +293,11 @@ def test_it(vibrocast_device):
     result.stdout.fnmatch_lines(["*the test still talks to its controller after 0.3 s; see --vibrocast-timeout-s*"])
 
 
-@pytest.mark.parametrize("option", ["--vibrocast-wait-s", "--vibrocast-timeout-s"])
-@pytest.mark.parametrize("value", ["nan", "inf", "-1", "soon"])
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [("--vibrocast-wait-s", "nan"), ("--vibrocast-wait-s", "-1"), ("--vibrocast-timeout-s", "soon")],
+)
 def test_seconds_that_are_none_are_rejected(pytester: pytest.Pytester, option: str, value: str) -> None:
     result = users_run(pytester, "def test_it(vibrocast_device): pass", SIM, f"{option}={value}")
     assert result.ret == pytest.ExitCode.USAGE_ERROR

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.conftest import linked
 from vibrocast.harness import response
 from vibrocast.harness.sensors import Recorder
 from vibrocast.host.controller import Controller
@@ -18,9 +19,7 @@ from vibrocast.output.actuator import (
     Actuator,
     Codes,
 )
-from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
-from vibrocast.simulated_device.faulty_link import MemoryLink
 from vibrocast.textures import Recording
 
 OVERSAMPLING = 4
@@ -34,7 +33,7 @@ def bench(
 ) -> tuple[Controller, Recorder]:
     """Return a controller that believes in one actuator and drives another, and a noisy sensor on that."""
     codes: list[Codes] = []
-    link = MemoryLink(SimulatedController(Settings(actuator=believed), on_dac=codes.append))
+    _, controller = linked(Settings(actuator=believed), on_dac=codes.append)
     rate_hz = OVERSAMPLING * real.dac_rate_hz
 
     @contextmanager
@@ -52,7 +51,7 @@ def bench(
 
         yield finish
 
-    return Controller(link, link.clock, link.sleep), record
+    return controller, record
 
 
 @pytest.mark.slow

@@ -14,15 +14,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.conftest import linked
 from vibrocast.harness import response, sensors
 from vibrocast.harness.sensors import SensorError, recorder
 from vibrocast.host.bench_file import Sensor
-from vibrocast.host.controller import Controller
 from vibrocast.output import sound_card
 from vibrocast.output.actuator import VOICE_COIL, Actuator, Codes
-from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
-from vibrocast.simulated_device.faulty_link import MemoryLink
 from vibrocast.textures import Recording
 
 OVERSAMPLING = 8
@@ -111,7 +109,7 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], response.Fit]
 
     def fit(full_scale: float) -> response.Fit:
         codes: list[Codes] = []
-        link = MemoryLink(SimulatedController(Settings(actuator=VOICE_COIL), on_dac=codes.append))
+        _, controller = linked(Settings(actuator=VOICE_COIL), on_dac=codes.append)
         capture = FakeCapture(codes, REAL, full_scale)
         monkeypatch.setattr(sound_card, "find", lambda name, recording: SimpleNamespace(name=name))
         monkeypatch.setattr(sound_card, "Capture", lambda card, channels, rate_hz: capture)
@@ -135,7 +133,6 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], response.Fit]
 
                 yield finished
 
-        controller = Controller(link, link.clock, link.sleep)
         return response.measure_response(controller, VOICE_COIL, recorder=record, seconds=2.0).fit
 
     return fit

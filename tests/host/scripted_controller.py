@@ -42,6 +42,7 @@ from vibrocast.device_protocol.messages import (
 )
 from vibrocast.device_protocol.model_image import ModelImage, sha256
 from vibrocast.device_protocol.transports import Closing, TransportError
+from vibrocast.host.controller import Controller
 
 PACKET_SAMPLES = 10
 RATE_HZ = 1000
@@ -128,6 +129,10 @@ class ScriptedController(Closing):
 
     def close(self) -> None:
         pass
+
+    def connect(self) -> Controller:
+        """Return a host's session in simulated time."""
+        return Controller(self, self.clock, self.sleep)
 
     def clock(self) -> float:
         return self.now_s

@@ -63,27 +63,12 @@ def test_an_impossible_texture_is_reported_with_its_place(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "controllers is missing; it must be tables: begin each with [[controllers]]"),
-        ("controllers = 3", "controllers must be tables: begin each with [[controllers]]"),
-        ("[[controllers", "not a TOML file"),
-        ("\x00", "not a TOML file"),
         ("[[motors]]\n", "there is no key motors; choose from controllers, actuators, sensors, textures"),
-        ('[[controllers]]\nname = "a"\n', "[[controllers]] 1: address is missing"),
         ('[[controllers]]\nname = "a"\naddress = "com3"\n', "[[controllers]] 1: address must be an address"),
-        (CONTROLLER + CONTROLLER, "two [[controllers]] are named 'left'"),
-        (CONTROLLER + "port = 1\n", "[[controllers]] 1: there is no key port; choose from name, address"),
         (CONTROLLER + '[[actuators]]\nmodel = "muscle"\n', "[[actuators]] 1: model must be one of piezo-stack, "),
         (
             CONTROLLER + '[[actuators]]\nname = "x"\n',
             "[[actuators]] 1: stroke_um is missing; give it, or a model that has it: piezo-stack",
-        ),
-        (
-            CONTROLLER + '[[actuators]]\nmodel = "lra"\nquality = "high"\n',
-            "quality must be Q of the resonance, a number from 0.1 to 300, not 'high'",
-        ),
-        (
-            CONTROLLER + '[[actuators]]\nmodel = "lra"\nvolts = nan\n',
-            "volts must be voltage range in V, a number from 0.1 to 2000, not nan",
         ),
         (
             CONTROLLER + '[[actuators]]\nmodel = "lra"\nquality = 1e9\n',
@@ -92,10 +77,6 @@ def test_an_impossible_texture_is_reported_with_its_place(tmp_path: Path) -> Non
         (
             CONTROLLER + '[[actuators]]\nmodel = "lra"\nmaximum_boost = 900\n',
             "no controller can drive this actuator: ",
-        ),
-        (
-            CONTROLLER + '[[actuators]]\nmodel = "lra"\nchannel = true\n',
-            "channel must be channel of the controller, a whole number from 1 to 16, not True",
         ),
         (CONTROLLER + '[[actuators]]\nmodel = "lra"\ncontroller = "up"\n', "controller must be one of left, not 'up'"),
         (CONTROLLER + SENSOR.replace('"laser"\ncom', '"ear"\ncom'), "[[sensors]] 1: kind must be one of accelerometer"),
@@ -115,7 +96,6 @@ def test_an_impossible_texture_is_reported_with_its_place(tmp_path: Path) -> Non
         (CONTROLLER + SERIAL_INPUT.replace("@115200", "@9"), "9 is no baud rate; give 1200 to 20000000 behind the @"),
         (CONTROLLER + SENSOR + "volts_full_scale = 2.0\n", "volts_full_scale and a sensitivity in text go with"),
         (CONTROLLER + 2 * '[[actuators]]\nmodel = "lra"\n', "[[actuators]] 2: there is another one on that channel"),
-        ("a = " + 9999 * "[", "not a TOML file"),
         (CONTROLLER + '[[textures]]\nfile = "none.wav"\n', "does not exist"),
         (CONTROLLER + '[[textures]]\ngenerate = "silk"\n', "generate must be one of grating, "),
     ],

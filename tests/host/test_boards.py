@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import vibrocast
+from tests.conftest import session
 from vibrocast import codec, textures
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import Stream
@@ -25,7 +26,7 @@ every_controller = pytest.mark.parametrize("address", CONTROLLERS)
 
 
 @contextlib.contextmanager
-def session(address: str) -> Iterator[Controller]:
+def opened(address: str) -> Iterator[Controller]:
     """Open a session, in simulated time where the controller allows it: then no busy computer makes a packet late."""
     emulated = devices.is_emulated(address)
     if not emulated and address not in ("sim", "sim-usb"):
@@ -33,13 +34,12 @@ def session(address: str) -> Iterator[Controller]:
             yield controller
         return
     device = devices.emulated(address) if emulated else devices.simulated("core")
-    link = MemoryLink(device)
-    yield Controller(link, link.clock, link.sleep)
+    yield session(MemoryLink(device))
 
 
 def check_plays(address: str, stream: Stream) -> end_to_end.Outcome:
     """Play a stream, and check that nothing was late and all is as computed."""
-    with session(address) as controller:
+    with opened(address) as controller:
         outcome = end_to_end.play(controller, address, "oak", stream)
     report = outcome.report
     assert report.underruns == report.lost_packets == 0

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.conftest import linked, session
 from tests.host.scripted_controller import ScriptedController
 from vibrocast.device_protocol.frames import write_frame
 from vibrocast.device_protocol.messages import (
@@ -26,21 +27,15 @@ from vibrocast.device_protocol.messages import (
     pack,
 )
 from vibrocast.device_protocol.transports import TransportError
-from vibrocast.host.controller import TRIES, ConnectionLost, Controller, ControllerError
+from vibrocast.host.controller import TRIES, ConnectionLost, ControllerError
 from vibrocast.host.stream_session import Capture
-from vibrocast.simulated_device.controller import Controller as SimulatedController
-from vibrocast.simulated_device.faulty_link import MemoryLink
 
 IDLE_STATUS = Status(State.IDLE, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
 
 
-def connect(scripted: ScriptedController) -> Controller:
-    return Controller(scripted, scripted.clock, scripted.sleep)
-
-
 def test_hello_and_status() -> None:
     scripted = ScriptedController()
-    with connect(scripted) as controller:
+    with scripted.connect() as controller:
         assert controller.description == scripted.description
         assert controller.request_status().state == State.IDLE
         assert controller.bytes_sent > 0
@@ -50,10 +45,9 @@ def test_hello_and_status() -> None:
 def test_hello_under_a_number_of_the_last_session_is_said_again_under_another(monkeypatch: pytest.MonkeyPatch) -> None:
     draws = [41, 41, 41, 500]
     monkeypatch.setattr("vibrocast.host.controller.random.randrange", lambda end: draws.pop(0))
-    link = MemoryLink(SimulatedController())
-    earlier = Controller(link, link.clock, link.sleep)
+    link, earlier = linked()
     earlier.request_status()
-    again = Controller(link, link.clock, link.sleep)
+    again = session(link)
     assert draws == []
     assert again.request_status().state == State.IDLE
 
@@ -66,7 +60,7 @@ def test_hello_that_gets_the_answer_of_an_earlier_session_is_said_again(
     monkeypatch.setattr("vibrocast.host.controller.random.randrange", lambda end: draws.pop(0))
     scripted = ScriptedController()
     scripted.last = (42, write_frame(pack(old, 42)))
-    assert connect(scripted).description == scripted.description
+    assert scripted.connect().description == scripted.description
     assert scripted.handled == [Hello()]
 
 
@@ -80,14 +74,14 @@ def test_nobody_at_the_other_end_is_known_after_two_seconds() -> None:
 
     scripted.swallow = swallow
     with pytest.raises(ConnectionLost, match="does not answer"):
-        connect(scripted)
+        scripted.connect()
     assert len(attempts) == TRIES
     assert 2.0 <= scripted.now_s < 2.5
 
 
 def test_lost_requests_are_sent_again_and_carried_out_once() -> None:
     scripted = ScriptedController()
-    controller = connect(scripted)
+    controller = scripted.connect()
     attempts = []
 
     def swallow_two(message: Message) -> bool:
@@ -102,7 +96,7 @@ def test_lost_requests_are_sent_again_and_carried_out_once() -> None:
 
 def test_lost_answers_are_requested_again_and_requests_carried_out_once() -> None:
     scripted = ScriptedController()
-    controller = connect(scripted)
+    controller = scripted.connect()
     lost: list[bytes] = []
 
     def lose_one_answer() -> None:
@@ -116,23 +110,8 @@ def test_lost_answers_are_requested_again_and_requests_carried_out_once() -> Non
     assert scripted.handled.count(Gain(0.5)) == 1
 
 
-def test_silent_controller_is_given_up() -> None:
-    scripted = ScriptedController()
-    controller = connect(scripted)
-    attempts: list[Message] = []
-
-    def swallow(message: Message) -> bool:
-        attempts.append(message)
-        return True
-
-    scripted.swallow = swallow
-    with pytest.raises(ConnectionLost, match="does not answer"):
-        controller.request_status()
-    assert len(attempts) == TRIES
-
-
 def test_rejection_carries_code_and_text() -> None:
-    controller = connect(ScriptedController())
+    controller = ScriptedController().connect()
     with pytest.raises(ControllerError, match=r"what is that\?; update the older of vibrocast") as caught:
         controller.request(Loop(3), Status)
     assert caught.value.code == ErrorCode.UNKNOWN_MESSAGE
@@ -140,7 +119,7 @@ def test_rejection_carries_code_and_text() -> None:
 
 def test_restarted_controller_is_noticed_and_can_be_reconnected() -> None:
     scripted = ScriptedController()
-    controller = connect(scripted)
+    controller = scripted.connect()
     scripted.restart()
     with pytest.raises(ConnectionLost, match="restarted"):
         controller.request_status()
@@ -150,7 +129,7 @@ def test_restarted_controller_is_noticed_and_can_be_reconnected() -> None:
 
 def test_reconnect_waits_until_the_cable_is_back_and_gives_up_in_time() -> None:
     scripted = ScriptedController()
-    controller = connect(scripted)
+    controller = scripted.connect()
     scripted.unplugged = True
     with pytest.raises(TransportError):
         controller.reconnect(1.0)
@@ -168,7 +147,7 @@ def test_another_major_version_is_rejected_naming_both() -> None:
     scripted = ScriptedController()
     scripted.description = replace(scripted.description, major=7)
     with pytest.raises(ControllerError, match=r"protocol 7\.\d, this host 2\.\d"):
-        connect(scripted)
+        scripted.connect()
 
 
 @pytest.mark.parametrize("limits", [Limits(255, 64, 200, 0, 1, 1, 2, 400), Limits(512, 64, 200, 0, 1, 1, 2, 0)])
@@ -176,12 +155,12 @@ def test_limits_that_no_host_can_keep_to_are_rejected(limits: Limits) -> None:
     scripted = ScriptedController()
     scripted.description = replace(scripted.description, limits=limits)
     with pytest.raises(ControllerError, match="update its firmware"):
-        connect(scripted)
+        scripted.connect()
 
 
 def test_answer_of_the_wrong_type_is_an_error() -> None:
     scripted = ScriptedController()
-    controller = connect(scripted)
+    controller = scripted.connect()
     scripted.answer = lambda message: scripted.description
     with pytest.raises(ControllerError, match="StatusRequest with HelloResponse"):
         controller.request_status()
@@ -189,7 +168,7 @@ def test_answer_of_the_wrong_type_is_an_error() -> None:
 
 def test_notifications_are_kept_and_complaints_raised() -> None:
     scripted = ScriptedController()
-    controller = connect(scripted)
+    controller = scripted.connect()
     scripted.outgoing = write_frame(pack(replace(scripted.status(), position=77)))
     controller.poll(0.1)
     assert controller.status is not None
@@ -202,7 +181,7 @@ def test_notifications_are_kept_and_complaints_raised() -> None:
 
 def test_status_that_is_asked_for_in_passing_comes_with_a_poll() -> None:
     scripted = ScriptedController()
-    controller = connect(scripted)
+    controller = scripted.connect()
     scripted.position = 55
     controller.ask_status()
     controller.poll(0.1)
@@ -216,7 +195,7 @@ def test_status_that_is_asked_for_in_passing_comes_with_a_poll() -> None:
 
 def test_late_answers_to_earlier_requests_are_no_answers() -> None:
     scripted = ScriptedController()
-    controller = connect(scripted)
+    controller = scripted.connect()
     controller.request_status()
     assert scripted.last is not None
     late = write_frame(pack(replace(scripted.status(), position=999), scripted.last[0] - 1))
@@ -226,7 +205,7 @@ def test_late_answers_to_earlier_requests_are_no_answers() -> None:
 
 def test_capture_that_is_gone_is_an_error() -> None:
     scripted = ScriptedController()
-    controller = connect(scripted)
+    controller = scripted.connect()
     scripted.answer = lambda message: CaptureData(Tap.DAC, 1, 500, 1500, b"")
     with pytest.raises(ControllerError, match="keeps 1000 samples of each capture"):
         controller.run(Capture(controller, Tap.DAC, 1).read_steps())
@@ -235,7 +214,7 @@ def test_capture_that_is_gone_is_an_error() -> None:
 @given(st.lists(st.binary(max_size=300), max_size=20))
 def test_garbage_on_the_link_changes_nothing(noise: list[bytes]) -> None:
     scripted = ScriptedController()
-    controller = connect(scripted)
+    controller = scripted.connect()
 
     def make_noise() -> None:
         if noise:
@@ -247,7 +226,7 @@ def test_garbage_on_the_link_changes_nothing(noise: list[bytes]) -> None:
 
 def test_endless_garbage_neither_hangs_nor_grows() -> None:
     scripted = ScriptedController()
-    controller = connect(scripted)
+    controller = scripted.connect()
 
     def flood() -> None:
         scripted.now_s += 0.001
@@ -261,7 +240,7 @@ def test_endless_garbage_neither_hangs_nor_grows() -> None:
 
 def test_stop_gets_through_after_a_torn_frame() -> None:
     scripted = ScriptedController()
-    controller = connect(scripted)
+    controller = scripted.connect()
     scripted.write(write_frame(pack(StatusRequest(), 5))[:4])
     assert controller.stop().state == State.STOPPED
     assert scripted.handled.count(Stop()) == 1

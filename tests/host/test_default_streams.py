@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.conftest import session
 from vibrocast import codec
 from vibrocast.codec.core import decoding_cycles
 from vibrocast.codec.encoding import encode_recording
@@ -15,14 +16,14 @@ from vibrocast.textures import Recording
 
 RATES_HZ = (100, 2800, 5600, 8000, 12_000)
 """The lowest and the highest that the board takes, and both sides of each change of a codec's block length."""
+pytestmark = pytest.mark.slow  # it starts an emulated board
 CODECS = ("mdct", "dct", "slp", "eva", "parametric")
 
 
 @pytest.fixture(scope="module")
 def board() -> Controller:
     """A session with the firmware of the board, emulated, in simulated time."""
-    link = MemoryLink(devices.emulated("stm32f405"))
-    return Controller(link, link.clock, link.sleep)
+    return session(MemoryLink(devices.emulated("stm32f405")))
 
 
 def test_these_are_all_codecs_of_the_board_and_the_limits_of_its_rates(board: Controller) -> None:

@@ -9,8 +9,12 @@ from vibrocast.extras import MissingExtraError
 from vibrocast.harness.boards.stm32f405 import UNIQUE_NUMBER
 from vibrocast.host import devices
 
+OTHERS = ("host", "cortex-m7", "cortex-m33", "stm32f405", "rp2040")
 
-@pytest.mark.parametrize("address", ["host", "cortex-m4", "cortex-m7", "cortex-m33", "stm32f405", "rp2040"])
+
+@pytest.mark.parametrize(
+    "address", ["cortex-m4", *(pytest.param(address, marks=pytest.mark.slow) for address in OTHERS)]
+)
 def test_firmware_is_greeted_at_its_address(address: str) -> None:
     assert address in devices.available()
     with devices.connect(address) as controller:
@@ -33,6 +37,7 @@ def test_without_the_emulator_or_the_compiler_it_is_said_what_to_install(monkeyp
             pass
 
 
+@pytest.mark.slow
 def test_a_board_states_its_serial_number() -> None:
     with devices.connect("stm32f405") as controller:
         assert controller.description.serial_number == UNIQUE_NUMBER.hex()

@@ -6,7 +6,7 @@ from contextlib import ExitStack
 import numpy as np
 import pytest
 
-from vibrocast.codec.encoding import encode_recording
+from tests.conftest import coded, noise, session
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import State
 from vibrocast.device_protocol.transports import SerialTransport, Transport, TransportError, UsbTransport
@@ -20,23 +20,20 @@ from vibrocast.simulated_device.faulty_link import MemoryLink, SimulatedTime
 from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
 from vibrocast.simulated_device.serial_port import serial_port
 from vibrocast.simulated_device.usb_backend import PRODUCT_ID, VENDOR_ID, UsbPort
-from vibrocast.textures import Recording
 
 CHANNELS = 4
 SECONDS = 1.5
 
 
-def noise() -> Stream:
-    samples = 5.0 * np.random.default_rng(1).standard_normal((round(SECONDS * 2800), CHANNELS))
-    return encode_recording(Recording(samples, 2800.0, "um", "noise"), setting={"step": 0.5}, live=True).stream
+def stream() -> Stream:
+    return coded(noise(SECONDS, CHANNELS, rms=5.0), step=0.5)
 
 
-def linked(count: int) -> tuple[dict[str, FaultyWire], dict[str, Controller]]:
+def several(count: int) -> tuple[dict[str, FaultyWire], dict[str, Controller]]:
     """Return wires to controllers in one simulated time, and sessions over them."""
     time = SimulatedTime()
     wires = {str(number): FaultyWire(SimulatedController()) for number in range(count)}
-    links = {name: MemoryLink(wire, time=time) for name, wire in wires.items()}
-    return wires, {name: Controller(link, link.clock, link.sleep) for name, link in links.items()}
+    return wires, {name: session(MemoryLink(wire, time=time)) for name, wire in wires.items()}
 
 
 def play_on(
@@ -63,8 +60,8 @@ def check_played(result: object, stream: Stream) -> None:
 
 
 def test_of_five_controllers_three_play_on_while_one_is_unplugged_and_one_stops() -> None:
-    stream = noise()
-    wires, controllers = linked(5)
+    played = stream()
+    wires, controllers = several(5)
 
     def fail(name: str, now: player.Progress) -> None:
         if name == "1" and now.position_s > 0.3:
@@ -72,18 +69,18 @@ def test_of_five_controllers_three_play_on_while_one_is_unplugged_and_one_stops(
         if name == "3" and now.position_s > 0.3:
             raise RuntimeError("made up")
 
-    results = play_on(controllers, stream, fail)
+    results = play_on(controllers, played, fail)
     assert list(results) == list(wires)
     assert isinstance(results["1"], TransportError)
     assert isinstance(results["3"], RuntimeError)
     assert controllers["3"].request_status().state == State.STOPPED
     for name in ("0", "2", "4"):
-        check_played(results[name], stream)
+        check_played(results[name], played)
 
 
 @pytest.mark.slow
 def test_of_usb_and_serial_ports_those_play_on_whose_controllers_are_there() -> None:
-    stream = noise()
+    played = stream()
     with ExitStack() as stack:
         ports = [stack.enter_context(UsbPort(SimulatedController())) for _ in range(5)]
         usb = [stack.enter_context(UsbTransport(VENDOR_ID, PRODUCT_ID, port)) for port in ports]
@@ -101,30 +98,30 @@ def test_of_usb_and_serial_ports_those_play_on_whose_controllers_are_there() -> 
                 ports[4].keep_busy(60.0)
 
         # A large buffer, for a computer that is busy with other tests.
-        results = play_on(controllers, stream, fail, buffer_s=1.0)
+        results = play_on(controllers, played, fail, buffer_s=1.0)
         for controller in controllers.values():
             controller.close()
     assert isinstance(results["2"], TransportError)
     assert isinstance(results["4"], ConnectionLost | TransportError)
     for name in set(results) - {"2", "4"}:
-        check_played(results[name], stream)
+        check_played(results[name], played)
 
 
 @pytest.mark.parametrize("at", ["0", "1"])
 def test_an_interruption_stops_every_controller(at: str) -> None:
-    _, controllers = linked(2)
+    _, controllers = several(2)
 
     def interrupt(name: str, now: player.Progress) -> None:
         if name == at and now.position_s > 0.3:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        play_on(controllers, noise(), interrupt)
+        play_on(controllers, stream(), interrupt)
     assert [each.request_status().state for each in controllers.values()] == [State.STOPPED, State.STOPPED]
 
 
 def test_a_pause_reads_nothing_and_the_others_go_on() -> None:
-    wires, controllers = linked(2)
+    wires, controllers = several(2)
     order: list[str] = []
 
     def pauses() -> Steps[None]:

@@ -12,8 +12,8 @@ from click.testing import CliRunner, Result
 from numpy.typing import NDArray
 from scipy.fft import dct
 
-from tests.codec.signals import texture
 from tests.codec.test_dct_equations import B0_DB, PAPER_RULES, heights_um
+from tests.conftest import linked, noise, texture
 from vibrocast import codec, textures
 from vibrocast.codec import profiles
 from vibrocast.codec.stream import Stream, read_stream
@@ -26,10 +26,8 @@ from vibrocast.host.cli.command_line import main
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.limits import playable
 from vibrocast.output.actuator import PIEZO_STACK
-from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
-from vibrocast.simulated_device.faulty_link import MemoryLink
-from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
+from vibrocast.simulated_device.faulty_wire import Fault
 
 PROFILE = Path(__file__).parents[2] / "examples" / "leather_profile.csv"
 
@@ -164,9 +162,8 @@ def test_the_played_samples_are_the_computed_ones_also_over_a_link_that_loses_fr
     """Lost packets are sent again; where positions are lost as well, only they make a difference."""
     movement = position_playback.back_and_forth(10.0, 120.0, 1)
     for lost, alike in ((0.0, True), (0.2, False)):
-        link = MemoryLink(FaultyWire(SimulatedController(), [Fault(lost=lost, direction="to_controller")], seed=2))
-        with Controller(link, link.clock, link.sleep) as controller:
-            played = position_playback.play(controller, stream, movement)
+        _, controller = linked(faults=[Fault(lost=lost, direction="to_controller")], seed=2)
+        played = position_playback.play(controller, stream, movement)
         expected = position_playback.computed(stream, played, PIEZO_STACK)
         assert position_playback.as_computed(played, expected, PIEZO_STACK) is alike
         first = PIEZO_STACK.dac_rate_hz // 20
@@ -179,9 +176,8 @@ def test_the_played_samples_are_the_computed_ones_also_over_a_link_that_loses_fr
 def test_clocks_that_drift_and_sparse_positions_make_no_difference(stream: Stream, drift_ppm: int) -> None:
     times_s = np.arange(0, 4, 0.05)
     movement = position_playback.Movement(times_s, 10 * np.sin(6 * times_s))
-    link = MemoryLink(SimulatedController(Settings(drift_ppm=drift_ppm)))
-    with Controller(link, link.clock, link.sleep) as controller:
-        played = position_playback.play(controller, stream, movement)
+    _, controller = linked(Settings(drift_ppm=drift_ppm))
+    played = position_playback.play(controller, stream, movement)
     expected = position_playback.computed(stream, played, PIEZO_STACK)
     assert position_playback.as_computed(played, expected, PIEZO_STACK) is True
     assert played.status.underruns == 0
@@ -200,7 +196,7 @@ PAPER_SETTINGS: dict[str, codec.Setting] = {
 
 @pytest.mark.parametrize("material", ["wood", "sandpaper", "leather"])
 @pytest.mark.parametrize("rule", PAPER_SETTINGS)
-def test_the_papers_chain_from_end_to_end(rule: str, material: str, tmp_path: Path) -> None:
+def test_the_papers_chain_from_end_to_end(rule: str, material: str, tmp_path: Path, sim: Controller) -> None:
     """20 000 heights over 10 mm, one transform, levels or cut, Huffman code, 50 mm/s, repeated every 10 mm."""
     heights, coded = tmp_path / "10mm.csv", tmp_path / "10mm.vct"
     textures.save_profile(heights, textures.Profile(heights_um(material), 0.5, material))
@@ -219,11 +215,8 @@ def test_the_papers_chain_from_end_to_end(rule: str, material: str, tmp_path: Pa
     # The controller gets it in another codec, 60 dB above the error.
     sent = playable(stream)
     assert (codec.snr_db(stream.decode(), sent.decode()) or 0) > 60
-    link = MemoryLink(SimulatedController())
-    with Controller(link, link.clock, link.sleep) as controller:
-        member = end_to_end.member(controller, "sim", None)
-        movement = position_playback.Movement(np.array([0.0, 0.7]), np.array([0.0, 35.0]))
-        stroke = position_playback.play_and_compare(member, material, stream, movement)
+    movement = position_playback.Movement(np.array([0.0, 0.7]), np.array([0.0, 35.0]))
+    stroke = position_playback.play_and_compare(end_to_end.member(sim, "sim", None), material, stream, movement)
     assert stroke.as_computed and stroke.report.stream_bytes == stream.size_bytes
     period = PIEZO_STACK.dac_rate_hz // 5  # 10 mm at 50 mm/s
     made_um, codes = stroke.expected.heights_um[period:, 0], stroke.played.dac_codes[period:].astype(int)
@@ -239,29 +232,17 @@ def test_the_papers_chain_from_end_to_end(rule: str, material: str, tmp_path: Pa
 @pytest.mark.usefixtures("simulated_time")
 def test_a_whole_transform_plays_in_time(tmp_path: Path) -> None:
     recording, coded = tmp_path / "a.wav", tmp_path / "a.vct"
-    textures.save(recording, textures.Recording(texture(1000), 2800, "m/s^2", "a"))
-    for arguments in (
-        [
-            "encode",
-            str(recording),
-            str(coded),
-            "--codec",
-            "dct",
-            "--setting",
-            "block=whole",
-            "--setting",
-            "levels=14",
-        ],
-        ["play", str(coded), "--device", "serial:port"],
-    ):
-        done = CliRunner().invoke(main, arguments)
+    textures.save(recording, texture(noise(0.36), "m/s^2"))
+    setting = ("--codec", "dct", "--setting", "block=whole", "--setting", "levels=14")
+    for arguments in (("encode", recording, coded, *setting), ("play", coded, "--device", "serial:port")):
+        done = CliRunner().invoke(main, list(map(str, arguments)))
         assert done.exit_code == 0, done.output
 
 
 def test_controllers_that_cannot_are_named(stream: Stream) -> None:
     for samples, reason in ((0, "update its firmware"), (100, "controller holds 100")):
-        link = MemoryLink(SimulatedController(Settings(profile_samples=samples)))
-        with Controller(link, link.clock, link.sleep) as controller, pytest.raises(ControllerError, match=reason):
+        _, controller = linked(Settings(profile_samples=samples))
+        with pytest.raises(ControllerError, match=reason):
             position_playback.load(controller, stream)
 
 
@@ -271,9 +252,7 @@ def simulated_time(monkeypatch: pytest.MonkeyPatch) -> None:
 
     @contextlib.contextmanager
     def connect(*_: object, **__: object) -> Iterator[Controller]:
-        link = MemoryLink(SimulatedController())
-        with Controller(link, link.clock, link.sleep) as controller:
-            yield controller
+        yield linked()[1]
 
     monkeypatch.setattr("vibrocast.host.devices.connect", connect)
 
@@ -317,8 +296,6 @@ def test_a_profile_that_is_not_played_as_computed_fails(
 def test_a_controller_that_keeps_no_captures_is_judged_by_the_rest(stream: Stream) -> None:
     movement = position_playback.back_and_forth(1.0, 500.0, 1)
     for settings in (Settings(), Settings(capture_samples=0)):
-        link = MemoryLink(SimulatedController(settings))
-        with Controller(link, link.clock, link.sleep) as controller:
-            member = end_to_end.member(controller, "sim", None)
-            report = position_playback.play_and_compare(member, "short", stream, movement).report
+        member = end_to_end.member(linked(settings)[1], "sim", None)
+        report = position_playback.play_and_compare(member, "short", stream, movement).report
         assert (report.dac_equals_offline, report.underruns) == (True if settings == Settings() else None, 0)

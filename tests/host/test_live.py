@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from tests.conftest import linked, noise, session
 from vibrocast import codec
 from vibrocast.codec import CodecError, Signal
 from vibrocast.codec.live_format import live_format
@@ -12,7 +13,6 @@ from vibrocast.device_protocol.coded_stream import StreamError, packet_sequence
 from vibrocast.device_protocol.messages import Start, State, Tap
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import live
-from vibrocast.host.controller import Controller
 from vibrocast.host.live import LiveCoding, LiveStream
 from vibrocast.host.stream_session import read_capture
 from vibrocast.simulated_device.controller import Controller as SimulatedController
@@ -24,29 +24,16 @@ RATE_HZ = 2800
 FORMAT = live_format(RATE_HZ, "um", [10.0])
 
 
-def bench(settings: Settings | None = None) -> tuple[MemoryLink, Controller]:
-    return wired(FaultyWire(SimulatedController(settings)))
-
-
-def wired(wire: FaultyWire) -> tuple[MemoryLink, Controller]:
-    link = MemoryLink(wire)
-    return link, Controller(link, link.clock, link.sleep)
-
-
-def noise(seconds: float) -> Signal:
-    return 2.0 * np.random.default_rng(7).standard_normal((round(seconds * RATE_HZ), 1))
-
-
 def blocks(stream: LiveStream, samples: Signal) -> Iterator[Signal]:
     return (block for _, block in live.paced(stream, samples, stream.packet_samples))
 
 
 @pytest.mark.parametrize("name", ["mdct", "dct", "slp"])
 def test_what_is_played_is_what_was_sent(name: str) -> None:
-    _, controller = bench()
+    _, controller = linked()
     stream = LiveStream(controller, FORMAT, coding=LiveCoding(codec_name=name))
     packets: list[bytes] = []
-    for block in blocks(stream, noise(0.7)):
+    for block in blocks(stream, noise(0.7, rms=2.0)):
         packets += stream.code(block)
         stream.send_packets(packets[stream.packets_sent :])
     result = stream.finish()
@@ -61,27 +48,27 @@ def test_what_is_played_is_what_was_sent(name: str) -> None:
 
 
 def test_packets_are_as_short_as_the_codec_has_them_and_refresh_four_times_a_second() -> None:
-    _, controller = bench()
+    _, controller = linked()
     stream = LiveStream(controller, FORMAT)
     assert stream.packet_samples == 16
-    packets = stream.code(noise(1.0))
+    packets = stream.code(noise(1.0, rms=2.0))
     refreshes = [number for number, packet in enumerate(packets) if packet[0] & 1]
     assert refreshes[:3] == [0, 43, 86]
 
 
 @pytest.mark.parametrize("delay_ms", [5, 20, 100])
 def test_nothing_is_lost_at_the_start_of_a_stream_over_long_round_trips(delay_ms: int) -> None:
-    _, controller = wired(FaultyWire(SimulatedController(), [Fault(delay_ms=delay_ms)]))
+    _, controller = linked(faults=[Fault(delay_ms=delay_ms)])
     stream = LiveStream(controller, FORMAT)
-    result = live.play(stream, blocks(stream, noise(1.0)))
+    result = live.play(stream, blocks(stream, noise(1.0, rms=2.0)))
     assert (result.underruns, result.lost_packets, result.streams) == (0, 0, 1)
 
 
 def test_the_playout_delay_counts_from_the_arrival_of_the_first_packet_over_a_slow_link() -> None:
-    link, controller = wired(FaultyWire(SimulatedController(), [Fault(bits_per_second=80_000)]))
+    link, controller = linked(faults=[Fault(bits_per_second=80_000)])
     stream = LiveStream(controller, FORMAT, playout_delay_s=0.04)
     ahead: list[float] = []
-    for _, block in live.paced(stream, noise(1.0), stream.packet_samples):
+    for _, block in live.paced(stream, noise(1.0, rms=2.0), stream.packet_samples):
         stream.send(block)
         link.sleep(0.005)
         status = stream.status
@@ -92,7 +79,7 @@ def test_the_playout_delay_counts_from_the_arrival_of_the_first_packet_over_a_sl
 
 
 def test_a_lost_start_is_sent_again() -> None:
-    link, controller = bench()
+    link, controller = linked()
     stream = LiveStream(controller, FORMAT)
     send = link.write
     swallowed: list[bytes] = []
@@ -104,16 +91,16 @@ def test_a_lost_start_is_sent_again() -> None:
             send(data)
 
     link.write = swallow_once  # type: ignore[method-assign]
-    result = live.play(stream, blocks(stream, noise(1.0)))
+    result = live.play(stream, blocks(stream, noise(1.0, rms=2.0)))
     assert swallowed
     assert result.status.state == State.FINISHED
     assert result.underruns == 0
 
 
 def test_a_lost_packet_costs_itself_alone() -> None:
-    _, controller = wired(FaultyWire(SimulatedController(), [Fault(lost=0.02, direction="to_controller")], seed=1))
+    _, controller = linked(faults=[Fault(lost=0.02, direction="to_controller")], seed=1)
     stream = LiveStream(controller, FORMAT)
-    result = live.play(stream, blocks(stream, noise(3.0)))
+    result = live.play(stream, blocks(stream, noise(3.0, rms=2.0)))
     assert result.streams == 1
     assert 0 < result.lost_packets < 30
 
@@ -121,10 +108,10 @@ def test_a_lost_packet_costs_itself_alone() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("drift_ppm", [-3000, 3000])
 def test_a_clock_that_drifts_restarts_the_stream_and_the_delay_stays_bounded(drift_ppm: int) -> None:
-    _, controller = bench(Settings(drift_ppm=drift_ppm))
+    _, controller = linked(Settings(drift_ppm=drift_ppm))
     stream = LiveStream(controller, FORMAT)
     longest_s = 0.0
-    for _, block in live.paced(stream, noise(20.0), stream.packet_samples):
+    for _, block in live.paced(stream, noise(20.0, rms=2.0), stream.packet_samples):
         stream.send(block)
         longest_s = max(longest_s, stream.status.buffered_samples / RATE_HZ)
     assert stream.finish().streams > 1
@@ -132,11 +119,11 @@ def test_a_clock_that_drifts_restarts_the_stream_and_the_delay_stays_bounded(dri
 
 
 def test_a_source_that_pauses_goes_on_with_little_delay() -> None:
-    link, controller = bench()
+    link, controller = linked()
     stream = LiveStream(controller, FORMAT)
     for pause_s in (0.0, 1.0, 3.0):  # the last one is longer than the watchdog waits
         link.sleep(pause_s)
-        for _, block in live.paced(stream, noise(1.0), stream.packet_samples):
+        for _, block in live.paced(stream, noise(1.0, rms=2.0), stream.packet_samples):
             stream.send(block)
         assert stream.status.state == State.PLAYING
         assert 0 < stream.status.buffered_samples < 0.05 * RATE_HZ
@@ -145,11 +132,11 @@ def test_a_source_that_pauses_goes_on_with_little_delay() -> None:
 
 @pytest.mark.parametrize("late_at", [30, 83])  # packets of 84
 def test_a_program_that_is_late_leaves_packets_out_and_goes_on_with_a_refresh(late_at: int) -> None:
-    link, controller = bench()
+    link, controller = linked()
     stream = LiveStream(controller, FORMAT)
     sent: list[tuple[int, bool]] = []
     stream.on_packets = lambda packets: sent.extend(packet_sequence(packet) for packet in packets)
-    for number, block in enumerate(blocks(stream, noise(0.48))):
+    for number, block in enumerate(blocks(stream, noise(0.48, rms=2.0))):
         if number == late_at:
             link.sleep(0.1)
         stream.send(block)
@@ -161,11 +148,11 @@ def test_a_program_that_is_late_leaves_packets_out_and_goes_on_with_a_refresh(la
 
 def test_a_pulled_cable_is_opened_again() -> None:
     wire = FaultyWire(SimulatedController())
-    _, controller = wired(wire)
+    controller = session(MemoryLink(wire))
     stream = LiveStream(controller, FORMAT)
 
     def pulled() -> Iterator[Signal]:
-        for number, block in enumerate(blocks(stream, noise(2.0))):
+        for number, block in enumerate(blocks(stream, noise(2.0, rms=2.0))):
             if number == 100:
                 wire.change(Fault(cut=True, for_s=0.5))
             yield block
@@ -178,20 +165,20 @@ def test_a_pulled_cable_is_opened_again() -> None:
 
 def test_a_cable_that_stays_out_ends_in_an_error() -> None:
     wire = FaultyWire(SimulatedController())
-    _, controller = wired(wire)
+    controller = session(MemoryLink(wire))
     stream = LiveStream(controller, FORMAT)
-    stream.send(noise(0.1))
+    stream.send(noise(0.1, rms=2.0))
     wire.change(Fault(cut=True, for_s=60.0))
     with pytest.raises(TransportError):
-        live.play(stream, [noise(0.1)], reconnect_s=1.0)
+        live.play(stream, [noise(0.1, rms=2.0)], reconnect_s=1.0)
 
 
 def test_an_interrupted_stream_is_stopped() -> None:
-    _, controller = bench()
+    _, controller = linked()
     stream = LiveStream(controller, FORMAT)
 
     def interrupted() -> Iterator[Signal]:
-        yield from blocks(stream, noise(0.2))
+        yield from blocks(stream, noise(0.2, rms=2.0))
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -200,12 +187,12 @@ def test_an_interrupted_stream_is_stopped() -> None:
 
 
 def test_a_source_without_a_sample_plays_nothing() -> None:
-    _, controller = bench()
+    _, controller = linked()
     assert live.play(LiveStream(controller, FORMAT), []).underruns == 0
 
 
 def test_a_source_that_does_not_keep_its_rate_is_rejected() -> None:
-    link, controller = bench()
+    link, controller = linked()
     stream = LiveStream(controller, FORMAT)
 
     def flood() -> Iterator[Signal]:
@@ -220,17 +207,17 @@ def test_a_source_that_does_not_keep_its_rate_is_rejected() -> None:
 
 
 def test_what_a_source_kept_before_it_was_heard_is_passed_over() -> None:
-    _, controller = bench()
+    _, controller = linked()
     stream = LiveStream(controller, FORMAT)
     for start in range(0, 5 * RATE_HZ, 16):
-        stream.send(noise(5.0)[start : start + 16])
-    result = live.play(stream, blocks(stream, noise(2.0)))
+        stream.send(noise(5.0, rms=2.0)[start : start + 16])
+    result = live.play(stream, blocks(stream, noise(2.0, rms=2.0)))
     assert result.streams == 2
     assert result.underruns == 0
 
 
 def test_what_cannot_be_streamed_is_rejected() -> None:
-    _, controller = bench(Settings(channels=1))
+    _, controller = linked(Settings(channels=1))
     with pytest.raises(StreamError, match="2 channels, the controller has 1"):
         LiveStream(controller, live_format(RATE_HZ, "um", [1.0, 1.0]))
     with pytest.raises(CodecError, match="needs a model"):

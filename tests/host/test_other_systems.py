@@ -32,20 +32,24 @@ def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=ROOT, env=os.environ, capture_output=True, text=True, timeout=120)
 
 
-@pytest.mark.parametrize("arguments", [["--version"], ["--help"], ["codecs"], ["devices"], ["play", "--help"]])
+@pytest.mark.parametrize(
+    "arguments", [["--help"], *(pytest.param([name], marks=pytest.mark.slow) for name in ("codecs", "devices"))]
+)
 def test_commands_start(arguments: list[str]) -> None:
     done = run(*arguments)
     assert done.returncode == 0, done.stderr
     assert done.stdout
 
 
-@pytest.mark.parametrize("device", ["sim", pytest.param("sim-usb", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("device", ["sim", "sim-usb"])
 def test_a_texture_plays_on_the_simulated_controller(device: str) -> None:
     done = run("play", "examples/taps.wav", "--device", device)
     assert done.returncode == 0, done.stderr
     assert "DAC as computed  yes" in done.stdout
 
 
+@pytest.mark.slow
 def test_the_simulated_controller_prints_the_address_of_its_socket() -> None:
     command = [sys.executable, "-c", LACKING, "simulate"]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:

@@ -22,11 +22,7 @@ def traces(values: NDArray[np.float64]) -> list[Trace]:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("samples", "channels"),
-    [
-        *((samples, 1) for samples in (1, 2, 7, 300, 20_000)),
-        (300, 6),
-        *(pytest.param(samples, 6, marks=pytest.mark.slow) for samples in (1, 2, 7, 20_000)),
-    ],
+    [(1, 1), (2, 1), (20_000, 1), (1, 6), (300, 6)],
 )
 def test_draws_every_length_and_channel_count(samples: int, channels: int, tmp_path: Path) -> None:
     values = np.random.default_rng(samples).normal(size=(samples, channels))

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from vibrocast import models, textures
+from tests.conftest import linked, texture
+from vibrocast import models
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import Stream
 from vibrocast.codec.threshold import over_threshold_db, read_threshold
@@ -22,19 +23,16 @@ from vibrocast.host.playback import Outcome, actuator_model
 from vibrocast.host.stream_session import Capture
 from vibrocast.output.actuator import LRA, PIEZO_STACK, VOICE_COIL, Actuator
 from vibrocast.output.actuator_constants import constants
-from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
-from vibrocast.simulated_device.faulty_link import MemoryLink
 
 LOOPS = 3
 SAMPLES = 1000
+SINE = np.sin(np.arange(SAMPLES) / 3.0)
 
 
 def play(actuator: Actuator = PIEZO_STACK) -> Outcome:
-    samples = np.sin(np.arange(SAMPLES) / 3.0)[:, None]
-    encoding = encode_recording(textures.Recording(samples, 2800.0, "um", "sine"), live=True)
-    link = MemoryLink(SimulatedController(Settings(actuator=actuator)))
-    controller = Controller(link, link.clock, link.sleep)
+    encoding = encode_recording(texture(SINE), live=True)
+    _, controller = linked(Settings(actuator=actuator))
     return end_to_end.play(controller, "memory", "sine", encoding.stream, encoding, LOOPS)
 
 
@@ -50,11 +48,8 @@ def test_a_model_is_uploaded_only_for_a_stream_that_fits(monkeypatch: pytest.Mon
         raise StreamError("its packets are too long")
 
     monkeypatch.setattr(end_to_end, "fitted", too_long)
-    samples = np.sin(np.arange(SAMPLES) / 3.0)[:, None]
-    recording = textures.Recording(samples, 2800.0, "um", "sine")
-    encoding = encode_recording(recording, live=True, model=models.find("mdct-textures"))
-    link = MemoryLink(SimulatedController())
-    controller = Controller(link, link.clock, link.sleep)
+    encoding = encode_recording(texture(SINE), live=True, model=models.find("mdct-textures"))
+    _, controller = linked()
     with pytest.raises(StreamError, match="too long"):
         end_to_end.play(controller, "sim", "sine", encoding.stream, encoding)
     controller.open_session()

@@ -4,15 +4,14 @@ import numpy as np
 import pytest
 
 import vibrocast
+from tests.conftest import RATE_HZ, linked, noise, texture
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.threshold import PHYSICAL_UNITS, felt_error, read_threshold, skin_snr_db, threshold_amplitude
-from vibrocast.host import devices
 from vibrocast.host import playback as end_to_end
 from vibrocast.host.skin_quality import AlignmentError, compare_channels, compare_skin, limit_note
 from vibrocast.output.actuator import ACTUATORS, PIEZO_STACK, VOICE_COIL, followed_band_hz, octave_gains_db
-from vibrocast.textures import Recording
+from vibrocast.simulated_device.controller import Settings
 
-RATE_HZ = 2800
 TIME_S = np.arange(4 * RATE_HZ) / RATE_HZ
 
 
@@ -57,12 +56,9 @@ def test_a_texture_that_is_cut_in_its_movement_is_aligned() -> None:
 @pytest.mark.parametrize("rate_hz", [2800, 2000, 997])
 def test_any_length_of_a_recording_is_compared(rate_hz: int) -> None:
     """The duration in seconds times the rate need not give the number of samples again."""
-    rng = np.random.default_rng(6)
     for samples in (7593, 1999, 333):
-        recording = Recording(rng.standard_normal((samples, 1)), rate_hz, "m/s^2", "odd")
-        encoding = encode_recording(recording, rate_hz, live=True)
-        with devices.connect("sim") as controller:
-            outcome = end_to_end.play(controller, "sim", "odd", encoding.stream, encoding)
+        encoding = encode_recording(texture(noise(samples / RATE_HZ), "m/s^2", rate_hz), rate_hz, live=True)
+        outcome = end_to_end.play(linked()[1], "sim", "odd", encoding.stream, encoding)
         assert outcome.report.felt_error is not None
 
 
@@ -77,13 +73,11 @@ def test_a_skin_that_does_not_follow_has_no_figures() -> None:
 @pytest.mark.parametrize("actuator", ACTUATORS)
 def test_a_resonance_is_aligned_where_it_moves_as_asked(actuator: str) -> None:
     """An LRA or a voice coil follows part of the band only: the aligner must not leave the right place."""
-    rng = np.random.default_rng(3)
-    samples = np.cumsum(rng.standard_normal(2 * RATE_HZ))
+    samples = np.cumsum(noise(2.0, seed=3))
     samples -= np.linspace(samples[0], samples[-1], len(samples))
-    recording = Recording(samples[:, None] / 20, RATE_HZ, "m/s^2", "rough")
-    encoding = encode_recording(recording, live=True)
-    with vibrocast.connect("sim", actuator=actuator) as controller:
-        report = controller.play(encoding.stream)
+    encoding = encode_recording(texture(samples / 20, "m/s^2"), live=True)
+    _, controller = linked(Settings(actuator=ACTUATORS[actuator]))
+    report = end_to_end.play(controller, "sim", "rough", encoding.stream, encoding).report
     skin = report.skin
     assert skin is not None and skin.gain is not None and skin.weighted_playing_snr_db is not None
     assert 0.2 < skin.gain < 2

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.conftest import linked
 from vibrocast import models, textures
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.live_format import live_format
@@ -13,10 +14,9 @@ from vibrocast.host import live, uploader
 from vibrocast.host import playback as end_to_end
 from vibrocast.host.controller import Controller
 from vibrocast.host.live import LiveStream
-from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
 from vibrocast.simulated_device.faulty_link import MemoryLink
-from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
+from vibrocast.simulated_device.faulty_wire import Fault
 
 OAK = Path(__file__).parents[2] / "examples/oak.wav"
 BITS_PER_S = 0.8 * 115_200
@@ -27,8 +27,7 @@ STM32F405 = Settings(channels=2, buffer_samples=16_384, capture_samples=2048)
 
 def connect(settings: Settings = SIMULATED) -> tuple[MemoryLink, Controller]:
     """Return a session over a link of 115 200 baud."""
-    link = MemoryLink(FaultyWire(SimulatedController(settings), [Fault(bits_per_second=BITS_PER_S)]))
-    return link, Controller(link, link.clock, link.sleep)
+    return linked(settings, [Fault(bits_per_second=BITS_PER_S)])
 
 
 @pytest.mark.parametrize("settings", [SIMULATED, STM32F405])

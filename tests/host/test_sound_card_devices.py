@@ -1,6 +1,5 @@
 """Sound cards as devices: addresses, what reaches the card, and how it comes to rest."""
 
-import json
 import os
 import signal
 import subprocess
@@ -237,13 +236,3 @@ def test_render_codes_a_recording_as_play_does(tmp_path: Path) -> None:
     stream = vibrocast.encode(vibrocast.load(wav), live=True)
     written, _ = soundfile.read(out, dtype="int16", always_2d=True)
     assert np.array_equal(written, rendered(stream, LRA, 48_000, LRA.volts / 2))
-
-
-def test_the_report_file_names_the_card(pulseaudio: SoundServer, tmp_path: Path) -> None:
-    short_stream().save(tmp_path / "short.vct")
-    report = tmp_path / "report.json"
-    arguments = ["play", str(tmp_path / "short.vct"), "--device", ADDRESS, "--actuator", "voice-coil"]
-    result = CliRunner().invoke(main, [*arguments, "--report", str(report)])
-    assert result.exit_code == 0, result.output
-    assert json.loads(report.read_text())["sound_card"]["backend"] == "PulseAudio"
-    assert "2.5 V at full scale" in result.output

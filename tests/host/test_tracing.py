@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+from tests.conftest import noise, texture
+from vibrocast import textures
 from vibrocast.device_protocol.frames import write_frame
 from vibrocast.device_protocol.messages import HelloResponse, StatusRequest, pack
 from vibrocast.device_protocol.trace import TracedFrame, read_trace
@@ -15,8 +17,6 @@ from vibrocast.host.cli.command_line import main
 from vibrocast.host.tracing import TappedTransport, Tracer
 from vibrocast.simulated_device.controller import Controller
 from vibrocast.simulated_device.faulty_link import MemoryLink
-
-ROOT = Path(__file__).parents[2]
 
 
 def test_frames_of_both_directions_are_seen() -> None:
@@ -61,7 +61,8 @@ def test_any_command_writes_a_trace(tmp_path: Path) -> None:
 def test_a_failed_run_leaves_a_trace_next_to_its_report(tmp_path: Path) -> None:
     bench, report = tmp_path / "bench.toml", tmp_path / "report.json"
     bench.write_text('[[controllers]]\nname = "it"\naddress = "sim"\n[limits]\nmin_gain = 9\n')
-    arguments = ["play", str(ROOT / "examples" / "taps.wav"), "--report", str(report)]
+    textures.save(tmp_path / "short.wav", texture(noise(0.2, rms=5.0), "m/s^2"))
+    arguments = ["play", str(tmp_path / "short.wav"), "--report", str(report)]
     assert CliRunner().invoke(main, arguments).exit_code == 0
     assert not report.with_suffix(".pcapng").exists()
     failed = CliRunner().invoke(main, [*arguments, "--bench", str(bench)])

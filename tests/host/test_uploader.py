@@ -23,7 +23,7 @@ from vibrocast.device_protocol.model_image import ModelImage, ModelImageError, s
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.firmware import keys
 from vibrocast.host import signatures
-from vibrocast.host.controller import Controller, ControllerError
+from vibrocast.host.controller import ControllerError
 from vibrocast.host.uploader import flash
 
 IMAGE = ModelImage(1, "oak", "1.0", "none", bytes(range(256)) * 20).pack()
@@ -33,14 +33,10 @@ IMAGES_ON_TRIAL = (
 )
 
 
-def connect(scripted: ScriptedController) -> Controller:
-    return Controller(scripted, scripted.clock, scripted.sleep)
-
-
 def test_flashes_verifies_tries_and_confirms() -> None:
     scripted = ScriptedController()
     seen: list[tuple[int, int]] = []
-    assert flash(connect(scripted), IMAGE, progress=lambda *step: seen.append(step)).state == SlotState.CONFIRMED
+    assert flash(scripted.connect(), IMAGE, progress=lambda *step: seen.append(step)).state == SlotState.CONFIRMED
     assert bytes(scripted.flash) == IMAGE
     assert seen[-1] == (len(IMAGE), len(IMAGE))
     kinds = [type(message) for message in scripted.handled if type(message).__name__.startswith("Flash")]
@@ -54,19 +50,19 @@ def test_image_without_the_signature_that_the_controller_needs_is_not_sent() -> 
     scripted.description = replace(scripted.description, public_key=keys.public_key(bytes(32)))
     for image in (IMAGE, signatures.signed(IMAGE, b"x" * 32, 1)):
         with pytest.raises(ModelImageError, match="signature"):
-            flash(connect(scripted), image)
+            flash(scripted.connect(), image)
     assert not any(isinstance(message, FlashBegin) for message in scripted.handled)
 
 
 def test_release_with_another_number_is_another_image() -> None:
     scripted = ScriptedController()
     first, second = (signatures.signed(IMAGE, bytes(32), number) for number in (1, 2))
-    assert flash(connect(scripted), first).number == 1
+    assert flash(scripted.connect(), first).number == 1
     before = len(scripted.handled)
-    assert flash(connect(scripted), first).number == 1
+    assert flash(scripted.connect(), first).number == 1
     assert not any(isinstance(message, FlashBegin) for message in scripted.handled[before:])
     scripted.flash = bytearray()
-    assert flash(connect(scripted), second, slot=1).number == 2
+    assert flash(scripted.connect(), second, slot=1).number == 2
 
 
 def test_cut_in_the_middle_is_resumed_without_sending_again() -> None:
@@ -77,7 +73,7 @@ def test_cut_in_the_middle_is_resumed_without_sending_again() -> None:
         scripted.unplugged = cut and scripted.now_s < 2
 
     scripted.at_read = unplug
-    assert flash(connect(scripted), IMAGE).state == SlotState.CONFIRMED
+    assert flash(scripted.connect(), IMAGE).state == SlotState.CONFIRMED
     assert scripted.reopened >= 1
     offsets = [message.offset for message in scripted.handled if isinstance(message, FlashData)]
     assert offsets == sorted(set(offsets))
@@ -86,7 +82,7 @@ def test_cut_in_the_middle_is_resumed_without_sending_again() -> None:
 
 def test_cable_that_stays_out_is_an_error_and_a_later_call_resumes() -> None:
     scripted = ScriptedController()
-    controller = connect(scripted)
+    controller = scripted.connect()
 
     def unplug() -> None:
         scripted.unplugged = len(scripted.flash) > 2000
@@ -97,7 +93,7 @@ def test_cable_that_stays_out_is_an_error_and_a_later_call_resumes() -> None:
     written = len(scripted.flash)
     scripted.at_read, scripted.unplugged = lambda: None, False
     before = len(scripted.handled)
-    assert flash(connect(scripted), IMAGE).state == SlotState.CONFIRMED
+    assert flash(scripted.connect(), IMAGE).state == SlotState.CONFIRMED
     offsets = [message.offset for message in scripted.handled[before:] if isinstance(message, FlashData)]
     assert offsets[0] == written
 
@@ -113,7 +109,7 @@ def test_image_that_does_not_start_is_reported_and_not_confirmed(fallen_back: di
 
     scripted.at_read = fall_back
     with pytest.raises(ControllerError, match="did not start"):
-        flash(connect(scripted), IMAGE)
+        flash(scripted.connect(), IMAGE)
     assert not any(isinstance(message, FlashConfirm) for message in scripted.handled)
 
 
@@ -123,7 +119,7 @@ def test_image_that_is_not_kept_is_reported() -> None:
         FlashStatus(1, SlotState.TESTING, 0) if isinstance(message, FlashConfirm) else None
     )
     with pytest.raises(ControllerError, match="did not keep"):
-        flash(connect(scripted), IMAGE)
+        flash(scripted.connect(), IMAGE)
 
 
 @pytest.mark.parametrize(
@@ -137,7 +133,7 @@ def test_data_that_is_not_taken_is_an_error(wrong: Message, reason: str) -> None
     scripted = ScriptedController()
     scripted.answer = lambda message: wrong if isinstance(message, FlashData) else None
     with pytest.raises(ControllerError, match=reason):
-        flash(connect(scripted), IMAGE)
+        flash(scripted.connect(), IMAGE)
 
 
 def test_other_bytes_read_back_are_an_error_and_nothing_is_activated() -> None:
@@ -145,7 +141,7 @@ def test_other_bytes_read_back_are_an_error_and_nothing_is_activated() -> None:
     answer = FlashStatus(1, SlotState.VERIFIED, len(IMAGE), bytes(32))
     scripted.answer = lambda message: answer if isinstance(message, FlashVerify) else None
     with pytest.raises(ControllerError, match="verification failed for slot 1: data differs"):
-        flash(connect(scripted), IMAGE)
+        flash(scripted.connect(), IMAGE)
     assert not any(isinstance(message, FlashActivate) for message in scripted.handled)
 
 
@@ -153,7 +149,7 @@ def test_image_that_runs_already_is_left_alone() -> None:
     scripted = ScriptedController()
     running = ImageDescription(0, SlotState.CONFIRMED, sha256(IMAGE), "oak", "1.0")
     scripted.description = replace(scripted.description, images=(running,))
-    assert flash(connect(scripted), IMAGE) == running
+    assert flash(scripted.connect(), IMAGE) == running
     assert len(scripted.handled) == 1
 
 
@@ -162,7 +158,7 @@ def test_image_left_on_trial_is_confirmed() -> None:
     scripted.description = replace(scripted.description, images=IMAGES_ON_TRIAL)
     scripted.flash = bytearray(IMAGE)
     scripted.begun = FlashBegin(1, len(IMAGE), sha256(IMAGE), "none")
-    assert flash(connect(scripted), IMAGE).state == SlotState.CONFIRMED
+    assert flash(scripted.connect(), IMAGE).state == SlotState.CONFIRMED
     assert not any(isinstance(message, FlashData) for message in scripted.handled)
 
 
@@ -170,11 +166,11 @@ def test_controller_without_a_free_slot_is_an_error() -> None:
     scripted = ScriptedController()
     scripted.description = replace(scripted.description, images=())
     with pytest.raises(ControllerError, match="no free slot"):
-        flash(connect(scripted), IMAGE)
+        flash(scripted.connect(), IMAGE)
 
 
 def test_file_that_is_no_image_is_rejected_before_anything_is_sent() -> None:
     scripted = ScriptedController()
     with pytest.raises(ModelImageError):
-        flash(connect(scripted), IMAGE[:-1])
+        flash(scripted.connect(), IMAGE[:-1])
     assert len(scripted.handled) == 1

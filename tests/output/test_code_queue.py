@@ -83,7 +83,7 @@ def test_silence_that_runs_out_is_no_underrun() -> None:
     assert (queue.underruns, queue.taken) == (0, 10)
 
 
-@given(st.lists(st.integers(-32768, 32767), min_size=1, max_size=50), st.integers(1, 40_000))
+@given(st.lists(st.integers(-32768, 32767), min_size=1, max_size=50), st.integers(16, 40_000))
 def test_limited_steps_reach_what_stays(values: list[int], step: int) -> None:
     codes = np.array([*values, *[values[-1]] * (65536 // step + 1)], np.int16)[:, None]
     limited = within_slew(codes, np.zeros(1, np.int64), step)

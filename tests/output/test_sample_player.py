@@ -6,12 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.output.test_sound_card import TRIES, wait_until
-from tests.sound_server import PAD, Listener, SoundServer, position_of
 from vibrocast.output import sample_player
 from vibrocast.output.actuator import VOICE_COIL, Codes
 from vibrocast.output.sample_player import SamplePlayer
-from vibrocast.output.sound_card import Card, find
+from vibrocast.output.sound_card import Card
 
 ACTUATOR = replace(VOICE_COIL, dac_rate_hz=48_000)
 CARD = Card("imagined", 2, 48_000, True, "none", None)
@@ -100,31 +98,6 @@ def test_a_stop_ramps_down_and_states_the_frames(player: SamplePlayer) -> None:
     falling = player._fill(1000)[:, 0]
     assert (np.diff(falling) <= 0).all() and not falling[FADE:].any()
     assert [(each.first, each.frames) for each in player.take_played()] == [(7, 1000)]
-
-
-def test_on_a_card_a_switch_leaves_no_gap(sound_server: SoundServer) -> None:
-    a, b = tone(200)[:20_000].repeat(2, axis=1), -tone(310)[:20_000].repeat(2, axis=1)
-    for _ in range(TRIES):
-        with SamplePlayer(find(PAD), (3, 4), ACTUATOR) as player:
-            player._card.wait_for_begin()
-            with Listener(PAD) as listener:
-                player.start("a", a)
-                wait_until(lambda: player.position() > 5000)
-                player.switch("b", b)
-                wait_until(lambda: player.playing() is None)
-            first, second = player.take_played()
-        at = second.first
-        assert (first.key, first.first, first.frames, second.key) == ("a", 0, at, "b")
-        assert second.frames == 20_000 - at
-        share = np.minimum(1, (1 + np.arange(20_000 - at)) / FADE)[:, None]
-        # Whole codes: numbers are cut off towards zero.
-        expected = np.concatenate([a[:at], np.trunc((1 - share) * a[at:] + share * b[at:]).astype(np.int16)])
-        heard = listener.heard()
-        if position_of(expected, heard[:, 2:]) is not None:
-            break
-    else:
-        raise AssertionError("not heard exactly")
-    assert not heard[:, :2].any()
 
 
 def test_loud_parts_that_are_strung_together_keep_the_power_limit(player: SamplePlayer) -> None:

@@ -121,21 +121,13 @@ def test_what_is_below_the_band_is_taken_away_and_the_band_left_alone() -> None:
     ("before", "after", "message"),
     [
         ("rate = 1600", "rate = 40", "lowest = 30 must be below half of rate = 40"),
-        ("buffer_ms = 10.0", "buffer_ms = 900000", "buffer_ms = 900000 is out of range"),
-        ("payload_bps = 1000.5", "payload_bps = inf", "[forecast]: payload_bps must be a number"),
         ("[textures.options]", "[textures.options]\nfoo = 3", "[[textures]] 1: [options]: there is no key foo"),
         ('codec = "mdct"', 'codec = "mp3"', "[[textures]] 1: codec must be one of dct"),
-        ("rate = 1600", "rate = 0", "rate = 0 is out of range: rate of the stream, a whole number from 1 to"),
         ("step = 0.7", "step = -1", "step is -1; it must be a number from"),
-        ("packet_samples = 64 ", "# ", "packet_samples is missing"),
-        ('rate_mode = "setting"', 'rate_mode = "any"', "rate_mode must be one of setting"),
         ('rate_mode = "setting"', 'rate_mode = "capped"', "rate_mode = 'capped' needs both capped_rate_bps"),
         ('rate_mode = "setting"', 'rate_mode = "setting"\npacket_snr_db = 9', "others neither"),
-        ("payload_bps = 1000.5", 'payload_bps = "low"', "[forecast]: payload_bps must be a number"),
         ("format = 1", "format = 2", "format = 2 is out of range: version of the format"),
         ('controller = "one"\nhand', 'controller = "two"\nhand', "controller must be one of one, not 'two'"),
-        ("[[controllers]]", "[[computers]]", "there is no key computers; did you mean controllers?"),
-        ("format = 1", "format = = 1", "not a TOML file"),
     ],
 )
 def test_a_mistake_in_a_plan_is_an_error_of_one_line(before: str, after: str, message: str, tmp_path: Path) -> None:

@@ -34,6 +34,7 @@ def planned(folder: Path, **changed: str) -> Plan:
     return read_plan(folder / "plan.toml")
 
 
+@pytest.mark.slow
 def test_what_an_emulated_processor_plays_is_what_was_forecast(tmp_path: Path) -> None:
     pytest.importorskip("unicorn")
     played = playing.play(planned(tmp_path))
@@ -46,6 +47,7 @@ def test_what_an_emulated_processor_plays_is_what_was_forecast(tmp_path: Path) -
     assert rows["flash_bytes"].measured is None and rows["flash_bytes"].within is None
 
 
+@pytest.mark.slow
 def test_the_load_of_a_board_is_what_was_forecast(tmp_path: Path) -> None:
     pytest.importorskip("unicorn")
     played = playing.play(planned(tmp_path, controller=CONTROLLER.replace("cortex-m4", "stm32f405")))

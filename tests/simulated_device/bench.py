@@ -26,6 +26,7 @@ from vibrocast.device_protocol.messages import (
 )
 from vibrocast.output.actuator import Codes
 from vibrocast.simulated_device.controller import Controller, Settings
+from vibrocast.simulated_device.device import Device
 from vibrocast.simulated_device.flash import FlashMemory
 
 RATE_HZ = 2800
@@ -143,3 +144,22 @@ class Bench:
     def all_codes(self) -> Codes:
         """All codes that went to the DAC."""
         return np.concatenate(self.codes) if self.codes else np.zeros((0, 1), np.int16)
+
+
+class Echo(Device):
+    """Sends back all that it receives, and keeps it with its time."""
+
+    def __init__(self) -> None:
+        self.received: list[tuple[int, bytes]] = []
+        self._waiting = b""
+
+    def receive(self, data: bytes, now_us: int) -> None:
+        self.received.append((now_us, data))
+        self._waiting += data
+
+    def advance(self, now_us: int) -> None:
+        """Do nothing."""
+
+    def transmit(self) -> bytes:
+        data, self._waiting = self._waiting, b""
+        return data

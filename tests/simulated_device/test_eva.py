@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from tests.conftest import linked
 from tests.export import tiny
 from tests.firmware.native import ffi, native, rejection_text
 from vibrocast import codec, models, textures
@@ -22,13 +23,11 @@ from vibrocast.host import player
 from vibrocast.host.controller import Controller as Host
 from vibrocast.host.controller import ControllerError
 from vibrocast.host.uploader import flash, running
-from vibrocast.simulated_device.controller import Controller, Settings
-from vibrocast.simulated_device.faulty_link import MemoryLink
+from vibrocast.simulated_device.controller import Settings
 
 
 def session(runtime: str | None = None) -> Host:
-    link = MemoryLink(Controller(Settings(runtime=runtime)))
-    return Host(link, link.clock, link.sleep)
+    return linked(Settings(runtime=runtime))[1]
 
 
 def streamed(model: models.Model, channels: int = 1) -> Stream:

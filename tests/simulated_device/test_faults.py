@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.conftest import session
 from tests.simulated_device.bench import RATE_HZ, SMALL, Bench, Stream, stream
 from vibrocast.codec import Decoded, mdct
 from vibrocast.device_protocol.messages import CaptureData, CaptureRead, SlotState, Start, State, StreamData, Tap, pack
@@ -47,7 +48,7 @@ def desk(*faults: Fault, seed: int = 0, settings: Settings | None = None) -> Des
     codes: list[Codes] = []
     wire = FaultyWire(Controller(settings, on_dac=codes.append), faults, seed)
     link = MemoryLink(wire)
-    return Desk(link, wire, Host(link, link.clock, link.sleep), codes)
+    return Desk(link, wire, session(link), codes)
 
 
 def play_on(at: Desk, played: Stream, **options: object) -> PlaybackResult:
@@ -83,25 +84,6 @@ def assert_within_limits(codes: Codes) -> None:
     assert not codes[-1].any()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("fault", ["lost", "flipped", "doubled", "swapped", "all"])
-def test_a_link_with_faults_in_both_directions(fault: str, seed: int) -> None:
-    played = stream(3.0)
-    chances = dict.fromkeys(("lost", "flipped", "doubled", "swapped") if fault == "all" else (fault,), 0.01)
-    if fault in ("doubled", "swapped"):
-        chances[fault] = 0.2
-    at = desk(Fault(**chances), seed=seed)
-    result = play_on(at, played)
-    assert result.state == State.FINISHED
-    assert result.decoded is not None
-    assert_never_garbage(result.decoded, played, result.lost_packets)
-    assert_within_limits(at.all_codes())
-    if fault in ("doubled", "swapped"):
-        assert result.lost_packets == 0
-        np.testing.assert_array_equal(result.decoded, played.decoded)
-
-
 def max_hold(codes: Codes) -> int:
     """Return the most DAC samples for which a channel has stayed where it was, other than at rest."""
     longest = 0
@@ -125,19 +107,16 @@ def output_of(decoded: Decoded, played: Stream, loops: int) -> Codes:
     return np.concatenate([*codes, dac.play(drive.finish()), dac.ramp_down()])
 
 
-@pytest.mark.parametrize(
-    "loops", [pytest.param(1, id="30 s"), pytest.param(20, id="10 minutes", marks=pytest.mark.slow)]
-)
-def test_four_channels_with_all_faults_have_no_wrong_sample_and_no_stuck_actuator(loops: int) -> None:
-    played = stream(30.0, 4)
+def test_four_channels_with_all_faults_have_no_wrong_sample_and_no_stuck_actuator() -> None:
+    played = stream(10.0, 4)
     at = desk(Fault(lost=0.01, flipped=0.01, doubled=0.05, swapped=0.05))
-    result = play_on(at, played, loops=loops)
+    result = play_on(at, played, loops=2)
     assert result.state == State.FINISHED
     assert result.decoded is not None
-    assert 0 < result.lost_packets < 0.1 * loops * len(played.packets)
-    assert_never_garbage(result.decoded, played, result.lost_packets, loops)
+    assert 0 < result.lost_packets < 0.2 * len(played.packets)
+    assert_never_garbage(result.decoded, played, result.lost_packets, 2)
     codes = at.all_codes()
-    np.testing.assert_array_equal(codes, output_of(result.decoded, played, loops))
+    np.testing.assert_array_equal(codes, output_of(result.decoded, played, 2))
     assert_within_limits(codes)
     assert max_hold(codes) < 0.005 * PIEZO_STACK.dac_rate_hz
 
@@ -181,7 +160,7 @@ class PullCableOnce:
             self._wire.change(Fault(cut=True, for_s=self._out_s))
 
 
-@pytest.mark.parametrize("out_s", [0.05, 0.5, 1.5, 4.0])
+@pytest.mark.parametrize("out_s", [0.5, 4.0])
 def test_cable_pulled_and_plugged_in_again(out_s: float) -> None:
     played = stream(6.0)
     at = desk()
@@ -232,7 +211,7 @@ def test_killed_host_is_noticed_and_the_next_one_plays() -> None:
     assert_within_limits(codes)
     at.codes.clear()
     played = stream(1.0)
-    at.host = Host(at.link, at.link.clock, at.link.sleep)
+    at.host = session(at.link)
     result = play_on(at, played)
     assert result.state == State.FINISHED
     assert result.decoded is not None
@@ -272,7 +251,6 @@ def test_drift_of_a_host_that_paces_by_its_own_clock_for_ten_minutes(drift_ppm: 
     assert captured.data == expected.astype("<i2").tobytes()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("drift_ppm", [-200, 200])
 def test_credit_follows_the_clock_of_the_controller(drift_ppm: int) -> None:
     played = stream(5.0)
@@ -287,8 +265,7 @@ NEW_IMAGE = ModelImage(1, "new", "2", "", mdct.built_in_tables()[::-1]).pack()
 
 
 def flash_over(memory: FlashMemory, image: bytes) -> None:
-    link = MemoryLink(Controller(flash=memory))
-    host = Host(link, link.clock, link.sleep)
+    host = session(MemoryLink(Controller(flash=memory)))
     assert flash(host, image, slot=1 if image == NEW_IMAGE else 0).state == SlotState.CONFIRMED
 
 
@@ -297,7 +274,6 @@ def small_flash() -> FlashMemory:
     return FlashMemory(2 * 256 + 2 * slot_bytes, sector_bytes=256)
 
 
-@pytest.mark.slow
 def test_power_cut_while_a_host_flashes_leaves_the_old_image_running() -> None:
     memory = small_flash()
     flash_over(memory, OLD_IMAGE)
@@ -306,7 +282,7 @@ def test_power_cut_while_a_host_flashes_leaves_the_old_image_running() -> None:
     flash_over(memory, NEW_IMAGE)
     session_bytes = (1 << 30) - memory.cut_after_bytes
     # Every byte is cut at in test_flash.py; here some of them, through the whole protocol.
-    for cut_after_bytes in np.linspace(0, session_bytes - 1, 40).astype(int).tolist():
+    for cut_after_bytes in np.linspace(0, session_bytes - 1, 12).astype(int).tolist():
         memory = small_flash()
         memory.program(0, before)
         memory.cut_after_bytes = cut_after_bytes
@@ -314,8 +290,7 @@ def test_power_cut_while_a_host_flashes_leaves_the_old_image_running() -> None:
             flash_over(memory, NEW_IMAGE)
         memory.cut_after_bytes = None
         Controller(flash=memory)  # a trial under way is over with this start
-        link = MemoryLink(Controller(flash=memory))
-        images = Host(link, link.clock, link.sleep).description.images
+        images = session(MemoryLink(Controller(flash=memory))).description.images
         (running,) = [image for image in images if image.state in (SlotState.TESTING, SlotState.CONFIRMED)]
         assert running.sha256 == sha256(OLD_IMAGE) or (running.name == "new" and running.state == SlotState.CONFIRMED)
         flash_over(memory, NEW_IMAGE)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from vibrocast.simulated_device.device import Device
+from tests.simulated_device.bench import Echo
 from vibrocast.simulated_device.faulty_wire import (
     Fault,
     FaultsFileError,
@@ -15,25 +15,6 @@ from vibrocast.simulated_device.faulty_wire import (
 )
 
 FRAMES = [bytes([number, 1, 2, 3, 0]) for number in range(1, 201)]
-
-
-class Echo(Device):
-    """Sends back all that it receives, and keeps it with its time."""
-
-    def __init__(self) -> None:
-        self.received: list[tuple[int, bytes]] = []
-        self._waiting = b""
-
-    def receive(self, data: bytes, now_us: int) -> None:
-        self.received.append((now_us, data))
-        self._waiting += data
-
-    def advance(self, now_us: int) -> None:
-        """Do nothing."""
-
-    def transmit(self) -> bytes:
-        data, self._waiting = self._waiting, b""
-        return data
 
 
 def carried(*faults: Fault, seed: int = 1) -> tuple[list[tuple[int, bytes]], bytes]:

@@ -30,6 +30,13 @@ def pty_port() -> Iterator[PtyPort]:
         yield port
 
 
+@pytest.fixture(params=[PtyPort, SocketPort], ids=["pty", "socket"])
+def port(request: pytest.FixtureRequest) -> Iterator[PtyPort | SocketPort]:
+    """Each port that a serial transport opens."""
+    with request.param(Controller()) as opened:
+        yield opened
+
+
 @pytest.fixture
 def socket_port() -> Iterator[SocketPort]:
     with SocketPort(Controller()) as port:
@@ -44,12 +51,6 @@ def usb_port() -> Iterator[UsbPort]:
 
 def find(port: UsbPort) -> usb.core.Device:
     return usb.core.find(backend=port, idVendor=VENDOR_ID, idProduct=PRODUCT_ID)
-
-
-def test_pty_survives_hosts_that_open_and_close_it(pty_port: PtyPort) -> None:
-    for _ in range(3):
-        with Host(SerialTransport(pty_port.name)) as host:
-            assert isinstance(host.request_status(), Status)
 
 
 def test_the_link_of_a_controller_that_was_killed_is_replaced_and_no_other(tmp_path: Path) -> None:
@@ -67,15 +68,6 @@ def test_the_link_of_a_controller_that_was_killed_is_replaced_and_no_other(tmp_p
     with pytest.raises(FileNotFoundError) as raised:
         PtyPort(Controller(), tmp_path / "none" / "port")
     assert raised.value.filename == str(tmp_path / "none" / "port")
-
-
-def test_pty_survives_a_host_that_never_reads_and_garbage(pty_port: PtyPort) -> None:
-    rude = os.open(pty_port.name, os.O_RDWR | os.O_NOCTTY)
-    for _ in range(200):
-        os.write(rude, os.urandom(300) + b"\0")
-    os.close(rude)
-    with Host(SerialTransport(pty_port.name)) as host:
-        assert host.request_status().bad_frames > 0
 
 
 def test_pty_unplugged_breaks_the_transport_and_comes_back_under_the_same_name(pty_port: PtyPort) -> None:
@@ -121,16 +113,22 @@ class FailingController(Controller):
         super().advance(now_us)
 
 
-def test_pty_goes_away_with_a_controller_that_fails_and_says_why() -> None:
+@pytest.mark.parametrize("kind", [PtyPort, SocketPort, UsbPort])
+def test_port_goes_away_with_a_controller_that_fails_and_says_why(
+    kind: type[PtyPort] | type[SocketPort] | type[UsbPort],
+) -> None:
     controller = FailingController()
-    with pytest.raises(TransportError, match="out of order"), PtyPort(controller) as port:
-        host = Host(SerialTransport(port.name))
+    with pytest.raises(TransportError, match="out of order"), kind(controller) as port:
+        over_usb = isinstance(port, UsbPort)
+        host = Host(UsbTransport(VENDOR_ID, PRODUCT_ID, port) if over_usb else SerialTransport(port.name))
         controller.faulty = True
         with pytest.raises(TransportError, match="broke off"):
             host.request_status()
-        port.unplug()
-    port.close()
-    assert not Path(port.name).exists()
+        if isinstance(port, PtyPort):
+            port.unplug()
+    if isinstance(port, PtyPort):
+        port.close()
+        assert not Path(port.name).exists()
 
 
 def test_system_without_pseudo_terminals_has_a_socket(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -159,25 +157,31 @@ def test_socket_listens_to_this_machine_alone(socket_port: SocketPort) -> None:
     assert socket_port.name.startswith("socket://127.0.0.1:")
 
 
-def test_socket_survives_hosts_that_open_and_close_it_while_playing(socket_port: SocketPort) -> None:
+def test_port_survives_hosts_that_open_and_close_it_while_playing(port: PtyPort | SocketPort) -> None:
     played = stream(1.0)
 
     def leave(progress: Progress) -> None:
         raise KeyError("the host has had enough")
 
     for _ in range(2):
-        with Host(SerialTransport(socket_port.name)) as host:
+        with Host(SerialTransport(port.name)) as host:
             assert isinstance(host.request_status(), Status)
             with pytest.raises(KeyError):
                 play(host, played.header, played.packets, played.packet_samples, progress=leave)
 
 
-def test_socket_survives_a_host_that_never_reads_and_garbage(socket_port: SocketPort) -> None:
-    with connected(socket_port) as rude:
-        for _ in range(200):
-            rude.sendall(os.urandom(300) + b"\0")
+def test_port_survives_a_host_that_never_reads_and_garbage(port: PtyPort | SocketPort) -> None:
+    garbage = [os.urandom(300) + b"\0" for _ in range(200)]
+    if isinstance(port, SocketPort):
+        with connected(port) as rude:
+            rude.sendall(b"".join(garbage))
+    else:
+        file = os.open(port.name, os.O_RDWR | os.O_NOCTTY)
+        for piece in garbage:
+            os.write(file, piece)
+        os.close(file)
     # The next host comes at once, while the garbage is still being read.
-    with Host(SerialTransport(socket_port.name)) as host:
+    with Host(SerialTransport(port.name)) as host:
         assert host.request_status().bad_frames > 0
 
 
@@ -211,30 +215,12 @@ def test_socket_that_is_closed_breaks_the_transport() -> None:
     port.close()
 
 
-def test_socket_goes_away_with_a_controller_that_fails_and_says_why() -> None:
-    controller = FailingController()
-    with pytest.raises(TransportError, match="out of order"), SocketPort(controller) as port:
-        host = Host(SerialTransport(port.name))
-        controller.faulty = True
-        with pytest.raises(TransportError, match="broke off"):
-            host.request_status()
-
-
 @pytest.mark.parametrize(
     "url", ["socket://127.0.0.1", "socket://127.0.0.1:x", "socket://127.0.0.1:99999", "no-such://x"]
 )
 def test_url_that_is_no_port_is_an_error(url: str) -> None:
     with pytest.raises(TransportError, match="cannot open serial port"):
         open_transport(f"serial:{url}")
-
-
-def test_usb_device_goes_away_with_a_controller_that_fails_and_says_why() -> None:
-    controller = FailingController()
-    with pytest.raises(TransportError, match="out of order"), UsbPort(controller) as port:
-        host = Host(UsbTransport(VENDOR_ID, PRODUCT_ID, port))
-        controller.faulty = True
-        with pytest.raises(TransportError, match="broke off"):
-            host.request_status()
 
 
 def test_usb_device_is_found_and_talks(usb_port: UsbPort) -> None:

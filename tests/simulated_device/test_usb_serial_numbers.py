@@ -129,15 +129,3 @@ def test_a_board_that_another_program_keeps_does_not_hide_the_others(
     monkeypatch.setattr(bus.ports[0], "open_device", deny)
     with Host(open_transport("usb:1209:0001:right", bus)) as host:
         assert host.description.serial_number == "right"
-
-
-def test_a_board_of_another_user_names_the_udev_rules(
-    bus_of: Callable[..., UsbBus], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    bus = bus_of("left")
-    monkeypatch.setattr(bus.ports[0], "open_device", deny)
-    for address in ("usb:1209:0001", "usb:1209:0001:left"):
-        with pytest.raises(TransportError, match=r"70-vibrocast\.rules"):
-            open_transport(address, bus)
-    monkeypatch.setattr(devices, "libusb_backend", lambda: bus)
-    assert "usb:1209:0001" in devices.available()

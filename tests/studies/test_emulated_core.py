@@ -16,7 +16,7 @@ from studies.emulated_core import CORES, Core, EmulatedCore, compile_core
 from studies.small_parts import PROCESSORS, Cost
 from studies.worst_case import Turn
 from tests.codec.eva_models import random_image, with_extreme_weights
-from tests.firmware.test_small import coded as small_coded
+from tests.firmware.boards import coded as small_coded
 from vibrocast import codec
 from vibrocast.codec import CodedSignal, eva
 from vibrocast.device_protocol.coded_stream import unpack_file

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.study.small_study import stimuli_of, text_of
+from tests.study.small_study import text_of
 from vibrocast.device_protocol.transports import SerialTransport, TransportError
 from vibrocast.host import devices
 from vibrocast.host.controller import Controller, ControllerError
@@ -20,16 +20,6 @@ from vibrocast.study.device_player import ControllerPlayer, HandPlayer
 from vibrocast.study.stimuli import stream_sha256
 from vibrocast.study.study_file import Hand, read_study
 from vibrocast.study.trials import Stimulus
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("study")
-
-
-@pytest.fixture(scope="module")
-def made(folder: Path) -> tuple[Stimulus, ...]:
-    return stimuli_of("abx", folder)
 
 
 @pytest.fixture

@@ -1,6 +1,5 @@
 """The study's pages in a real Chromium: whole runs by mouse, keyboard and touch, without scrolling, and mishaps."""
 
-import csv
 import json
 import re
 import signal
@@ -13,10 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.study.small_study import stimuli_of, study_of
 from tests.study.stub_run import CONDITIONS, GRADES, LOST, WELCOME, StubRun, chromium, mushra, served, trial
-from vibrocast.study.session import RESULTS, Session
-from vibrocast.study.study_file import METHODS
 from vibrocast.study.trials import Break, Choices, Message, Question, Screen, Trial
 
 if chromium() is None:
@@ -24,9 +20,9 @@ if chromium() is None:
 
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
-from vibrocast.study.device_player import SilentPlayer
 from vibrocast.study.server import CALL_THE_EXPERIMENTER, Aids
 
+pytestmark = pytest.mark.usefixtures("no_lingering")
 SIZES = ((1024, 768), (768, 1024), (1280, 800))
 
 GRADING = trial(1, "RA", question="How different is A from R?")
@@ -73,11 +69,6 @@ def browser() -> Iterator[Browser]:
         browser = playwright.chromium.launch(executable_path=chromium(), args=["--no-sandbox"])
         yield browser
         browser.close()
-
-
-@pytest.fixture(autouse=True)
-def no_lingering(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vibrocast.study.server._LINGER_S", 0.3)
 
 
 @contextmanager
@@ -161,29 +152,18 @@ def press_through(page: Page, screen: Screen, press: Callable[[str], None]) -> N
 EXPECTED = [(1,), (1,), (1,), (1,), (50,) * 10]
 
 
-@pytest.mark.slow
+@pytest.mark.parametrize("touch", [False, True], ids=["mouse", "tablet"])
 @pytest.mark.parametrize("size", SIZES, ids=str)
-def test_a_participant_answers_by_mouse(browser: Browser, size: tuple[int, int]) -> None:
+def test_a_participant_answers_by_pressing(browser: Browser, size: tuple[int, int], touch: bool) -> None:
     run = StubRun(SCREENS)
-    with served(run) as (address, _), opened(browser, address, size) as page:
+    with served(run) as (address, _), opened(browser, address, size, touch) as page:
         for screen in SCREENS:
-            press_through(page, screen, page.click)
+            press_through(page, screen, page.tap if touch else page.click)
         expect(page.get_by_role("heading", name="Thank you")).to_be_visible()
         assert_fits(page)
     assert [answer if len(answer) == 1 else (50,) * 10 for answer in run.answers] == EXPECTED
     assert all(45 <= value <= 55 for value in run.answers[-1])
     assert run.replies == ["right", "thirty", "thirty"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("size", SIZES[:2], ids=str)
-def test_a_participant_answers_on_a_tablet(browser: Browser, size: tuple[int, int]) -> None:
-    run = StubRun(SCREENS)
-    with served(run) as (address, _), opened(browser, address, size, touch=True) as page:
-        for screen in SCREENS:
-            press_through(page, screen, page.tap)
-        expect(page.get_by_role("heading", name="Thank you")).to_be_visible()
-    assert [answer if len(answer) == 1 else (50,) * 10 for answer in run.answers] == EXPECTED
 
 
 def test_a_participant_answers_by_keyboard(browser: Browser) -> None:
@@ -264,7 +244,6 @@ def test_nothing_can_be_answered_before_all_was_felt(browser: Browser) -> None:
     assert run.answers == [(0,)]
 
 
-@pytest.mark.slow
 def test_feedback_and_the_count_of_plays(browser: Browser) -> None:
     run = StubRun([SAME_DIFFERENT, ABX])
     with served(run) as (address, _), opened(browser, address) as page:
@@ -304,24 +283,6 @@ def test_a_reload_within_a_trial_loses_nothing(browser: Browser) -> None:
         page.click("button.main")
         expect(page.get_by_role("heading", name="Thank you")).to_be_visible()
     assert run.answers == [(51, 49)]
-
-
-def test_two_pages_give_one_answer(browser: Browser) -> None:
-    run = StubRun([GRADING, ABX])
-    with served(run) as (address, _), opened(browser, address) as first, opened(browser, address) as second:
-        for label in "RA":
-            first.click(f"[data-label='{label}']")
-            first.click("button:has-text('Stop')")
-        expect(second.locator("[data-choice='3']")).to_be_enabled()
-        second.context.set_offline(True)
-        second.click("[data-choice='3']")
-        expect(second.get_by_role("alert")).to_have_text("No connection. Please wait.")
-        first.click("[data-choice='2']")
-        wait_for_screen(first, ABX)
-        second.context.set_offline(False)
-        wait_for_screen(second, ABX)
-        expect(second.get_by_role("alert")).to_have_text("")
-    assert run.answers == [(2,)]
 
 
 def test_the_experimenter_pauses_and_aborts(browser: Browser) -> None:
@@ -384,64 +345,6 @@ def test_noise_and_pace(browser: Browser) -> None:
             page.wait_for_timeout(20)
 
 
-def lead_through(page: Page, screen: Callable[[], Screen], stop_after: int | None = None) -> None:
-    """Answer every screen of a real run by its buttons, until its end or until after a trial.
-
-    `screen` returns the present one, as the page sees it.
-    """
-    while True:
-        present = screen()
-        wait_for_screen(page, present)
-        if isinstance(present, Message) and present.kind == "end":
-            return
-        if not isinstance(present, Trial):
-            press_through(page, present, page.click)
-        else:
-            expect(page.locator("#progress-text")).to_have_text(re.compile(f"rial {present.number}( |$)"))
-            assert_fits(page)
-            if present.in_order:
-                page.click("button.play")
-            else:
-                for interval in present.intervals:
-                    page.click(f"[data-label='{interval.label}']")
-                    expect(page.locator(f"[data-label='{interval.label}'] small")).to_have_text(
-                        re.compile("playing|1 ×")
-                    )
-            if isinstance(present.response, Choices):
-                page.click(f"[data-choice='{present.number % len(present.response.options)}']")
-            else:
-                for label in present.response.labels:
-                    page.click(f"[data-slider='{label}']")
-                page.click("button.main")
-            if present.number == stop_after:
-                return
-        deadline = time.monotonic() + 30
-        while screen() == present:
-            assert time.monotonic() < deadline, present
-            page.wait_for_timeout(10)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("method", METHODS)
-def test_a_real_run_of_each_method(browser: Browser, method: str, tmp_path: Path) -> None:
-    study = study_of(tmp_path, method, "practice_trials = 1\n" if method != "staircase" else "")
-    out = tmp_path / "participant_001"
-    session = Session(study, stimuli_of(method, tmp_path), 1, out, SilentPlayer(), sleep=lambda _: None)
-    seen: list[str] = []
-    try:
-        with served(session, Aids(stimulus_seconds=0.2)) as (address, _), opened(browser, "about:blank") as page:
-            page.on("response", lambda response: seen.append(response.text()) if "/api/" in response.url else None)
-            page.goto(address)
-            lead_through(page, session.screen)
-    finally:
-        session.close()
-    rows = list(csv.DictReader((out / RESULTS).read_text().splitlines()))
-    assert len({row["trial"] for row in rows}) >= 3
-    assert any('"labels"' in text for text in seen)
-    names = {each.name for each in study.conditions} | {each.name for each in study.textures}
-    assert not [name for name in names - {"low"} for text in seen if f'"{name}' in text or f"/{name}" in text]
-
-
 def address_of(process: "subprocess.Popen[str]") -> str:
     """Return the participant's address that a program prints, once it serves both pages."""
     assert process.stdout is not None
@@ -465,7 +368,6 @@ print(run.actuator[-1])
 """
 
 
-@pytest.mark.slow
 def test_a_page_goes_on_after_the_server_was_killed(browser: Browser, tmp_path: Path) -> None:
     file = tmp_path / "answers.json"
 

@@ -88,7 +88,9 @@ TABLES = {
 }
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    "method", [method if method == "mushra" else pytest.param(method, marks=pytest.mark.slow) for method in METHODS]
+)
 def test_each_method_has_its_tables_and_charts(method: str, tmp_path: Path) -> None:
     page = write_report(simulated(method), tmp_path / "report")
     text = page.read_text()
@@ -107,6 +109,7 @@ def test_each_method_has_its_tables_and_charts(method: str, tmp_path: Path) -> N
     assert document["findings"] and not any(" same " in each for each in document["findings"])
 
 
+@pytest.mark.slow
 def test_the_same_results_give_the_same_page(tmp_path: Path) -> None:
     one, other = (write_report(simulated("degradation"), tmp_path / name) for name in ("one", "other"))
     assert one.read_bytes() == other.read_bytes()
@@ -153,6 +156,7 @@ def test_a_rating_above_the_hidden_reference_is_not_called_noticed(tmp_path: Pat
     assert "rated better than the hidden reference" in line
 
 
+@pytest.mark.slow
 def test_people_are_not_called_simulated_and_a_mixture_is_named(tmp_path: Path) -> None:
     folder = copied(tmp_path)
     as_people(folder)
@@ -185,7 +189,6 @@ def test_a_damaged_line_is_left_out_with_a_warning(name: str, tmp_path: Path) ->
     read = analysis.analyse(folder)
     assert "participant 2: 1 damaged or repeated line(s) of results.csv left out" in read.warnings
     assert [each.is_whole for each in read.participants] == [True, False, True, True]
-    assert "1 damaged or repeated" in write_report(folder, tmp_path / "report").read_text()
 
 
 def test_a_repeated_line_counts_once(tmp_path: Path) -> None:
@@ -195,6 +198,7 @@ def test_a_repeated_line_counts_once(tmp_path: Path) -> None:
     read = analysis.analyse(folder)
     assert len(read.warnings) == 1 and "1 damaged or repeated" in read.warnings[0]
     assert read.ratings == analysis.analyse(simulated("degradation")).ratings
+    assert "1 damaged or repeated" in write_report(folder, tmp_path / "report").read_text()
 
 
 @pytest.mark.parametrize("method", ["degradation", "staircase"])
@@ -207,49 +211,43 @@ def test_an_unfinished_run_is_marked(method: str, tmp_path: Path) -> None:
     assert [each.is_whole for each in read.participants] == [True, True, False, True]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
-def test_runs_without_answers_have_a_report(method: str, tmp_path: Path) -> None:
-    folder = copied(tmp_path, method)
-    for path in folder.glob(f"participant_*/{RESULTS}"):
-        path.write_text(",".join(RESULT_COLUMNS) + "\n")
-    assert write_report(folder, tmp_path / "report").exists()
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_one_participant_has_a_report_without_tests(method: str, tmp_path: Path) -> None:
+def test_one_participant_has_a_report_without_tests_also_without_answers(method: str, tmp_path: Path) -> None:
     folder = copied(tmp_path, method)
     for number in range(2, PARTICIPANTS + 1):
         shutil.rmtree(folder / f"participant_{number:03}")
     text = write_report(folder, tmp_path / "report").read_text()
     assert ("too few answers for a test" in text) == (method in ("degradation", "mushra"))
+    (folder / "participant_001" / RESULTS).write_text(",".join(RESULT_COLUMNS) + "\n")
+    assert write_report(folder, tmp_path / "empty").exists()
 
 
-def test_two_studies_in_one_folder_are_rejected(tmp_path: Path) -> None:
-    folder = copied(tmp_path)
+def with_another_study(folder: Path) -> None:
     path = folder / "participant_002" / RUN
     path.write_text(json.dumps(json.loads(path.read_text()) | {"study_sha256": "0" * 64}))
-    with pytest.raises(StudyError, match="another study file; move that folder away"):
-        analysis.analyse(folder)
 
 
-def test_a_participant_who_is_there_twice_is_rejected(tmp_path: Path) -> None:
+FLAWS: dict[str, tuple[Callable[[Path], object], str]] = {
+    "two studies": (with_another_study, "another study file; move that folder away"),
+    "a copy": (
+        lambda folder: shutil.copytree(folder / "participant_002", folder / "participant_2 copy"),
+        "participant 2 is there twice",
+    ),
+    "empty": (lambda folder: (folder / "participant_001" / RESULTS).write_text(""), "other columns"),
+    "other columns": (lambda folder: (folder / "participant_001" / RESULTS).write_text("a,b\n1,2\n"), "other columns"),
+    "zeros": (lambda folder: (folder / "participant_001" / RESULTS).write_text("\0\0\0\0"), "other columns"),
+    "no results": (shutil.rmtree, "no results of a study"),
+}
+
+
+@pytest.mark.parametrize("name", FLAWS)
+def test_a_folder_that_holds_no_results_of_one_study_is_rejected(name: str, tmp_path: Path) -> None:
     folder = copied(tmp_path)
-    shutil.copytree(folder / "participant_002", folder / "participant_2 copy")
-    with pytest.raises(StudyError, match="participant 2 is there twice"):
+    change_folder, message = FLAWS[name]
+    change_folder(folder)
+    with pytest.raises(StudyError, match=message):
         analysis.analyse(folder)
-
-
-@pytest.mark.parametrize("text", ["", "a,b\n1,2\n", "\0\0\0\0"])
-def test_results_with_other_columns_are_rejected(text: str, tmp_path: Path) -> None:
-    folder = copied(tmp_path)
-    (folder / "participant_001" / RESULTS).write_text(text)
-    with pytest.raises(StudyError, match="other columns"):
-        analysis.analyse(folder)
-
-
-def test_a_folder_without_results_is_rejected(tmp_path: Path) -> None:
-    with pytest.raises(StudyError, match="no results of a study"):
-        analysis.analyse(tmp_path)
 
 
 def test_the_log_shows_what_was_played(tmp_path: Path) -> None:

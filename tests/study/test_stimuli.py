@@ -20,11 +20,6 @@ ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "examples" / "studies").glob("*.toml"))
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("study")
-
-
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_the_examples_can_be_read(path: Path) -> None:
     assert read_study(path).recordings()
@@ -128,16 +123,10 @@ def test_a_played_stimulus_is_the_rendered_one(folder: Path) -> None:
         ('surface = "rough"', 'surface = "rough"\nfile = "x.wav"', "file does not go with surface"),
         ('surface = "rough"\nseconds = 0.3', 'file = "missing.wav"', "does not exist"),
         ("hand_speed_mm_s = 50", "", "hand_speed_mm_s is missing"),
-        ("seed = 5", 'seed = 5\nsha256 = "x"', "there is no key sha256"),
-        ("seed = 5", "seed = 5\nrepetitions = 0", "repetitions = 0 is out of range"),
-        ("stimulus_seconds = 0.2", "stimulus_seconds = nan", "stimulus_seconds"),
         ("[[textures]]", "[hand]\nspeed_mm_s = 40\nplays = true\n[[textures]]", "must be that of [hand], 40"),
         ('name = "fine"', 'name = "fine"\ntextures = ["oak"]', "no [[textures]] is named so; choose of rough, wood"),
         ('role = "reference"', 'role = "reference"\ntextures = ["wood"]', "goes with the role 'condition'"),
-        ("seed = 5", 'seed = 5\norder = "latin"', "order must be one of"),
         ("seed = 5", "seed = 5\ntextures_per_participant = 3", "and there are 2 [[textures]]; lower it"),
-        ("[[textures]]", '[masking_noise]\nspectrum = "brown"\n[[textures]]', "spectrum must be one of"),
-        ("[[textures]]", "[masking_noise]\nlevel_db = -6\n[[textures]]", "level_db = -6 is out of range"),
     ],
 )
 def test_a_wrong_study_file_is_rejected(old: str, new: str, said: str, tmp_path: Path) -> None:

@@ -62,9 +62,30 @@ def test_other_names_do_not_state_a_rate(tmp_path: Path) -> None:
     assert load(tmp_path, unit="g", rate_hz=1000).rate_hz == 1000
 
 
-def test_the_unit_is_asked_for(tmp_path: Path) -> None:
-    with pytest.raises(TextureError, match="give `unit`"):
-        load(write_recording(tmp_path))
+@pytest.mark.parametrize(
+    ("name", "changed", "options", "message"),
+    [
+        (NAME, {}, {}, "give `unit`"),
+        ("", {"Z": "1\n" * 299}, {"unit": "g"}, r"differ in length \(300, 300, 299 samples\)"),
+        ("", {"Y": "1 2\n" * 300}, {"unit": "g"}, "several columns"),
+        (f"{NAME}_X.txt", {}, {"unit": "g", "axis": "Y"}, r"holds axis X; for `axis`=Y give .*slow$"),
+        (f"{NAME}_X.txt", {}, {"unit": "g", "reduce": "norm"}, r"holds axis X; for `reduce`=norm give .*slow$"),
+        ("cork", {}, {}, "no such file or recording"),
+    ],
+)
+def test_rejected_with_what_to_do(
+    tmp_path: Path, name: str, changed: dict[str, str], options: dict[str, str], message: str
+) -> None:
+    write_recording(tmp_path)
+    for axis, text in changed.items():
+        (tmp_path / f"{NAME}_{axis}.txt").write_text(text)
+    with pytest.raises(TextureError, match=message):
+        load(tmp_path / name, **options)  # type: ignore[arg-type]
+
+
+def test_a_folder_that_holds_no_recording(tmp_path: Path) -> None:
+    with pytest.raises(TextureError, match="a folder without files named"):
+        load(tmp_path)
 
 
 def test_a_missing_axis(tmp_path: Path) -> None:
@@ -83,31 +104,6 @@ def test_two_files_of_one_axis(tmp_path: Path) -> None:
         pytest.skip("this file system takes x for X")
     with pytest.raises(TextureError, match=r"slow_x.txt: the same axis as .*slow_X.txt"):
         load(tmp_path, unit="g")
-
-
-def test_axes_that_do_not_fit_together(tmp_path: Path) -> None:
-    write_recording(tmp_path)
-    write_recording(tmp_path, axes="Z", samples=299)
-    with pytest.raises(TextureError, match=r"differ in length \(300, 300, 299 samples\)"):
-        load(tmp_path, unit="g")
-
-
-def test_files_that_are_not_one_axis(tmp_path: Path) -> None:
-    write_recording(tmp_path)
-    with pytest.raises(TextureError, match=r"holds axis X; for `axis`=Y give .*slow$"):
-        load(tmp_path / f"{NAME}_X.txt", unit="g", axis="Y")
-    with pytest.raises(TextureError, match=r"holds axis X; for `reduce`=norm give .*slow$"):
-        load(tmp_path / f"{NAME}_X.txt", unit="g", reduce="norm")
-    (tmp_path / f"{NAME}_Y.txt").write_text("1 2\n" * 300)
-    with pytest.raises(TextureError, match="several columns"):
-        load(tmp_path, unit="g")
-
-
-def test_folders_that_hold_no_recording(tmp_path: Path) -> None:
-    with pytest.raises(TextureError, match="a folder without files named"):
-        load(tmp_path)
-    with pytest.raises(TextureError, match="no such file or recording"):
-        load(tmp_path / "cork")
 
 
 @given(axes=arrays(np.float64, st.tuples(st.integers(1, 64), st.just(3)), elements=st.floats(-100, 100)))

@@ -14,6 +14,7 @@
 #define VIBROCAST_CONTROLLER_H
 
 #include "settings.h"
+#include "status.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -34,9 +35,11 @@ size_t vc_controller_profile_size(void);
 /* Boots: reads the flash and may write its record, and starts the image on trial or the confirmed one. The caller owns
  * `controller`, vc_controller_size() bytes, and `settings`, `flash` and `dac`. All must stay valid and in place.
  * `flash`: NULL: no slots for model images. `now_us`: the controller's clock in microseconds, from any start. A time
- * before the last one counts as that one. */
-void vc_controller_init(vc_controller *controller, const vc_controller_settings *settings, const vc_flash *flash,
-                        const vc_dac_port *dac, uint64_t now_us);
+ * before the last one counts as that one.
+ * Returns VC_OK. Returns VC_NO_VERIFIER, and has done nothing, if the settings have a public key and no verifier: then
+ * call no other function with this controller. */
+int vc_controller_init(vc_controller *controller, const vc_controller_settings *settings, const vc_flash *flash,
+                       const vc_dac_port *dac, uint64_t now_us);
 
 /* Takes `length` bytes from the host, all of them, at the time `now_us`. Any bytes are safe, in any pieces. Returns as
  * vc_controller_advance. */

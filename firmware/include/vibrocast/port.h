@@ -24,10 +24,19 @@ extern "C" {
 #define VC_PUBLIC_KEY NULL
 #endif
 
+/* A port's vc_signature_verifier, settings.h, in a source of `python -m vibrocast.firmware.build --verifier`. */
+#ifdef VC_VERIFIER
+int vc_port_verify_signature(void *context, const uint8_t *public_key, const uint8_t *signature,
+                             const uint8_t *message);
+#else
+#define vc_port_verify_signature NULL
+#endif
+
 /* Starts the controller, once. The port owns `settings`, `flash` and `dac`, which must stay valid. `flash` may be
  * NULL: the controller then has no slots for model images. A turn hands codes to the DAC after it has decoded a block
- * for them, so they come late by that time. The ramp to rest after a Stop comes at once, about 5 ms ahead of time. */
-void vc_loop_start(const vc_controller_settings *settings, const vc_flash *flash, const vc_dac_port *dac);
+ * for them, so they come late by that time. The ramp to rest after a Stop comes at once, about 5 ms ahead of time.
+ * Returns as vc_controller_init. After an error, do not call vc_loop_turn(). */
+int vc_loop_start(const vc_controller_settings *settings, const vc_flash *flash, const vc_dac_port *dac);
 
 /* Takes bytes from the host, plays the samples that are due, and hands on bytes for the host; a turn decodes one block
  * at most. Returns 0 if no byte moved and no work is left: the port may then wait for the next byte, or for a few

@@ -9,6 +9,9 @@
 #include "output.h"
 #include "profile.h"
 
+#define VC_KEY_BYTES 32
+#define VC_SIGNED_MESSAGE_BYTES 36
+
 #ifdef __cplusplus
 extern "C" {
 #endif
@@ -39,6 +42,18 @@ typedef struct {
  * controller's clock in microseconds. */
 typedef int64_t (*vc_position_sensor)(void *context, uint64_t now_us);
 
+/* Verifies the signature of a model image, for a board with a key. Returns 1 if the owner of the key has signed the
+ * message, any other number if not or if it cannot tell.
+ *
+ * `public_key`: 32 bytes. `signature`: 64 bytes, by Ed25519 of RFC 8032: neither Ed25519ctx nor Ed25519ph. `message`:
+ * VC_SIGNED_MESSAGE_BYTES, the SHA-256 of the image and its number as u32, which the controller has computed. None of
+ * them is secret, so its time may depend on them.
+ * It may take as long as the hardware needs: vc_controller_init and vc_controller_receive call it, and no stream is
+ * armed, playing or paused then. Where that is longer than the board's watchdog waits, it feeds the watchdog. Its stack
+ * comes on top of the controller's. docs/how-to/sign_models.md has an example. */
+typedef int (*vc_signature_verifier)(void *context, const uint8_t *public_key, const uint8_t *signature,
+                                     const uint8_t *message);
+
 /* Limits that HelloResponse names. */
 typedef struct {
     uint8_t channels;
@@ -51,9 +66,11 @@ typedef struct {
 typedef struct {
     const char *build, *hardware;
     const vc_actuator *actuator;
-    const uint8_t *public_key; /* 32 bytes of Ed25519: images need its signature; NULL: they need none */
-    uint16_t watchdog_ms;      /* longest silence of the host in ms; at least 50 */
-    vc_profile *profile;       /* VC_PROFILE_WORDS of int64_t (sizes.h), which one controller uses; NULL: no profiles */
+    const uint8_t *public_key;              /* 32 bytes of Ed25519: images need its signature; NULL: they need none */
+    vc_signature_verifier verify_signature; /* NULL only where public_key is */
+    void *verify_context;
+    uint16_t watchdog_ms; /* longest silence of the host in ms; at least 50 */
+    vc_profile *profile;  /* VC_PROFILE_WORDS of int64_t (sizes.h), which one controller uses; NULL: no profiles */
     vc_position_sensor position; /* NULL: the host sends the position */
     void *position_context;
     const vc_sizes *sizes;                        /* smaller limits than sizes.h; NULL: those of sizes.h */

@@ -18,7 +18,8 @@ enum vc_status {
     VC_NEEDS_MODEL = -8,       /* the stream was coded for a model image, and it is missing or another one */
     VC_TOO_SMALL = -9,         /* memory of the caller is too small */
     VC_BAD_CHECKSUM = -10,     /* a packet is damaged, or one before it is missing */
-    VC_CUT = -11               /* the file is cut short, or has surplus packets */
+    VC_CUT = -11,              /* the file is cut short, or has surplus packets */
+    VC_NO_VERIFIER = -12       /* a controller with a public key cannot verify signatures */
 };
 /* cffi: end */
 

@@ -24,6 +24,7 @@
 #include <unistd.h>
 
 #include "vibrocast/actuator_tables.h"
+#include "vibrocast/decoder.h"
 #include "vibrocast/port.h"
 #include "vibrocast/sizes.h"
 
@@ -176,6 +177,7 @@ int main(int count, char **arguments)
                                        .hardware = "host",
                                        .actuator = &vc_piezo_stack,
                                        .public_key = (const uint8_t *)VC_PUBLIC_KEY,
+                                       .verify_signature = vc_port_verify_signature,
                                        .watchdog_ms = 2000,
                                        .profile = (vc_profile *)profile};
     vc_flash flash = {.record = {0, RECORD_BYTES},
@@ -187,7 +189,7 @@ int main(int count, char **arguments)
     static const vc_dac_port dac = {.play = play};
     const char *flash_path = NULL, *name;
     struct sigaction on_end = {.sa_handler = end};
-    int index;
+    int index, status;
     for (index = 1; index + 1 < count; index += 2) {
         const char *option = arguments[index], *value = arguments[index + 1];
         char *rest;
@@ -218,12 +220,16 @@ int main(int count, char **arguments)
     sigaction(SIGHUP, &on_end, NULL);
     flash.context = open_flash(flash_path);
     flash.base = flash.context;
+    status = vc_loop_start(&settings, &flash, &dac);
+    if (status != VC_OK) {
+        fprintf(stderr, "host: %s\n", vc_status_text(status));
+        return 1;
+    }
     name = open_terminal();
     if (link_path != NULL)
         make_link(name);
     printf("%s\n", name);
     fflush(stdout);
-    vc_loop_start(&settings, &flash, &dac);
     while (!ended) {
         struct pollfd wanted[2] = {{terminal, POLLIN, 0}, {STDIN_FILENO, POLLIN, 0}};
         char ignored[256];

@@ -23,12 +23,14 @@ int main(void)
         .serial_number = "emulated",
         .actuator = &vc_piezo_stack,
         .public_key = (const uint8_t *)VC_PUBLIC_KEY,
+        .verify_signature = vc_port_verify_signature,
         .watchdog_ms = 2000,
         .profile = VC_PROFILE_SAMPLES > 0 ? (vc_profile *)profile : NULL,
     };
     static const vc_dac_port dac = {.play = play};
     vc_board_start();
-    vc_loop_start(&settings, &vc_board_flash, &dac);
+    if (vc_loop_start(&settings, &vc_board_flash, &dac) != VC_OK)
+        return 1; /* a public key and no verifier: the board does nothing */
     for (;;)
         if (!vc_loop_turn())
             vc_board_wait();

@@ -36,6 +36,7 @@ int main(void)
     static vc_controller_settings settings = {.build = VC_BUILD,
                                               .hardware = VC_HARDWARE,
                                               .public_key = (const uint8_t *)VC_PUBLIC_KEY,
+                                              .verify_signature = vc_port_verify_signature,
                                               .watchdog_ms = 2000,
                                               .profile = (vc_profile *)profile,
                                               .decoding_kilocycles_per_s = DECODING_KILOCYCLES_PER_S};
@@ -52,7 +53,8 @@ int main(void)
     settings.serial_number = serial_number();
     vc_output_start();
     vc_uart_start();
-    vc_loop_start(&settings, &vc_board_flash, &vc_paced_dac);
+    if (vc_loop_start(&settings, &vc_board_flash, &vc_paced_dac) != VC_OK)
+        return 1; /* a public key and no verifier: the board does nothing */
     for (;;) {
         vc_watchdog_feed();
         if (!vc_loop_turn())

@@ -37,6 +37,7 @@ int main(void)
                                               .hardware = VC_HARDWARE,
                                               .actuator = &ACTUATOR,
                                               .public_key = (const uint8_t *)VC_PUBLIC_KEY,
+                                              .verify_signature = vc_port_verify_signature,
                                               .watchdog_ms = 2000,
                                               .profile = (vc_profile *)profile,
                                               .decoding_kilocycles_per_s = DECODING_KILOCYCLES_PER_S};
@@ -53,7 +54,8 @@ int main(void)
     vc_systick_start(VC_PROCESSOR_HZ / 1000000);
     vc_dac_output_start(ACTUATOR.dac_rate_hz, ACTUATOR.dac_bits);
     vc_uart_start();
-    vc_loop_start(&settings, &vc_board_flash, &vc_paced_dac);
+    if (vc_loop_start(&settings, &vc_board_flash, &vc_paced_dac) != VC_OK)
+        return 1; /* a public key and no verifier: the board does nothing */
     for (;;) {
         vc_watchdog_feed();
         if (!vc_loop_turn())

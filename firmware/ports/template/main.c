@@ -111,10 +111,12 @@ int main(void)
         .hardware = VC_HARDWARE,
         .actuator = &vc_piezo_stack_12_bits,
         .public_key = (const uint8_t *)VC_PUBLIC_KEY,
+        .verify_signature = vc_port_verify_signature,
         .watchdog_ms = 2000,
     };
     board_start();
-    vc_loop_start(&settings, &flash, &dac);
+    if (vc_loop_start(&settings, &flash, &dac) != VC_OK)
+        return 1; /* a public key and no verifier: the board does nothing */
     /* The loop never sleeps. Where an interrupt comes every millisecond at least, such as that of
      * ports/cortex_m/systick.h, the board may save power: call vc_wait_for_interrupt() if vc_loop_turn() returns 0. */
     for (;;) {

@@ -2,7 +2,6 @@
 #include "vibrocast/controller.h"
 
 #include "vc_controller_memory.h"
-#include "vc_ed25519.h"
 
 #define STATUS_INTERVAL_US 100000u
 #define US_PER_MS 1000u
@@ -520,9 +519,11 @@ static void handle(vc_controller *controller, vc_piece payload)
 
 /* ---- time ---- */
 
-void vc_controller_init(vc_controller *controller, const vc_controller_settings *settings, const vc_flash *flash,
-                        const vc_dac_port *dac, uint64_t now_us)
+int vc_controller_init(vc_controller *controller, const vc_controller_settings *settings, const vc_flash *flash,
+                       const vc_dac_port *dac, uint64_t now_us)
 {
+    if (settings->public_key != NULL && settings->verify_signature == NULL)
+        return VC_NO_VERIFIER;
     controller->settings = settings;
     controller->time_us = now_us;
     controller->dac_free_us = 0;
@@ -533,9 +534,9 @@ void vc_controller_init(vc_controller *controller, const vc_controller_settings 
     controller->playback.sizes = vc_playback_sizes(settings);
     controller->playback.hand_delay_us = settings->position != NULL ? 0 : VC_HAND_DELAY_US;
     vc_frame_reader_init(&controller->reader);
-    vc_image_store_init(&controller->images, flash, settings->hardware, settings->public_key, vc_tables_check,
-                        settings->callbacks);
+    vc_image_store_init(&controller->images, flash, settings, vc_tables_check, settings->callbacks);
     start_idle(controller);
+    return VC_OK;
 }
 
 int vc_controller_advance(vc_controller *controller, uint64_t now_us)

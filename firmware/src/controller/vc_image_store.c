@@ -7,7 +7,6 @@
 
 #include "../core/vc_common.h"
 #include "../core/vc_crc.h"
-#include "vc_ed25519.h"
 
 #define ERASED 0xFFu
 /* After a cut, programming resumes at a multiple of this, over bytes that may be half done. */
@@ -59,15 +58,16 @@ static int set_slot(vc_image_store *store, unsigned number, const vc_slot *slot)
 static int check_signature(const vc_image_store *store, const vc_model_image *image, const uint8_t *sha256,
                            vc_rejection *rejection)
 {
-    uint8_t message[VC_SHA256_BYTES + 4];
-    if (store->public_key == NULL)
+    const vc_controller_settings *settings = store->settings;
+    uint8_t message[VC_SIGNED_MESSAGE_BYTES];
+    if (settings->public_key == NULL)
         return 0;
     if (image->signature == NULL)
         return vc_reject(rejection, VC_IMAGE_REJECTED,
                          "the image has no signature, and this controller takes signed images only: sign it");
     memcpy(message, sha256, VC_SHA256_BYTES);
     vc_number_bytes(message + VC_SHA256_BYTES, image->number, 4);
-    if (!vc_ed25519_check(image->signature, store->public_key, message, sizeof message))
+    if (settings->verify_signature(settings->verify_context, settings->public_key, image->signature, message) != 1)
         return vc_reject(rejection, VC_IMAGE_REJECTED,
                          "the image's signature is not by this controller's key: sign it with that key");
     return 0;
@@ -76,7 +76,7 @@ static int check_signature(const vc_image_store *store, const vc_model_image *im
 /* Whether a later image than this one has been confirmed already. */
 static int is_outdated(const vc_image_store *store, const vc_model_image *image)
 {
-    return store->public_key != NULL && image->number < store->record.entry.lowest_number;
+    return store->settings->public_key != NULL && image->number < store->record.entry.lowest_number;
 }
 
 static int reject_outdated(const vc_image_store *store, const vc_model_image *image, vc_rejection *rejection)
@@ -129,13 +129,12 @@ static uint32_t programmed_bytes(const vc_image_store *store, unsigned number)
     return length > 0 ? (length - 1) / PAGE_BYTES * PAGE_BYTES : 0;
 }
 
-void vc_image_store_init(vc_image_store *store, const vc_flash *flash, const char *hardware, const uint8_t *public_key,
+void vc_image_store_init(vc_image_store *store, const vc_flash *flash, const vc_controller_settings *settings,
                          vc_payload_check check, const void *check_context)
 {
     memset(store, 0, sizeof *store);
     store->record.flash = flash;
-    store->hardware = hardware;
-    store->public_key = public_key;
+    store->settings = settings;
     store->check = check;
     store->check_context = check_context;
     vc_image_store_boot(store);
@@ -256,7 +255,7 @@ static int flash_failed(vc_rejection *rejection)
 static int wrong_hardware(const vc_image_store *store, vc_piece wanted, enum vc_error_code code,
                           vc_rejection *rejection)
 {
-    vc_piece hardware = vc_text_piece(store->hardware);
+    vc_piece hardware = vc_text_piece(store->settings->hardware);
     if (wanted.length == 0 ||
         (wanted.length == hardware.length && vc_same_bytes(wanted.bytes, hardware.bytes, wanted.length)))
         return 0;
@@ -409,7 +408,7 @@ int vc_image_store_confirm(vc_image_store *store, unsigned number, vc_flash_stat
         entry.slots[number].state = VC_SLOT_CONFIRMED;
         entry.slots[number].booted = 0;
         /* Without a key, nothing vouches for the number. */
-        if (store->public_key != NULL)
+        if (store->settings->public_key != NULL)
             entry.lowest_number = store->images[number].number;
         if (!set_entry(store, &entry))
             return flash_failed(rejection);

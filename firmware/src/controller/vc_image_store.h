@@ -21,8 +21,7 @@ typedef int (*vc_payload_check)(const void *context, uint8_t codec, const uint8_
  * it. `erased`: nothing has been written since the slot was erased. `running`: the slot that runs, or -1. `changes`: of
  * the record since power-on. */
 typedef struct {
-    const char *hardware;
-    const uint8_t *public_key;
+    const vc_controller_settings *settings;
     vc_payload_check check;
     const void *check_context;
     vc_slot_record record;
@@ -36,10 +35,10 @@ typedef struct {
 /* Returns the number of slots: 2, or 0 without flash. */
 unsigned vc_image_store_slots(const vc_image_store *store);
 
-/* Prepares the store at power-on, and boots it. All pointers must stay valid. `flash`: NULL: there are no slots.
- * `public_key`: 32 bytes of Ed25519; the store then takes images only that this key signed, and none with a lower
- * number than one confirmed before. NULL: it takes every image. */
-void vc_image_store_init(vc_image_store *store, const vc_flash *flash, const char *hardware, const uint8_t *public_key,
+/* Prepares the store at power-on, and boots it. All pointers must stay valid. `flash`: NULL: there are no slots. Of the
+ * settings, the store uses `hardware`, `public_key`, `verify_signature` and `verify_context`. With a key, which needs a
+ * verifier, it takes only images that the key signed, and none with a lower number than one confirmed before. */
+void vc_image_store_init(vc_image_store *store, const vc_flash *flash, const vc_controller_settings *settings,
                          vc_payload_check check, const void *check_context);
 
 /* Boots: starts a slot on trial, or reverts from one that was not confirmed. Reads both slots and may write the record.

@@ -274,6 +274,8 @@ const char *vc_status_text(int status)
         return "no .vct file of this version: encode the recording again";
     case VC_NO_CODEC:
         return "this build lacks the codec: compile it with VC_WITH_... or encode with another codec";
+    case VC_NO_VERIFIER:
+        return "the controller has a public key and nothing that verifies signatures: build it with --verifier";
     case VC_NEEDS_MODEL:
         return "the stream was coded for a model image: give that image";
     case VC_TOO_SMALL:

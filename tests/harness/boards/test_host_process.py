@@ -11,12 +11,10 @@ import pytest
 from tests.simulated_device.bench import stream
 from vibrocast import models
 from vibrocast.device_protocol.messages import State
-from vibrocast.device_protocol.model_image import ModelImageError
 from vibrocast.device_protocol.transports import SerialTransport, TransportError
-from vibrocast.firmware import keys
 from vibrocast.firmware.build import build
 from vibrocast.harness.boards.host_process import HostProcess
-from vibrocast.host import signatures, uploader
+from vibrocast.host import uploader
 from vibrocast.host.controller import ConnectionLost
 from vibrocast.host.controller import Controller as Host
 from vibrocast.host.player import play
@@ -44,18 +42,6 @@ def test_images_are_kept_in_the_flash_file(tmp_path: Path) -> None:
     with HostProcess("--flash", tmp_path / "flash") as process, Host(SerialTransport(process.name)) as host:
         running = uploader.running(host)
     assert running is not None and running.sha256 == kept.sha256
-
-
-def test_a_build_with_a_key_takes_only_what_the_key_signed() -> None:
-    image, private_key = models.find("eva-16-4").image, bytes(range(32))
-    with HostProcess(public_key=keys.public_key(private_key)) as process, Host(SerialTransport(process.name)) as host:
-        assert host.description.public_key == keys.public_key(private_key)
-        assert host.request_status().signed_images
-        with pytest.raises(ModelImageError, match="no signature"):
-            uploader.flash(host, image)
-        assert uploader.flash(host, signatures.signed(image, private_key, 3)).number == 3
-    with HostProcess() as process, Host(SerialTransport(process.name)) as host:
-        assert (host.description.public_key, host.request_status().signed_images) == (b"", False)
 
 
 def test_name_and_hardware_are_as_requested_and_the_name_goes_with_the_process(tmp_path: Path) -> None:

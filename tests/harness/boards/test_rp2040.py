@@ -2,63 +2,25 @@
 
 import struct
 import zlib
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from unicorn import UC_HOOK_CODE, arm_const
 
+from tests.firmware.boards import LEARNED, coded, play_as_computed, session
 from tests.firmware.test_targets import functions
-from tests.harness.boards.test_emulated import LEARNED, MODELS, between_rests, coded
-from vibrocast import models, textures
-from vibrocast.codec.encoding import encode_recording
-from vibrocast.device_protocol.messages import Configure, Start, State, Status, StreamData
+from vibrocast import models
 from vibrocast.firmware import rp2040 as image_format
 from vibrocast.firmware.build import build
 from vibrocast.firmware.elf import Elf
 from vibrocast.harness.boards.emulator import EmulationError
 from vibrocast.harness.boards.rp2040 import FLASH_BYTES, UNIQUE_NUMBER, Rp2040
 from vibrocast.host import uploader
-from vibrocast.host.controller import Controller as Host
-from vibrocast.host.player import play
-from vibrocast.output.actuator import LRA, PIEZO_STACK, Codes
-from vibrocast.output.rendering import render
-from vibrocast.simulated_device.faulty_link import MemoryLink
+from vibrocast.output.actuator import LRA, Codes
 from vibrocast.simulated_device.flash import FlashMemory
 
-FLASH, BOOT_RAM, STEPS = 0x1000_0000, 0x2004_1F00, 5000
-
-
-def session(device: Rp2040) -> tuple[MemoryLink, Host]:
-    link = MemoryLink(device)
-    return link, Host(link, link.clock, link.sleep)
-
-
-@pytest.mark.parametrize(
-    "codec_name",
-    [
-        "mdct",
-        *(pytest.param(name, marks=pytest.mark.slow) for name in ("dct", "slp", "eva", "parametric")),
-    ],
-)
-def test_streams_reach_the_pwm_register_as_computed_within_the_stack(codec_name: str) -> None:
-    codes: list[Codes] = []
-    device = Rp2040(on_dac=codes.append)
-    link, host = session(device)
-    if codec_name in MODELS:
-        uploader.flash(host, models.find(MODELS[codec_name]).image)
-    stream = coded(codec_name)
-    decoder, decoded = stream.decoder(), stream.decode_integers()
-    result = play(host, stream.header, stream.packets, decoder.packet_samples, capture=True)
-    link.sleep(0.2)
-    assert (result.state, result.underruns, result.lost_packets) == (State.FINISHED, 0, 0)
-    np.testing.assert_array_equal(result.decoded, decoded)
-    expected, _ = render(stream.header, decoded, decoder.delay_samples, replace(PIEZO_STACK, dac_bits=12))
-    np.testing.assert_array_equal(result.dac_codes, expected)
-    np.testing.assert_array_equal(between_rests(np.concatenate(codes)), between_rests(expected))
-    assert 500 < device.processor.stack_bytes() < 6144
-    assert 0 < device.latest_level_ticks < STEPS, "each level is there before the next period of the PWM"
+FLASH, BOOT_RAM = 0x1000_0000, 0x2004_1F00
 
 
 def test_the_board_states_the_unique_number_of_its_flash() -> None:
@@ -72,48 +34,13 @@ def test_a_haptic_driver_gets_the_upper_bits_of_each_sample() -> None:
     # DRV2605 datasheet, 8.6: rest, two voltages, ERM with its other bits as after power-up, open loop, RTP.
     assert device.haptic_writes == [(2, 0), (0x16, 0x3E), (0x17, 0x8C), (0x1A, 0x36), (0x1D, 0x20), (1, 5)]
     device.haptic_writes.clear()
-    recording = replace(textures.GENERATORS["rough"](3, 0.3))
-    stream = encode_recording(recording, codec_name="mdct", snr_db=12, live=True, runtime="core").stream
-    decoder, decoded = stream.decoder(), stream.decode_integers()
-    result = play(host, stream.header, stream.packets, decoder.packet_samples, capture=True)
-    link.sleep(0.2)
-    expected, _ = render(stream.header, decoded, decoder.delay_samples, LRA)
-    np.testing.assert_array_equal(result.dac_codes, expected)
+    expected = play_as_computed(link, host, coded("mdct", channels=1), LRA)
     inputs = np.maximum(expected[:, 0] >> 8, -127)
     changes = inputs[np.flatnonzero(np.diff(inputs, prepend=0))]
     assert {address for address, _ in device.haptic_writes} == {2}
     written = np.array([value for _, value in device.haptic_writes], np.uint8).astype(np.int8)
     np.testing.assert_array_equal(written[: len(changes)], changes)
     assert len(changes) > 100 and written[-1] == 0
-
-
-def test_the_board_rests_at_half_of_the_steps_from_the_first_moment() -> None:
-    codes: list[Codes] = []
-    device = Rp2040(on_dac=codes.append)
-    for now_us in range(0, 200_000, 1000):
-        device.advance(now_us)
-    assert len(np.concatenate(codes)) == pytest.approx(0.2 * 3000, abs=15)
-    assert not np.concatenate(codes).any()
-
-
-def test_the_output_comes_to_rest_when_the_loop_stands_still() -> None:
-    codes: list[Codes] = []
-    device = Rp2040(on_dac=codes.append)
-    link, host = session(device)
-    stream = coded("mdct", seconds=1.0)
-    host.request(Configure(1, stream.header.pack(), 280, packets=len(stream.packets)), Status)
-    host.send(StreamData(1, 0, stream.packets[:12]))
-    host.request(Start(), Status)
-    link.sleep(0.35)
-    before = len(np.concatenate(codes))
-    for _ in range(1500):
-        device._interrupt(16 + 4)
-    device.advance(link.now_us)
-    level = np.concatenate(codes)[before:]
-    assert level[:100].any()
-    assert not level[-900:].any()
-    at_rest = np.flatnonzero(level.any(axis=1))[-1]
-    assert np.abs(np.diff(level[at_rest - 3 : at_rest + 2].astype(int), axis=0)).max() <= 4096 // 100
 
 
 def test_images_outlive_a_restart_and_a_stream_of_bytes_goes_on_meanwhile() -> None:

@@ -53,6 +53,7 @@ def link_to(controller: Device) -> TappedLink:
     return TappedLink(link, link.clock, link.sleep)
 
 
+@pytest.mark.slow
 def test_reference_conforms_and_nothing_of_the_protocol_is_left_out() -> None:
     link = link_to(Controller())
     report = run_suite(link)
@@ -64,6 +65,7 @@ def test_reference_conforms_and_nothing_of_the_protocol_is_left_out() -> None:
     assert link.error_codes == set(ErrorCode) - NOT_PROVOKED
 
 
+@pytest.mark.slow
 def test_controller_with_a_key_conforms_and_only_tests_that_need_its_signature_are_skipped() -> None:
     findings = run_suite(link_to(Controller(Settings(public_key=public_key(bytes(32))))), quick=True).findings
     skipped = {finding.requirement.test for finding in findings if finding.outcome != Outcome.PASSED}
@@ -131,6 +133,7 @@ def test_faults_are_found_and_reported() -> None:
     assert not any("please report" in reason for reason in failed.values())
 
 
+@pytest.mark.slow
 def test_a_busy_machine_is_not_the_fault_of_the_controller() -> None:
     link = MemoryLink(Faulty())
     slow = TappedLink(link, link.clock, lambda seconds: link.sleep(seconds + 0.1))
@@ -237,15 +240,8 @@ def test_faults_end_in_a_reason_and_never_in_a_hang(faulty: type[Altered], reaso
     ("limits", "actuator", "test"),
     [
         ({"max_payload_bytes": 0}, {}, "test_limits_can_be_kept_to"),
-        ({"max_payload_bytes": 0xFFFF}, {}, "test_limits_can_be_kept_to"),
         ({"max_packet_bytes": 1}, {}, "test_stream_can_be_played"),
-        ({"buffer_samples": 0}, {}, "test_limits_can_be_kept_to"),
-        ({"channels": 0}, {}, "test_limits_can_be_kept_to"),
-        ({"min_rate_hz": 0, "max_rate_hz": 0}, {}, "test_limits_can_be_kept_to"),
-        ({"watchdog_ms": 0}, {}, "test_limits_can_be_kept_to"),
         ({}, {"stroke_um": float("nan")}, "test_actuator_is_described"),
-        ({}, {"stroke_um": 1e38}, "test_actuator_is_described"),
-        ({}, {"dac_bits": 0, "dac_rate_hz": 0}, "test_actuator_is_described"),
     ],
 )
 def test_nothing_else_is_tested_where_hello_makes_no_sense(
@@ -303,6 +299,7 @@ def test_texts_of_a_controller_do_nothing_on_the_terminal_or_the_page(reached: l
     assert "![x]" not in page
 
 
+@pytest.mark.slow
 def test_result_is_printed_where_the_report_cannot_be_written(
     reached: list[Device], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
