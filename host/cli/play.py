@@ -127,7 +127,7 @@ class OutputOptions:
             "--hand",
             callback=chosen_hand,
             metavar="MM|FILE",
-            help="Stroke a height profile there and back, or move as a CSV file of time_s,position_mm.",
+            help="Stroke a height profile, or follow a CSV file of time_s,position_mm.",
         ),
     ),
 )
