@@ -64,7 +64,7 @@ def encode_recording(  # noqa: PLR0913 - the options of the public `encode`, whi
     which the error is shaped for touch, 0 to 1; None = as `codec.shape_setting` says.
     `packet_s`: duration of packets, rounded up to whole blocks; None = the fewest bytes or, with `live`, 4 blocks.
 
-    Raises CodecError (also when the target rate or SNR cannot be met), ModelError, ModelImageError, StreamError or
+    Raises CodecError (also when the target rate or SNR cannot be met), ModelError, StreamError or
     TextureError.
     """
     if rate_bps is not None and snr_db is not None:

@@ -384,7 +384,7 @@ def check_length(samples: int) -> None:
 def read_stream(path: Path, image: bytes | None = None) -> Stream:
     """Read a .vct file. `image`: its packed model image; None = the built-in tables, or an image that ships.
 
-    Raises InputFileError when it is no such file, StreamError when it is damaged, CodecError for another image or
+    Raises InputError when it is no such file, StreamError when it is damaged, CodecError for another image or
     codec, OSError when it cannot be read.
     """
     data = read_input(path, "coded stream (.vct file)", b"", MAX_FILE_BYTES)

@@ -5,6 +5,7 @@ import struct
 from cobs import cobs
 
 from vibrocast.device_protocol.encoding import crc16
+from vibrocast.errors import InputError
 
 MAX_PAYLOAD_BYTES = 4096
 DELIMITER = b"\x00"
@@ -14,7 +15,7 @@ _CRC = struct.Struct("<H")
 _MAX_ENCODED_BYTES = MAX_PAYLOAD_BYTES + _CRC.size + 1 + (MAX_PAYLOAD_BYTES + _CRC.size) // 254
 
 
-class FrameError(ValueError):
+class FrameError(InputError):
     """A payload that does not fit a frame."""
 
 

@@ -11,6 +11,7 @@ from types import NoneType
 from typing import Annotated, Any, ClassVar, get_args, get_origin, get_type_hints
 
 from vibrocast.device_protocol.encoding import pack_varint, unpack_varint
+from vibrocast.errors import InputError
 
 VARINT_BITS = 32
 _MAX_VARINT = (1 << VARINT_BITS) - 1
@@ -20,7 +21,7 @@ TLV_HEAD = struct.Struct("<BH")
 """Tag, then the length of the value."""
 
 
-class LayoutError(ValueError):
+class LayoutError(InputError):
     """Values that a layout cannot hold, or bytes that do not fit it."""
 
 

@@ -27,6 +27,7 @@ from vibrocast.device_protocol.layout import (
     rest_items,
     rest_text,
 )
+from vibrocast.errors import VibrocastError
 
 PROTOCOL_MAJOR = 2
 PROTOCOL_MINOR = 1
@@ -110,7 +111,7 @@ class SlotState(IntEnum):
     CONFIRMED = 4
 
 
-class MessageError(ValueError):
+class MessageError(VibrocastError, ValueError):
     """A message that cannot be packed, or bytes that are no message.
 
     `sequence` is the sequence number to answer with (0: none could be read, or the type takes no answer) and `code`

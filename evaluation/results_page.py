@@ -11,11 +11,12 @@ import polars as pl
 
 from vibrocast import codec as codecs
 from vibrocast import pages
+from vibrocast.errors import InputError
 from vibrocast.evaluation import bd_rate, charts, comparison, learned_page, speed
 from vibrocast.evaluation.bd_rate import PSNR, SCALES, SNR, SPQI, ST_SIM_2800, ST_SIM_8000, Scale
 from vibrocast.evaluation.comparison import LEARNED_SCALES, PAPER_SCALES, TABLES, TIMES, Measurements
 from vibrocast.evaluation.peers import named, peers
-from vibrocast.evaluation.points import IMPORTED, MEASURED, PROGRAM, Failure, PointsError, read_rows, write_rows
+from vibrocast.evaluation.points import IMPORTED, MEASURED, PROGRAM, Failure, read_rows, write_rows
 from vibrocast.evaluation.tables import as_rows, write_table
 from vibrocast.pages import listed
 
@@ -115,7 +116,7 @@ def write_results(
 
 
 def read_held_out(folder: Path) -> list[HeldOut]:
-    """Return the rows of HELD_OUT, none without that file. Raises PointsError, OSError."""
+    """Return the rows of HELD_OUT, none without that file. Raises InputError, OSError."""
     path = folder / HELD_OUT
     return read_rows(path, HeldOut) if path.exists() else []
 
@@ -322,14 +323,14 @@ def main(out: Path) -> None:
     try:
         described = read_rows(folder / "description.csv", Description)
         if len(described) != 1:
-            raise PointsError(
+            raise InputError(
                 f"{folder / 'description.csv'}: {len(described)} rows in place of one; run the benchmark again"
             )
         tables: dict[str, Any] = {name: read_rows(folder / f"{name}.csv", kind) for name, kind in TABLES.items()}
         write_results(out, Measurements(**tables), described[0], read_held_out(folder), redrawn=True)
     except OSError as error:
         raise click.ClickException(f"{error.filename}: {error.strerror}; give the --out of a benchmark") from error
-    except PointsError as error:
+    except InputError as error:
         raise click.ClickException(str(error)) from error
 
 

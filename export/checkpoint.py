@@ -15,16 +15,13 @@ from vibrocast.export.eva import Eva, EvaShape
 from vibrocast.export.lapped import Lapped
 from vibrocast.export.priors import ContextPrior, FactorisedPrior
 from vibrocast.files import atomic_write
+from vibrocast.models import ModelError
 
 FORMAT, VERSION = "vibrocast-eva", 2
 MAX_BYTES = 256 * 2**20
 MAX_SHAPE = EvaShape(width=128, latents=128)
 _REACHED = ("step", "seconds")
 _MEASURED = ("step", "seconds", "training_loss", "loss")
-
-
-class ModelError(ValueError):
-    """A model, or its file, that cannot be used; the message says why and what to do."""
 
 
 @dataclass

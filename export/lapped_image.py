@@ -12,7 +12,7 @@ from vibrocast.export.mdct_training import trained
 def image(model: Lapped, name: str, version: str, signals: Sequence[Signal], seed: int) -> bytes:
     """Return the packed image of a model. `signals`: float64 (n,), all those of its training.
 
-    Raises ModelImageError for a name or version that an image cannot have.
+    Raises ModelError for a name or version that an image cannot have.
     """
     windows = lapped.pack_windows(model.halves())
     textures = [signal[:, None] for signal in signals]

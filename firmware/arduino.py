@@ -9,7 +9,8 @@ from typing import Any
 
 import click
 
-from vibrocast.files import InputFileError, atomic_write
+from vibrocast.errors import InputError
+from vibrocast.files import atomic_write
 from vibrocast.firmware.build import ROOT, SHARED, Target
 from vibrocast.firmware.native_core import CoreError, ffi, library
 
@@ -36,7 +37,7 @@ _EXAMPLE = "examples/decode_array"
 def write_library(stream: bytes, path: Path) -> None:
     """Write the .zip of a library whose example decodes a .vct file.
 
-    Raises InputFileError if `stream` is none that a controller decodes without a model, OSError, and CoreError.
+    Raises InputError if `stream` is none that a controller decodes without a model, OSError, and CoreError.
     """
     texts = {
         "library.properties": _PROPERTIES.format(version=version("vibrocast")),
@@ -79,7 +80,7 @@ def _array(stream: bytes) -> str:
         pass
     if status != core.VC_END:
         text: Any = ffi.string(core.vc_status_text(status))
-        raise InputFileError(text.decode())
+        raise InputError(text.decode())
     lines = [", ".join(map(str, stream[start : start + 20])) for start in range(0, len(stream), 20)]
     values = ",\n    ".join(lines)
     return (
@@ -97,7 +98,7 @@ def main(stream: Path, zip_path: Path) -> None:
     """Write the C library as ZIP, which the Arduino IDE adds. Its example decodes STREAM, a .vct file."""
     try:
         write_library(stream.read_bytes(), zip_path)
-    except InputFileError as error:
+    except InputError as error:
         sys.exit(f"error: {stream}: {error}")
     except (CoreError, OSError) as error:
         sys.exit(f"error: {error}")

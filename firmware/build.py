@@ -16,7 +16,7 @@ from pathlib import Path
 import click
 
 from vibrocast import extras
-from vibrocast.files import InputFileError
+from vibrocast.errors import InputError, VibrocastError
 from vibrocast.firmware import rp2040
 from vibrocast.firmware.declarations import cffi_declarations
 from vibrocast.firmware.keys import read_public_key
@@ -54,7 +54,7 @@ _IN_RAM = (".stack", ".core", ".data", ".bss")
 _LIBRARY_SUFFIX = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
 
 
-class BuildError(Exception):
+class BuildError(VibrocastError):
     """A failed build; the message says why, and what to do."""
 
 
@@ -373,7 +373,7 @@ def main(names: tuple[str, ...], with_sizes: bool, json_path: Path | None, key_p
                 click.echo(f"{name}: {build(name, public_key=public_key)}")
             return
         sizes = {name: asdict(size(name)) for name in wanted if TARGETS[name].suffix == ".elf"}
-    except (BuildError, CoreError, InputFileError, OSError, extras.MissingExtraError) as error:
+    except (BuildError, CoreError, InputError, OSError, extras.MissingExtraError) as error:
         sys.exit(f"error: {error}")
     click.echo(f"{'image':<24}{'flash':>10}{'RAM':>10}{'of it stack':>13}")
     for name, of in sizes.items():

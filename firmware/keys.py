@@ -6,7 +6,8 @@ import re
 import secrets
 from pathlib import Path
 
-from vibrocast.files import InputFileError, atomic_write, read_input
+from vibrocast.errors import InputError
+from vibrocast.files import atomic_write, read_input
 from vibrocast.firmware.native_core import ffi, library
 
 KEY_BYTES = 32
@@ -62,22 +63,22 @@ def write_public_key(path: Path, public_key: bytes) -> None:
 
 
 def read_private_key(path: Path) -> bytes:
-    """Return the key in a file of a private key. Raises InputFileError for another file, OSError."""
+    """Return the key in a file of a private key. Raises InputError for another file, OSError."""
     kind, key = _read(path)
     if kind != "PRIVATE":
-        raise InputFileError(f"{path}: a public key, which signs nothing; give the private key")
+        raise InputError(f"{path}: a public key, which signs nothing; give the private key")
     return key
 
 
 def read_public_key(path: Path) -> bytes:
-    """Return the public key in a file of a public or of a private key. Raises InputFileError for another file, OSError.
+    """Return the public key in a file of a public or of a private key. Raises InputError for another file, OSError.
 
     Rejects the few keys for which anyone can sign, such as zeros.
     """
     kind, key = _read(path)
     found = public_key(key) if kind == "PRIVATE" else key
     if is_signed(_FORGERY, found, b""):
-        raise InputFileError(f"{path}: anyone can sign for this key; make another with `vibrocast keys new`")
+        raise InputError(f"{path}: anyone can sign for this key; make another with `vibrocast keys new`")
     return found
 
 
@@ -97,4 +98,4 @@ def _read(path: Path) -> tuple[str, bytes]:
             der = b""
         if der.startswith(_DER[kind]) and len(der) == len(_DER[kind]) + KEY_BYTES:
             return kind, der[-KEY_BYTES:]
-    raise InputFileError(f"{path}: no key of Ed25519 without a password; make one with `vibrocast keys new`")
+    raise InputError(f"{path}: no key of Ed25519 without a password; make one with `vibrocast keys new`")

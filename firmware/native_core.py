@@ -9,6 +9,8 @@ from typing import Any
 
 from cffi import FFI
 
+from vibrocast.errors import BAD_INPUT, VibrocastError
+
 ffi = FFI()
 _LOCK = Lock()
 
@@ -16,8 +18,10 @@ CORE_VARIABLE = "VIBROCAST_CORE"
 """Environment variable that names the compiled core to load, for tests and debugging."""
 
 
-class CoreError(RuntimeError):
+class CoreError(VibrocastError):
     """There is no compiled core that this machine can run; the message says what to do."""
+
+    exit_code = BAD_INPUT
 
 
 @cache

@@ -279,10 +279,6 @@ class Recorded:
     warnings: tuple[str, ...]
 
 
-class RecordingStopped(TransportError):
-    """A recording that ended early; the message says why, and where the saved part is."""
-
-
 def record(
     source: Source,
     path: Path,
@@ -294,7 +290,7 @@ def record(
     """Record a source into a WAV file of 32-bit floats with a sidecar, until `seconds` are over or Ctrl-C.
 
     Writes as it goes. `highpass_hz`: corner of the high-pass, `textures.LiveHighPass`; None keeps offset and drift.
-    `progress` gets the part that is done, or None, and the levels as text. Raises RecordingStopped after a lost sensor
+    `progress` gets the part that is done, or None, and the levels as text. Raises TransportError after a lost sensor
     or a full disk, with the file saved so far, OSError and TextureError.
     """
     highpass = None if highpass_hz is None else LiveHighPass(source.rate_hz, highpass_hz)
@@ -322,7 +318,7 @@ def record(
     except OSError as error:
         stopped = stopped or error
     if stopped is not None:
-        raise RecordingStopped(f"{stopped}; the first {recorded.seconds:.3f} s are saved in {path}") from stopped
+        raise TransportError(f"{stopped}; the first {recorded.seconds:.3f} s are saved in {path}") from stopped
     return recorded
 
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from vibrocast import extras, textures
 from vibrocast.device_protocol.transports import TransportError
+from vibrocast.errors import VibrocastError
 from vibrocast.harness.recorder import Levels, Source, open_source, pieces
 from vibrocast.host.bench_file import Sensor
 from vibrocast.textures import Recording
@@ -42,7 +43,7 @@ _ENDS_WITHIN_S = 15.0
 _MAX_COMPLAINT_BYTES = 500
 
 
-class SensorError(RuntimeError):
+class SensorError(VibrocastError):
     """A sensor's program that failed, or a recording that cannot be used; the message says what to do."""
 
 

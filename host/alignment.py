@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from vibrocast.errors import VibrocastError
+
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
@@ -20,7 +22,7 @@ MAX_DRIFT_PPM = 500.0
 """Five times what the crystal of a cheap recorder is off; a larger drift is a wrong sample rate, or a wrong fit."""
 
 
-class AlignmentError(ValueError):
+class AlignmentError(VibrocastError):
     """A recording that cannot be aligned with the sent signal; the message says what to do."""
 
 

@@ -18,6 +18,7 @@ from vibrocast.codec.stream import Stream
 from vibrocast.codec.threshold import read_threshold
 from vibrocast.device_protocol.messages import PacketMessage, Position, State, Tap
 from vibrocast.device_protocol.transports import Transport, TransportError
+from vibrocast.errors import InputError
 from vibrocast.host import devices, live, position_playback, uploader
 from vibrocast.host.bench_file import Bench, actuator_of, check_actuator, choose_controller, driven_actuator
 from vibrocast.host.concurrency import run_concurrently
@@ -28,7 +29,7 @@ from vibrocast.host.tracing import TappedTransport
 from vibrocast.output.actuator import Actuator, Codes
 from vibrocast.planner import band
 from vibrocast.planner.candidates import spqi
-from vibrocast.planner.plan_file import Plan, PlanError, PlannedController, PlannedTexture
+from vibrocast.planner.plan_file import Plan, PlannedController, PlannedTexture
 from vibrocast.textures import Recording
 
 RETAKES = 2
@@ -152,7 +153,7 @@ def play(
     """Play textures of a plan, all if none is named, and return what was measured, in the order asked for.
 
     Controllers play at the same time, each its textures one after another; a simulated one is flashed with the models
-    that it lacks. Raises PlanError if the plan does not fit files or controllers, PartlyPlayedError where some
+    that it lacks. Raises InputError if the plan does not fit files or controllers, PartlyPlayedError where some
     controllers failed, ControllerError, and as `PlannedTexture.encode`.
     """
     wanted = [plan.texture(name) for name in names] or list(plan.textures)
@@ -398,18 +399,18 @@ class _Player:
         )
 
     def _check_fits(self, texture: PlannedTexture) -> None:
-        """Raise PlanError where the controller cannot play a texture as planned."""
+        """Raise InputError where the controller cannot play a texture as planned."""
         hello = self._controller.description
         codecs = [name for _, name in hello.codecs]
         if texture.codec not in codecs:
-            raise PlanError(
+            raise InputError(
                 f"{texture.name} is planned for the codec {texture.codec}, {self._planned.name} decodes "
                 f"{', '.join(codecs)}; plan for that controller, or update its firmware"
             )
         # Of a profile it keeps all, and says so itself.
         needed = 0 if texture.over_position else texture.packet_samples + texture.buffer_ms / 1e3 * texture.rate
         if needed > hello.limits.buffer_samples:
-            raise PlanError(
+            raise InputError(
                 f"{texture.name} needs a buffer of {math.ceil(needed)} samples, and {self._planned.name} holds "
                 f"{hello.limits.buffer_samples}; plan for that controller"
             )

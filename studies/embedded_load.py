@@ -12,10 +12,11 @@ import polars as pl
 from studies import page
 from studies.emulated_core import CORES
 from studies.firmware import RATE_HZ, TABLES, Load, Size
+from vibrocast.errors import InputError
 from vibrocast.evaluation import charts, comparison
 from vibrocast.evaluation.bd_rate import SNR, SPQI
 from vibrocast.evaluation.comparison import Measurements
-from vibrocast.evaluation.points import PointsError, read_rows
+from vibrocast.evaluation.points import read_rows
 from vibrocast.evaluation.results_page import EMBEDDED
 
 BITS_PER_SAMPLE = 0.8
@@ -86,7 +87,7 @@ def main(out: Path) -> None:
             title = f"Quality at {BITS_PER_SAMPLE:g} bit/sample against the load of one channel at {RATE_HZ} Hz"
             drawn = charts.Chart(Path(EMBEDDED).stem, title, table)
             drawn.write(results, partial(charts.plot_loads, scales=SCALES))
-    except PointsError as error:
+    except InputError as error:
         raise click.ClickException(str(error)) from error
     click.echo(f"{results / EMBEDDED}: {drawn.rows} rows")
 

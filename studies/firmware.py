@@ -444,7 +444,7 @@ def _memory(loads: Sequence[Load], sizes: Sequence[Size], decoder: str) -> list[
 
 
 def rendered(tables: Path = TABLES) -> str:
-    """Return the page from the figures in `tables`. Raises OSError, PointsError."""
+    """Return the page from the figures in `tables`. Raises OSError, InputError."""
     return _page(
         points.read_rows(tables / "firmware_loads.csv", Load),
         points.read_rows(tables / "firmware_sizes.csv", Size),

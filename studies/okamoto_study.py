@@ -512,7 +512,7 @@ def markdown(
 
 
 def write(out: Path, studies: int) -> None:
-    """Write OUT/simulated_study.md, and its tables and pictures in OUT/results. Raises StudyError, OSError."""
+    """Write OUT/simulated_study.md, and its tables and pictures in OUT/results. Raises InputError, OSError."""
     table = read_tables()
     seeds = range(1, studies + 1)
     with TemporaryDirectory() as folder:

@@ -7,15 +7,10 @@ from pathlib import Path
 import click
 
 from vibrocast import pages
-from vibrocast.codec import CodecError
+from vibrocast.errors import VibrocastError
 from vibrocast.evaluation import points
 from vibrocast.evaluation.points import Row
-from vibrocast.extras import MissingExtraError
 from vibrocast.files import atomic_write
-from vibrocast.firmware.build import BuildError
-from vibrocast.host.controller import ControllerError
-from vibrocast.textures import TextureError
-from vibrocast.textures.dataset import DatasetError
 
 FOLDER = click.argument("folder", type=click.Path(exists=True, file_okay=False, path_type=Path))
 OUT = click.option(
@@ -36,7 +31,7 @@ def errors_in_one_line() -> Iterator[None]:
         yield
     except OSError as error:
         raise click.ClickException(f"{error.filename}: {error.strerror}" if error.filename else str(error)) from error
-    except (BuildError, ControllerError, CodecError, DatasetError, MissingExtraError, TextureError) as error:
+    except VibrocastError as error:
         raise click.ClickException(str(error)) from error
 
 

@@ -17,6 +17,7 @@ from studies.pvc_slp import Sensitivity
 from studies.texture_paper import PUBLISHED, SIXTEEN_BITS, Result
 from vibrocast import codec
 from vibrocast.codec.stream import Stream
+from vibrocast.errors import InputError
 from vibrocast.evaluation import cells, charts, trained
 from vibrocast.evaluation.bd_rate import PSNR, SPQI, ST_SIM_2800
 from vibrocast.evaluation.comparison import (
@@ -29,7 +30,7 @@ from vibrocast.evaluation.comparison import (
     mean_bd_rates,
     pair_bd_rates,
 )
-from vibrocast.evaluation.points import MEASURED, Point, PointsError, Row, read_rows
+from vibrocast.evaluation.points import MEASURED, Point, Row, read_rows
 from vibrocast.evaluation.speed import RATES, RATIO, Speed
 from vibrocast.evaluation.tables import as_rows, frame
 from vibrocast.files import atomic_write
@@ -380,8 +381,7 @@ def waveforms(folder: Path, measurements: Measurements, model_folders: Sequence[
     """Yield WAVEFORM_SAMPLES from the middle of a recording in a folder, coded by the codecs of `paper_pair`.
 
     The recording is the one whose BD-rate is the median, coded at the settings nearest to WAVEFORM_RATIOS. Raises
-    BenchError for a model that neither ships nor lies in a model folder, DatasetError, TextureError or OSError for the
-    folder, CodecError.
+    InputError, also for a model that neither ships nor lies in a model folder, and OSError for the folder.
     """
     regions = bd_regions(measurements, PAPER_SCALES)
     trace = regions["trace"][0] if len(regions) else measurements.traces[0]
@@ -555,7 +555,7 @@ def main(folder: Path, out: Path, model_folders: tuple[Path, ...]) -> None:
             if held_out := of_others("held_out.csv", HeldOut):
                 with atomic_write(results / "note.md") as partial:  # a part of another page
                     partial.write_text(note(held_out), encoding="utf-8")
-    except (PointsError, cells.BenchError) as error:
+    except InputError as error:
         raise click.ClickException(str(error)) from error
     click.echo(f"{out / 'papers.md'}: {len(claims)} claims")
 

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from vibrocast.files import InputFileError, read_input
+from vibrocast.errors import InputError
+from vibrocast.files import read_input
 
 
 def read(path: Path) -> bytes:
@@ -26,7 +27,7 @@ def test_reads_the_whole_file(content: bytes, tmp_path: Path) -> None:
 def test_rejects_other_files(content: bytes, reason: str, tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(content)
-    with pytest.raises(InputFileError, match=reason):
+    with pytest.raises(InputError, match=reason):
         read(path)
 
 
@@ -34,7 +35,7 @@ def test_rejects_a_pipe_or_device_without_waiting_for_it(tmp_path: Path) -> None
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     for path in (pipe, tmp_path, Path("/dev/zero")):
-        with pytest.raises(InputFileError, match="no file"):
+        with pytest.raises(InputError, match="no file"):
             read(path)
 
 

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from vibrocast.errors import InputError
+
 Signal = NDArray[np.float64]
 
 UNITS = ("full scale", "m/s^2", "um")
@@ -24,7 +26,7 @@ INPUT_UNITS: dict[str, tuple[str, float]] = {
 }
 
 
-class TextureError(ValueError):
+class TextureError(InputError):
     """A file, option or parameter that cannot be used; the message says why and what to do."""
 
 

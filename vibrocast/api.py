@@ -203,7 +203,7 @@ def render(
     Raises:
         StreamError: The stream is damaged.
         CodecError: The unit or the level cannot be played.
-        ActuatorFileError: There is no such actuator, or its file is wrong.
+        InputError: There is no such actuator, or its file is wrong.
     """
     return end_to_end.at_the_skin(_playable(stream, unit, gain_db), _actuator(actuator))
 

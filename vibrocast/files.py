@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from vibrocast.errors import InputError
+
 _partial: set[Path] = set()
 """Files and folders that are being written."""
 
@@ -69,21 +71,17 @@ def atomic_folder(path: Path) -> Iterator[Path]:
         _partial.discard(partial)
 
 
-class InputFileError(ValueError):
-    """A file of the wrong kind; the message says why and what to do."""
-
-
 def read_input(path: Path, kind: str, magic: bytes, max_bytes: int) -> bytes:
     """Return the bytes of a regular file that begins with `magic` and is at most `max_bytes` long.
 
-    `kind`: name of such a file, for people. Raises InputFileError for any other file, OSError when it cannot be read.
+    `kind`: name of such a file, for people. Raises InputError for any other file, OSError when it cannot be read.
     """
     # Opening a pipe would wait for its writer, and a device may never end.
     if path.exists() and not path.is_file():
-        raise InputFileError(f"{path}: no file; give a {kind}")
+        raise InputError(f"{path}: no file; give a {kind}")
     with path.open("rb") as file:
         if file.read(len(magic)) != magic:
-            raise InputFileError(f"{path}: not a {kind}: it does not begin with {magic.decode()!r}; give another file")
+            raise InputError(f"{path}: not a {kind}: it does not begin with {magic.decode()!r}; give another file")
         if path.stat().st_size > max_bytes:
-            raise InputFileError(f"{path}: longer than {max_bytes} bytes, the most in a {kind}; give another file")
+            raise InputError(f"{path}: longer than {max_bytes} bytes, the most in a {kind}; give another file")
         return magic + file.read()

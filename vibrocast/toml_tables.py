@@ -11,6 +11,8 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 from msgspec import Meta, inspect
 
+from vibrocast.errors import InputError
+
 MAX_BYTES = 1 << 20
 _MAX_SHOWN = 80
 
@@ -34,12 +36,12 @@ def within(low: float, high: float, meaning: str = "") -> Meta:
 
 
 @contextmanager
-def located(place: object, error: type[ValueError]) -> Iterator[None]:
-    """Replace a ValueError of the block by `error`, with `place` before its message."""
+def located(place: object) -> Iterator[None]:
+    """Replace a ValueError of the block by an InputError, with `place` before its message."""
     try:
         yield
     except ValueError as reason:
-        raise error(f"{place}: {reason}") from reason
+        raise InputError(f"{place}: {reason}") from reason
 
 
 def read_toml(path: Path, name: str) -> dict[str, Any]:
@@ -81,7 +83,7 @@ def read_each(kind: str, tables: Sequence[Given], read: Callable[[Given], Kind])
     """Return `read` of each table [[kind]]; its ValueError names the table."""
     results = []
     for number, table in enumerate(tables, 1):
-        with located(f"[[{kind}]] {number}", ValueError):
+        with located(f"[[{kind}]] {number}"):
             results.append(read(table))
     return tuple(results)
 

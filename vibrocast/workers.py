@@ -16,6 +16,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
+from vibrocast.errors import VibrocastError
+
 Key = TypeVar("Key")
 Result = TypeVar("Result")
 Task: TypeAlias = tuple[Key, Callable[[], Result]]
@@ -29,15 +31,15 @@ _LIBRARIES = ("vibrocast", "av", "numpy", "onnxruntime", "scipy", "vibromaf")
 _THREADS_OF_LIBRARIES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 
-class WorkersError(RuntimeError):
+class WorkersError(VibrocastError):
     """There is nobody to do the work; the message says why and what to do."""
 
 
-class OtherVersionError(RuntimeError):
+class OtherVersionError(VibrocastError):
     """A worker of a cluster does not run this program; the message says which it runs."""
 
 
-class WorkerDiedError(RuntimeError):
+class WorkerDiedError(VibrocastError):
     """The process that did a task ended before the work was done."""
 
     def __init__(self) -> None:

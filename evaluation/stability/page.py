@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import TypeVar
 
 from vibrocast import pages
-from vibrocast.evaluation.points import PointsError, read_rows, write_rows
+from vibrocast.errors import InputError
+from vibrocast.evaluation.points import read_rows, write_rows
 from vibrocast.evaluation.stability import pictures
 from vibrocast.evaluation.stability.cell_files import read_cells, write_cells
 from vibrocast.evaluation.stability.known_causes import CRASH, explanation, known_causes
@@ -25,10 +26,6 @@ _BAD_FIRST = sorted(Outcome, key=list(Outcome).index, reverse=True)
 
 Item = TypeVar("Item")
 Key = TypeVar("Key", bound=Hashable)
-
-
-class PageError(ValueError):
-    """The page cannot be written where it should be; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -66,12 +63,12 @@ class Boundary:
 
 
 def folder_in(out: Path) -> Path:
-    """Make the folder of the maps in `out` and return it. Raises PageError where a page of other origin stands there,
+    """Make the folder of the maps in `out` and return it. Raises InputError where a page of other origin stands there,
     OSError where the folder cannot be made.
     """
     page = out / PAGE
     if page.exists() and not page.read_bytes().startswith(TITLE.encode()):
-        raise PageError(f"{page}: would be overwritten, but is no page of stability; choose another --out")
+        raise InputError(f"{page}: would be overwritten, but is no page of stability; choose another --out")
     folder = out / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     return folder
@@ -98,13 +95,12 @@ def write(
 def redraw(out: Path, maps: Sequence[Map]) -> list[Failure]:
     """Write the page and its pictures again from the CSV files of an earlier run; return the failures.
 
-    Raises OSError where one cannot be read or written, CellsError or PointsError where one is no such file, PageError
-    as folder_in.
+    Raises OSError where one cannot be read or written, InputError where one is no such file, and as folder_in.
     """
     folder = folder_in(out)
     described = read_rows(folder / "description.csv", Description)
     if len(described) != 1:
-        raise PointsError(
+        raise InputError(
             f"{folder / 'description.csv'}: {len(described)} rows in place of one; run `vibrocast stability` again"
         )
     found = [(each, path) for each in maps if (path := folder / f"{each.name}.csv").exists()]

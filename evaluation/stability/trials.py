@@ -10,7 +10,7 @@ from functools import partial
 from vibrocast.codec import CodecError
 from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.device_protocol.messages import MessageError
-from vibrocast.device_protocol.model_image import ModelImageError
+from vibrocast.device_protocol.model_image import ModelError
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.textures import TextureError
 from vibrocast.workers import cores, on_cores
@@ -20,7 +20,7 @@ LIMIT_S = 240.0
 CLEAR_ERRORS = (
     CodecError,
     MessageError,
-    ModelImageError,
+    ModelError,
     StreamError,
     TextureError,
     TransportError,

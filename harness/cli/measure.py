@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from vibrocast.errors import REGRESSION
 from vibrocast.harness import ACTUATOR, JSON, NAMES, PAGE
 from vibrocast.harness.cli.sensor_options import sensitivity_option, volts_option
 from vibrocast.host.cli.answers import add, figures_so_far, tell
+from vibrocast.host.cli.errors import CommandError
 from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import FOLDER, INPUT
 from vibrocast.host.cli.options import (
-    Regression,
     actuator_option,
     allow_programs_option,
     fail_where_missed,
@@ -173,8 +174,9 @@ def measure(
         )
     if worse := [f"{change.name} ({change.problem})" for change in changes if change.regressed]:
         more = f"; and {len(worse) - MAX_SHOWN} more" if len(worse) > MAX_SHOWN else ""
-        raise Regression(
-            f"not as in {earlier}: {'; '.join(worse[:MAX_SHOWN])}{more}; compare both reports, then measure again"
+        raise CommandError(
+            f"not as in {earlier}: {'; '.join(worse[:MAX_SHOWN])}{more}; compare both reports, then measure again",
+            REGRESSION,
         )
     if wrong := list(deviations(results.document())):
         raise click.ClickException(

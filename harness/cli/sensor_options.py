@@ -2,15 +2,16 @@
 
 import click
 
+from vibrocast.errors import InputError
 from vibrocast.host.cli.option_types import positive
-from vibrocast.textures.sensitivity import EXAMPLES, Sensitivity, SensitivityError, parse
+from vibrocast.textures.sensitivity import EXAMPLES, Sensitivity, parse
 
 
 def parsed_sensitivity(ctx: click.Context, param: click.Parameter, value: str | None) -> Sensitivity | None:
     """Return the sensitivity of a sensor, or raise click.BadParameter."""
     try:
         return None if value is None else parse(value)
-    except SensitivityError as error:
+    except InputError as error:
         raise click.BadParameter(str(error), ctx, param) from error
 
 

@@ -16,11 +16,12 @@ from vibrocast import progress, textures
 from vibrocast.device_protocol.messages import Start, Status, pack
 from vibrocast.device_protocol.trace import TracedFrame, read_trace
 from vibrocast.device_protocol.transports import Transport, TransportError
+from vibrocast.errors import InputError
 from vibrocast.harness.frame_lines import line
 from vibrocast.host import devices
 from vibrocast.host.cli.answers import tell, wants_json
 from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, positive
-from vibrocast.host.cli.options import BadInput, checked_address, grouped, link_option, tell_address
+from vibrocast.host.cli.options import checked_address, grouped, link_option, tell_address
 from vibrocast.host.printable import plain
 from vibrocast.host.tracing import tracer
 
@@ -199,13 +200,13 @@ def replay(trace: Path, out: Path | None, address: str | None) -> None:
 
 
 def decode_last(frames: Sequence[TracedFrame], trace: Path, out: Path) -> None:
-    """Decode the last stream of a trace into a file. Raises BadInput, StreamError, CodecError, OSError."""
+    """Decode the last stream of a trace into a file. Raises InputError, StreamError, CodecError, OSError."""
     from vibrocast.codec.stream import write_recording
     from vibrocast.harness.trace_streams import streams_of
 
     streams = streams_of(frames)
     if not streams:
-        raise BadInput(f"{trace}: no stream was set up in it; trace the whole command")
+        raise InputError(f"{trace}: no stream was set up in it; trace the whole command")
     stream = streams[-1].stream()
     with progress.bar("decoding") as update:
         write_recording(out, stream, progress=update)

@@ -16,6 +16,7 @@ from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, chosen_codec, defau
 from vibrocast.codec.live_format import live_format
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.device_protocol.messages import Status
+from vibrocast.errors import InputError
 from vibrocast.host import devices, end_to_end, uploader
 from vibrocast.host import live as streaming
 from vibrocast.host.bench_limits import BenchLimits, missed
@@ -23,7 +24,6 @@ from vibrocast.host.cli.answers import add, tell
 from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import Number, OutputFile, Whole, positive
 from vibrocast.host.cli.options import (
-    BadInput,
     Chosen,
     actuator_option,
     bench_actuator,
@@ -213,7 +213,7 @@ def live(
         peaks, rms = np.max(np.abs(texture.samples), axis=0), np.sqrt(np.mean(np.square(texture.samples), axis=0))
         signal_format = live_format(rate_hz, texture.unit, peaks.tolist(), rms.tolist())
     elif sys.stdin is None:
-        raise BadInput("standard input is closed; pipe samples into it, or name a texture")
+        raise InputError("standard input is closed; pipe samples into it, or name a texture")
     elif samples.unit is None:
         raise click.UsageError("missing --unit; state the unit of the samples, or drive for a drive signal")
     else:
@@ -271,12 +271,10 @@ def live(
         try:
             result = streaming.play(stream, blocks, progress=show)
             if not result.packets:
-                raise BadInput("standard input ended before its first sample; check the program that writes to it")
+                raise InputError("standard input ended before its first sample; check the program that writes to it")
             member = end_to_end.member(controller, address, actuator)
             quality = coded.quality(member, model, result)
             timing = watch.timing(member)
-        except streaming.LiveError as error:
-            raise BadInput(str(error)) from error
         finally:
             # Of a stream that was cut, too, but then at once.
             watch.close()

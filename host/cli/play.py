@@ -17,14 +17,14 @@ from vibrocast.codec.stream import MAX_GAIN_DB, Stream, read_stream
 from vibrocast.device_protocol.coded_stream import StreamError, packet_sequence
 from vibrocast.device_protocol.messages import MessageError
 from vibrocast.device_protocol.transports import TransportError
+from vibrocast.errors import FAILED, InputError
 from vibrocast.host import devices, player, profiles
 from vibrocast.host.bench_limits import missed
 from vibrocast.host.cli.answers import add, answer, wants_json
-from vibrocast.host.cli.errors import DeviceFailure, explained
+from vibrocast.host.cli.errors import CommandError, explained
 from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, positive, reject_overwriting
 from vibrocast.host.cli.options import (
-    BadInput,
     Chosen,
     QualityOptions,
     RecordingOptions,
@@ -368,14 +368,14 @@ def tell_outcome(run: Run, outcome: "end_to_end.Outcome", outputs: OutputOptions
 def read_source(
     file: Path, quality: QualityOptions, recording: RecordingOptions, runtime: str | None
 ) -> Stream | textures.Recording:
-    """Return a .vct file, or a recording that is to be coded. Raises BadInput, CodecError and TextureError."""
+    """Return a .vct file, or a recording that is to be coded. Raises InputError, CodecError and TextureError."""
     from vibrocast.host import end_to_end
 
     source: Stream | textures.Recording
     if file.suffix.lower() == ".vct":
         coded = coded_already(file, quality, replace(recording, unit=None) if recording.unit == "drive" else recording)
         if coded.header.spatial:
-            raise BadInput(f"{file}: coded over position; give --positions, or --stroke-mm and --hand-speed-mm-s")
+            raise InputError(f"{file}: coded over position; give --positions, or --stroke-mm and --hand-speed-mm-s")
         source = replace(playable(coded), runtime=runtime)
     else:
         source = textures.load_for_actuators(file, **vars(recording))
@@ -386,18 +386,18 @@ def read_source(
 def report_each(run: Run, outcomes: "Mapping[str, end_to_end.Outcome | Exception]") -> None:
     """Print a line for each of several controllers, and tell their reports.
 
-    If one failed, or played something else than was sent, raises the error of all that failed; DeviceFailure where
-    theirs differ.
+    If one failed, or played something else than was sent, raises CommandError, with the exit code of all
+    that failed; FAILED where theirs differ.
     """
     run.tell_reports(
         [run.unfinished(name, each) if isinstance(each, Exception) else each.report for name, each in outcomes.items()]
     )
     lines: dict[str, str] = {}
-    failed: dict[str, type[click.ClickException]] = {}
+    failed: dict[str, int] = {}
     for name, each in outcomes.items():
         if isinstance(each, Exception):
             lines[name] = f"FAILED: {each}"
-            failed[name] = type(explained(each, {}))
+            failed[name] = explained(each, {}).exit_code
             continue
         report = each.report
         lines[name] = (
@@ -406,13 +406,14 @@ def report_each(run: Run, outcomes: "Mapping[str, end_to_end.Outcome | Exception
             f"DAC as computed {ANSWERS[report.dac_equals_offline]}"
         )
         if report.differs:
-            failed[name] = DeviceFailure
+            failed[name] = FAILED
     if not wants_json():
         show(lines)
     if failed:
-        kinds = set(failed.values())
-        raise (kinds.pop() if len(kinds) == 1 else DeviceFailure)(
-            f"{len(failed)} of {len(outcomes)} controllers failed: {', '.join(failed)}; the line of each says why"
+        codes = set(failed.values())
+        raise CommandError(
+            f"{len(failed)} of {len(outcomes)} controllers failed: {', '.join(failed)}; the line of each says why",
+            codes.pop() if len(codes) == 1 else FAILED,
         )
 
 
@@ -421,7 +422,7 @@ def spatial_stream(
 ) -> tuple[Stream, textures.Recording | None]:
     """Return a height profile, or a .vct file of one, as a stream over position, and what was coded, where known.
 
-    Raises BadInput for any other.
+    Raises InputError for any other.
     """
     if file.suffix.lower() == ".vct":
         stream, texture = coded_already(file, quality, recording), None
@@ -430,7 +431,7 @@ def spatial_stream(
         encoding = encoded_profile(profile, quality, profiles.SLOWEST_MM_S)
         stream, texture = encoding.stream, encoding.recording
     if not stream.header.spatial:
-        raise BadInput(f"{file}: coded over time, not over position; encode the profile again with --spatial")
+        raise InputError(f"{file}: coded over time, not over position; encode the profile again with --spatial")
     return stream, texture
 
 

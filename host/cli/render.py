@@ -7,12 +7,12 @@ import click
 
 from vibrocast import textures
 from vibrocast.codec.stream import MAX_GAIN_DB
+from vibrocast.errors import InputError
 from vibrocast.files import atomic_write
 from vibrocast.host import devices
 from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, reject_overwriting
 from vibrocast.host.cli.options import (
-    BadInput,
     QualityOptions,
     RecordingOptions,
     grouped,
@@ -105,7 +105,7 @@ def render(file: Path, out: Path, drive: DriveOptions, quality: QualityOptions, 
             stream.header, stream.decode_integers(), stream.decoder().delay_samples, actuator, loops=drive.loops
         )
     except (ValueError, OverflowError) as error:
-        raise BadInput(
+        raise InputError(
             f"{file}: cannot be rendered for {actuator.name} at {actuator.dac_rate_hz} Hz: {error}"
         ) from error
     volts = actuator.volts / 2

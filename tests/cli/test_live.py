@@ -9,9 +9,9 @@ import pytest
 from click.testing import CliRunner, Result
 
 from studies.faulty_bench import Misreading, at_half_gain
+from vibrocast.errors import LIMIT_MISSED
 from vibrocast.host import live_watch
 from vibrocast.host.cli.command_line import main
-from vibrocast.host.cli.exit_codes import LIMIT_MISSED
 from vibrocast.simulated_device.controller import Controller
 from vibrocast.simulated_device.faulty_link import FaultyDirection
 from vibrocast.simulated_device.serial_port import serial_port

@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from vibrocast import codec
 from vibrocast.codec import lapped, mdct
 from vibrocast.device_protocol.model_image import ModelImage
+from vibrocast.errors import InputError
 from vibrocast.export import checkpoint, configuration, lapped_image, training
-from vibrocast.export.configuration import ConfigurationError
 from vibrocast.export.lapped import TERMS, Lapped, Window, analysed, synthesised
 from vibrocast.textures.generate import rough
 
@@ -120,7 +120,7 @@ def test_the_loss_falls_and_a_resumed_training_equals_an_uncut_one(tmp_path: Pat
     ],
 )
 def test_what_a_lapped_model_does_not_have_is_rejected(changes: dict[str, Any], problem: str) -> None:
-    with pytest.raises(ConfigurationError, match=problem):
+    with pytest.raises(InputError, match=problem):
         configuration.parsed(TINY | changes)
 
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vibrocast.files import InputFileError
+from vibrocast.errors import InputError
 from vibrocast.firmware import keys
 
 # RFC 8410, sections 10.1 and 10.3.
@@ -77,7 +77,7 @@ def test_other_files_are_rejected(content: str, tmp_path: Path) -> None:
     path = tmp_path / "key.pem"
     path.write_text(content, encoding="utf-8")
     for read in (keys.read_private_key, keys.read_public_key):
-        with pytest.raises(InputFileError):
+        with pytest.raises(InputError):
             read(path)
 
 
@@ -86,14 +86,14 @@ def test_any_bytes_are_a_key_or_rejected(data: bytes) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(keys, "read_input", lambda *_: data)
         for read in (keys.read_private_key, keys.read_public_key):
-            with pytest.raises(InputFileError):
+            with pytest.raises(InputError):
                 read(Path("key.pem"))
 
 
 def test_a_public_key_signs_nothing(tmp_path: Path) -> None:
     path = tmp_path / "key.pub.pem"
     path.write_text(PUBLIC_PEM)
-    with pytest.raises(InputFileError, match="signs nothing"):
+    with pytest.raises(InputError, match="signs nothing"):
         keys.read_private_key(path)
 
 
@@ -101,7 +101,7 @@ def test_a_public_key_signs_nothing(tmp_path: Path) -> None:
 def test_keys_for_which_anyone_can_sign_are_rejected(key: bytes, tmp_path: Path) -> None:
     path = tmp_path / "key.pub.pem"
     path.write_text(text_of("PUBLIC", bytes.fromhex("302a300506032b6570032100") + key))
-    with pytest.raises(InputFileError, match="anyone can sign"):
+    with pytest.raises(InputError, match="anyone can sign"):
         keys.read_public_key(path)
 
 

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from vibrocast.errors import InputError
 from vibrocast.simulated_device.device import Device
-from vibrocast.simulated_device.faulty_wire import Fault, FaultsFileError, FaultyWire, RemoteDevice, read_faults
+from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire, RemoteDevice, read_faults
 
 FRAMES = [bytes([number, 1, 2, 3, 0]) for number in range(1, 201)]
 
@@ -90,7 +91,7 @@ def test_a_schedule_is_read_and_its_mistakes_are_named(tmp_path: Path) -> None:
         "": "faults is missing",
     }.items():
         path.write_text(text)
-        with pytest.raises(FaultsFileError, match=message):
+        with pytest.raises(InputError, match=message):
             read_faults(path)
 
 

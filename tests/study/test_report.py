@@ -12,13 +12,14 @@ import pytest
 from scipy import stats
 
 from tests.study.small_study import stimuli_of, study_of
+from vibrocast.errors import InputError
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.study import analysis, stimuli
 from vibrocast.study.report import write_report
 from vibrocast.study.session import LOG, RESULTS, RUN
 from vibrocast.study.simulation import SIMULATED, SkinOf, simulate_participant
 from vibrocast.study.study_file import METHODS, read_study
-from vibrocast.study.trials import RESULT_COLUMNS, StudyError
+from vibrocast.study.trials import RESULT_COLUMNS
 
 PARTICIPANTS = 4
 SIMULATION = "Simulated observers, not people"
@@ -228,14 +229,14 @@ def test_two_studies_in_one_folder_are_rejected(tmp_path: Path) -> None:
     folder = copied(tmp_path)
     path = folder / "participant_002" / RUN
     path.write_text(json.dumps(json.loads(path.read_text()) | {"study_sha256": "0" * 64}))
-    with pytest.raises(StudyError, match="another study file; move that folder away"):
+    with pytest.raises(InputError, match="another study file; move that folder away"):
         analysis.analyse(folder)
 
 
 def test_a_participant_who_is_there_twice_is_rejected(tmp_path: Path) -> None:
     folder = copied(tmp_path)
     shutil.copytree(folder / "participant_002", folder / "participant_2 copy")
-    with pytest.raises(StudyError, match="participant 2 is there twice"):
+    with pytest.raises(InputError, match="participant 2 is there twice"):
         analysis.analyse(folder)
 
 
@@ -243,12 +244,12 @@ def test_a_participant_who_is_there_twice_is_rejected(tmp_path: Path) -> None:
 def test_results_with_other_columns_are_rejected(text: str, tmp_path: Path) -> None:
     folder = copied(tmp_path)
     (folder / "participant_001" / RESULTS).write_text(text)
-    with pytest.raises(StudyError, match="other columns"):
+    with pytest.raises(InputError, match="other columns"):
         analysis.analyse(folder)
 
 
 def test_a_folder_without_results_is_rejected(tmp_path: Path) -> None:
-    with pytest.raises(StudyError, match="no results of a study"):
+    with pytest.raises(InputError, match="no results of a study"):
         analysis.analyse(tmp_path)
 
 

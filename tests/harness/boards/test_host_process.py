@@ -11,7 +11,7 @@ import pytest
 from tests.simulated_device.bench import stream
 from vibrocast import models
 from vibrocast.device_protocol.messages import State
-from vibrocast.device_protocol.model_image import ModelImageError
+from vibrocast.device_protocol.model_image import ModelError
 from vibrocast.device_protocol.transports import SerialTransport, TransportError
 from vibrocast.firmware import keys
 from vibrocast.firmware.build import build
@@ -51,7 +51,7 @@ def test_a_build_with_a_key_takes_only_what_the_key_signed() -> None:
     with HostProcess(public_key=keys.public_key(private_key)) as process, Host(SerialTransport(process.name)) as host:
         assert host.description.public_key == keys.public_key(private_key)
         assert host.request_status().signed_images
-        with pytest.raises(ModelImageError, match="no signature"):
+        with pytest.raises(ModelError, match="no signature"):
             uploader.flash(host, image)
         assert uploader.flash(host, signatures.signed(image, private_key, 3)).number == 3
     with HostProcess() as process, Host(SerialTransport(process.name)) as host:
