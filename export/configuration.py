@@ -228,12 +228,9 @@ def read(path: Path) -> Configuration:
 
 def parsed(values: Mapping[str, Any]) -> Configuration:
     """Return the configuration in plain tables, such as those of a TOML file. Raises InputError."""
-    try:
-        configuration = convert(values, Configuration)
-        for one in each_of(configuration):
-            convert(one.as_dict(), Configuration)  # checks the name of each
-    except ValueError as error:
-        raise InputError(str(error)) from error
+    configuration = convert(values, Configuration)
+    for one in each_of(configuration):
+        convert(one.as_dict(), Configuration)  # checks the name of each
     return configuration
 
 

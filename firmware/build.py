@@ -16,11 +16,10 @@ from pathlib import Path
 import click
 
 from vibrocast import extras
-from vibrocast.errors import InputError, VibrocastError
+from vibrocast.errors import VibrocastError
 from vibrocast.firmware import rp2040
 from vibrocast.firmware.declarations import cffi_declarations
 from vibrocast.firmware.keys import read_public_key
-from vibrocast.firmware.native_core import CoreError
 
 ROOT = Path(__file__).parent
 SHARED = ("include/vibrocast", "src/core", "src/monocypher", "src/controller")
@@ -373,7 +372,7 @@ def main(names: tuple[str, ...], with_sizes: bool, json_path: Path | None, key_p
                 click.echo(f"{name}: {build(name, public_key=public_key)}")
             return
         sizes = {name: asdict(size(name)) for name in wanted if TARGETS[name].suffix == ".elf"}
-    except (BuildError, CoreError, InputError, OSError, extras.MissingExtraError) as error:
+    except (VibrocastError, OSError) as error:
         sys.exit(f"error: {error}")
     click.echo(f"{'image':<24}{'flash':>10}{'RAM':>10}{'of it stack':>13}")
     for name, of in sizes.items():

@@ -122,17 +122,26 @@ def open_source(
     """
     if address.startswith("serial:"):
         if volts_full_scale is not None:
-            raise TextureError(f"{address} sends numbers; leave out `volts_full_scale`, which is for a sound card")
+            raise TextureError(
+                f"{address} sends numbers",
+                action="leave out `volts_full_scale`, which is for a sound card",
+                parameter="volts_full_scale",
+            )
         port, baud = serial_port(address)
         with SerialSensor(port, baud=baud, rate_hz=rate_hz, sensitivity=sensitivity, axes=axes) as sensor:
             yield sensor
         return
     if sensitivity is None or not sensitivity.in_volts:
-        raise TextureError(f"{address} records volts; give the sensor's `sensitivity` in volts, such as {EXAMPLES}")
+        raise TextureError(
+            f"{address} records volts",
+            action=f"give the sensor's `sensitivity` in volts, such as {EXAMPLES}",
+            parameter="sensitivity",
+        )
     if volts_full_scale is None:
         raise TextureError(
-            f"{address}: how many volts digital full scale is cannot be known; give `volts_full_scale` "
-            "(docs/how-to/record.md says how to find it)"
+            f"{address}: how many volts digital full scale is cannot be known",
+            action="give `volts_full_scale` (docs/how-to/record.md says how to find it)",
+            parameter="volts_full_scale",
         )
     from vibrocast.output import sound_card
 

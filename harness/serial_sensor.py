@@ -405,8 +405,7 @@ class SerialSensor(Closing):
     """A serial sensor that sends samples.
 
     `rate_hz`, `sensitivity` and `axes`: needed where the sensor does not state them. `axes` may also choose some of
-    those that it states. Raises TransportError, TransportError, and TextureError for options that are missing or
-    contradict the sensor.
+    those that it states. Raises TransportError, and TextureError for options that are missing or contradict the sensor.
 
     Attributes:
         rate_hz: Of the samples that `read` returns.
@@ -475,7 +474,7 @@ class SerialSensor(Closing):
     def read(self, timeout_s: float) -> Signal:
         """Return the samples (n, channels) since the last call; none after `timeout_s`.
 
-        Raises TransportError if the port breaks off, and TransportError if the sensor sends no samples any more.
+        Raises TransportError if the port breaks off, and if the sensor sends no samples any more.
         """
         first, self._first = self._first, self._first[:0]
         if len(first):
@@ -526,16 +525,24 @@ class SerialSensor(Closing):
         stated = self.description
         if stated.unit is not None:
             if sensitivity is not None:
-                raise TextureError(f"{self.name} states its unit, {stated.unit}; leave out `sensitivity`")
+                raise TextureError(
+                    f"{self.name} states its unit, {stated.unit}",
+                    action="leave out `sensitivity`",
+                    parameter="sensitivity",
+                )
             unit, factor = INPUT_UNITS[stated.unit]
             return factor / (stated.counts_per_unit or 1.0), unit
         if sensitivity is None:
             raise TextureError(
-                f"{self.name} does not state its unit; give `sensitivity`, such as 256/g where 256 is one g"
+                f"{self.name} does not state its unit",
+                action="give `sensitivity`, such as 256/g where 256 is one g",
+                parameter="sensitivity",
             )
         if sensitivity.in_volts:
             raise TextureError(
-                f"{self.name} sends numbers, not volts; give `sensitivity` in counts, such as 256/g where 256 is one g"
+                f"{self.name} sends numbers, not volts",
+                action="give `sensitivity` in counts, such as 256/g where 256 is one g",
+                parameter="sensitivity",
             )
         return 1 / sensitivity.per_unit, sensitivity.unit
 
@@ -544,9 +551,15 @@ class SerialSensor(Closing):
         width = reader.channels if isinstance(reader, Lines) else len(reader.description.axes or "")
         stated = self.description.axes or (axes if axes else "xyz" if width == MAX_CHANNELS else "")
         if stated and len(stated) != width:
-            raise TextureError(f"{self.name} sends {width} channels, and {len(stated)} axes are named: `axes`={stated}")
+            raise TextureError(
+                f"{self.name} sends {width} channels, and {len(stated)} axes are named",
+                f"`axes`={stated}",
+                parameter="axes",
+            )
         if missing := [axis for axis in axes if axis not in stated]:
-            raise TextureError(f"{self.name} has the axes {stated}; leave {missing[0]} out of `axes`")
+            raise TextureError(
+                f"{self.name} has the axes {stated}", action=f"leave {missing[0]} out of `axes`", parameter="axes"
+            )
         chosen = "".join(sorted(axes or stated))
         return ([stated.index(axis) for axis in chosen] if chosen else list(range(width))), chosen
 
@@ -554,11 +567,15 @@ class SerialSensor(Closing):
         """Return what places the samples, and the first ones. Raises TextureError and TransportError."""
         stated_hz = self.description.rate_hz
         if rate_hz is not None and stated_hz not in (None, rate_hz):
-            raise TextureError(f"{self.name} states {stated_hz} Hz; leave out `rate_hz`={rate_hz}")
+            raise TextureError(
+                f"{self.name} states {stated_hz} Hz", action=f"leave out `rate_hz`={rate_hz}", parameter="rate_hz"
+            )
         wanted_hz = rate_hz or stated_hz
         if isinstance(reader, Frames):
             if wanted_hz is None:
-                raise TextureError(f"{self.name} does not state its sample rate; give `rate_hz`")
+                raise TextureError(
+                    f"{self.name} does not state its sample rate", action="give `rate_hz`", parameter="rate_hz"
+                )
             self.rate_hz = wanted_hz
             numbered = NumberedSamples(reader, wanted_hz)
             return numbered, np.zeros((0, len(reader.description.axes or "")))

@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+from vibrocast.errors import InputError
+
 PAGE = Path(__file__).with_name("wire_page.html")
 ADDRESS = "127.0.0.1"
 _HEADERS = {
@@ -23,7 +25,7 @@ _HEADERS = {
 def wire_page(document: Callable[[], dict[str, Any]], port: int = 0) -> Iterator[str]:
     """Serve the page while the block lasts; yield its address. `document`: the content, from any thread.
 
-    `port`: 0 = a free one. Raises OSError where it is taken.
+    `port`: 0 = a free one. Raises InputError where it is taken.
     """
 
     class Handler(BaseHTTPRequestHandler):
@@ -54,8 +56,11 @@ def wire_page(document: Callable[[], dict[str, Any]], port: int = 0) -> Iterator
     try:
         server = ThreadingHTTPServer((ADDRESS, port), Handler)
     except OSError as error:
-        raise OSError(
-            f"no page can be served at port {port}: {error.strerror}; choose another `port`, or 0 for a free one"
+        raise InputError(
+            f"no page can be served at port {port}",
+            str(error.strerror),
+            "choose another `port`, or 0 for a free one",
+            parameter="port",
         ) from error
     server.daemon_threads = True
     thread = threading.Thread(target=server.serve_forever, name="wire page", daemon=True)

@@ -63,8 +63,8 @@ class ControllerError(VibrocastError):
     `code`: the ErrorCode it answered (or a later one); None if it rejected nothing.
     """
 
-    def __init__(self, text: str, code: int | None = None) -> None:
-        super().__init__(text)
+    def __init__(self, problem: str, code: int | None = None, parameter: str | tuple[str, ...] = ()) -> None:
+        super().__init__(problem, parameter=parameter)
         self.code = code
 
 

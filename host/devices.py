@@ -242,8 +242,9 @@ def sound_card_of(address: str, actuator: "Actuator | None") -> "tuple[Card, tup
 
     if actuator is None:
         raise TransportError(
-            f"{address}: nothing says which actuator is behind the sound card; name one by `actuator`, or by "
-            "[[actuators]] in the bench file"
+            f"{address}: nothing says which actuator is behind the sound card",
+            action="name one by `actuator`, or by [[actuators]] in the bench file",
+            parameter="actuator",
         )
     match = _parsed(address)
     volts = _volts(address, actuator)
@@ -276,7 +277,11 @@ def decoding_runtime(address: str, runtime: str | None) -> str | None:
     if address not in FIRMWARE:
         return runtime
     if runtime == "onnx":
-        raise TransportError(f"{address} decodes by the integer core alone; leave out `runtime`, or play on sim")
+        raise TransportError(
+            f"{address} decodes by the integer core alone",
+            action="leave out `runtime`, or play on sim",
+            parameter="runtime",
+        )
     return "core"
 
 

@@ -94,8 +94,7 @@ def find(text: str) -> Model:
 def load(path: Path) -> Model:
     """Return the model in a folder that `vibrocast export` wrote, or that of a lone image file.
 
-    Raises ModelError for any other or a damaged file, ModelError for a damaged image, OSError for a file that
-    cannot be read.
+    Raises ModelError for any other or a damaged file or image, OSError for a file that cannot be read.
     """
     if not path.is_dir():
         return _of_image(path, _read(path))

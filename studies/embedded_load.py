@@ -12,7 +12,6 @@ import polars as pl
 from studies import page
 from studies.emulated_core import CORES
 from studies.firmware import RATE_HZ, TABLES, Load, Size
-from vibrocast.errors import InputError
 from vibrocast.evaluation import charts, comparison
 from vibrocast.evaluation.bd_rate import SNR, SPQI
 from vibrocast.evaluation.comparison import Measurements
@@ -76,19 +75,16 @@ def of_decoder(
 def main(out: Path) -> None:
     """Draw OUT/results/embedded_load.svg from the tables of a benchmark in OUT/results and of studies.firmware."""
     results = page.results_folder(out)
-    try:
-        with page.errors_in_one_line():
-            tables: dict[str, Any] = {
-                name: read_rows(results / f"{name}.csv", kind) for name, kind in comparison.TABLES.items()
-            }
-            loads = read_rows(TABLES / "firmware_loads.csv", Load)
-            sizes = read_rows(TABLES / "firmware_sizes.csv", Size)
-            table = rows(Measurements(**tables), loads, sizes)
-            title = f"Quality at {BITS_PER_SAMPLE:g} bit/sample against the load of one channel at {RATE_HZ} Hz"
-            drawn = charts.Chart(Path(EMBEDDED).stem, title, table)
-            drawn.write(results, partial(charts.plot_loads, scales=SCALES))
-    except InputError as error:
-        raise click.ClickException(str(error)) from error
+    with page.errors_in_one_line():
+        tables: dict[str, Any] = {
+            name: read_rows(results / f"{name}.csv", kind) for name, kind in comparison.TABLES.items()
+        }
+        loads = read_rows(TABLES / "firmware_loads.csv", Load)
+        sizes = read_rows(TABLES / "firmware_sizes.csv", Size)
+        table = rows(Measurements(**tables), loads, sizes)
+        title = f"Quality at {BITS_PER_SAMPLE:g} bit/sample against the load of one channel at {RATE_HZ} Hz"
+        drawn = charts.Chart(Path(EMBEDDED).stem, title, table)
+        drawn.write(results, partial(charts.plot_loads, scales=SCALES))
     click.echo(f"{results / EMBEDDED}: {drawn.rows} rows")
 
 

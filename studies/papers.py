@@ -17,7 +17,6 @@ from studies.pvc_slp import Sensitivity
 from studies.texture_paper import PUBLISHED, SIXTEEN_BITS, Result
 from vibrocast import codec
 from vibrocast.codec.stream import Stream
-from vibrocast.errors import InputError
 from vibrocast.evaluation import cells, charts, trained
 from vibrocast.evaluation.bd_rate import PSNR, SPQI, ST_SIM_2800
 from vibrocast.evaluation.comparison import (
@@ -534,29 +533,24 @@ def main(folder: Path, out: Path, model_folders: tuple[Path, ...]) -> None:
     def of_others(name: str, kind: type[Row]) -> list[Row]:
         return read_rows(results / name, kind) if (results / name).exists() else []
 
-    try:
-        with errors_in_one_line():
-            tables: dict[str, Any] = {name: read_rows(results / f"{name}.csv", kind) for name, kind in TABLES.items()}
-            measurements = Measurements(**tables)
-            points = list(pvc_slp.points(folder, measurements))
-            measurements = pvc_slp.with_points(measurements, points)
-            sensitivity = list(pvc_slp.sensitivity(measurements, families(measurements)))
-            ablation = of_others(ABLATION, Ablation)
-            write_rows(results / pvc_slp.POINTS, points, Point)
-            write_rows(results / pvc_slp.TABLE, sensitivity, Sensitivity)
-            claims = [*eva_claims(measurements), *dct_claims(of_others("texture_paper.csv", Result))]
-            write_rows(results / "claims.csv", claims, Claim)
-            samples = frame(waveforms(folder, measurements, model_folders), WaveformSample)
-            title = (
-                f"Decoded over original, at compression ratios near {', '.join(map('{:g}'.format, WAVEFORM_RATIOS))}"
-            )
-            figure = charts.Chart("waveforms", title, samples).write(results, charts.plot_waveforms)
-            write(out / "papers.md", page(measurements, claims, sensitivity, ablation, figure))
-            if held_out := of_others("held_out.csv", HeldOut):
-                with atomic_write(results / "note.md") as partial:  # a part of another page
-                    partial.write_text(note(held_out), encoding="utf-8")
-    except InputError as error:
-        raise click.ClickException(str(error)) from error
+    with errors_in_one_line():
+        tables: dict[str, Any] = {name: read_rows(results / f"{name}.csv", kind) for name, kind in TABLES.items()}
+        measurements = Measurements(**tables)
+        points = list(pvc_slp.points(folder, measurements))
+        measurements = pvc_slp.with_points(measurements, points)
+        sensitivity = list(pvc_slp.sensitivity(measurements, families(measurements)))
+        ablation = of_others(ABLATION, Ablation)
+        write_rows(results / pvc_slp.POINTS, points, Point)
+        write_rows(results / pvc_slp.TABLE, sensitivity, Sensitivity)
+        claims = [*eva_claims(measurements), *dct_claims(of_others("texture_paper.csv", Result))]
+        write_rows(results / "claims.csv", claims, Claim)
+        samples = frame(waveforms(folder, measurements, model_folders), WaveformSample)
+        title = f"Decoded over original, at compression ratios near {', '.join(map('{:g}'.format, WAVEFORM_RATIOS))}"
+        figure = charts.Chart("waveforms", title, samples).write(results, charts.plot_waveforms)
+        write(out / "papers.md", page(measurements, claims, sensitivity, ablation, figure))
+        if held_out := of_others("held_out.csv", HeldOut):
+            with atomic_write(results / "note.md") as partial:  # a part of another page
+                partial.write_text(note(held_out), encoding="utf-8")
     click.echo(f"{out / 'papers.md'}: {len(claims)} claims")
 
 

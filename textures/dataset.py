@@ -16,7 +16,7 @@ from vibrocast.errors import InputError
 from vibrocast.textures import files, p1918
 from vibrocast.textures.files import ARRAY_SUFFIXES, KEYED_SUFFIXES, TEXT_SUFFIXES
 from vibrocast.textures.profiles import Profile
-from vibrocast.textures.recording import TextureError
+from vibrocast.textures.recording import TextureError, unusable
 from vibrocast.textures.text import known_unit
 
 SUFFIXES = (".wav", *TEXT_SUFFIXES, *ARRAY_SUFFIXES)
@@ -174,8 +174,11 @@ def load_highpassed(
     if math.isclose(recording.rate_hz, round(recording.rate_hz), rel_tol=RATE_TOLERANCE):
         recording = replace(recording, rate_hz=float(round(recording.rate_hz)))
     elif stream_rate_hz is None:
-        raise TextureError(
-            f"{entry.path}: {recording.rate_hz:g} Hz is no whole number; give the stream's rate as `stream_rate_hz`"
+        raise unusable(
+            entry.path,
+            f"{recording.rate_hz:g} Hz is no whole number",
+            "give the stream's rate as `stream_rate_hz`",
+            "stream_rate_hz",
         )
     passed = textures.highpass(recording, textures.highpass_of(chosen.get("unit"), highpass_hz))
     return replace(passed, recording=textures.resample(passed.recording, stream_rate_hz or recording.rate_hz))

@@ -22,7 +22,8 @@ class VibrocastError(Exception):
         problem: What went wrong.
         cause: Why.
         action: What to do about it.
-        parameter: The parameters of a function that may be changed; the texts have each of them in backticks.
+        parameter: The parameters of a function that may be changed, or settings of them ("highpass_hz=None"). The texts
+            have each in backticks.
     """
 
     exit_code = FAILED

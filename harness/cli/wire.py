@@ -141,7 +141,9 @@ def serve(address: str, link: Path | None, faults: "Sequence[Fault]", seed: int,
     from vibrocast.simulated_device.serial_port import has_pseudo_terminals, serial_port
 
     if any(fault.cut for fault in faults) and not has_pseudo_terminals():
-        raise TransportError("a cut cable needs pseudo-terminals, which this system lacks; leave out `cut`")
+        raise TransportError(
+            "a cut cable needs pseudo-terminals, which this system lacks", action="leave out `cut`", parameter="cut"
+        )
     with devices.reach(address) as transport:
         remote = RemoteDevice(transport)
 

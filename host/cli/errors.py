@@ -7,6 +7,8 @@ import click
 
 from vibrocast.errors import BAD_INPUT, FAILED, VibrocastError
 
+FLAGS = {"highpass_hz=None": "keep_dc"}
+"""Settings of the library's parameters that a flag of another name makes."""
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -21,8 +23,9 @@ class CommandError(click.ClickException):
 def option_names(command: click.Command | None) -> dict[str, str]:
     """Return the options of a subcommand by the parameters of the library that they set."""
     options = [each for each in (command.params if command else ()) if each.opts[0].startswith("--")]
-    by_option = {each.opts[0].removeprefix("--").replace("-", "_"): each.opts[0] for each in options}
-    return by_option | {each.name: each.opts[0] for each in options if each.name}
+    named = {each.opts[0].removeprefix("--").replace("-", "_"): each.opts[0] for each in options}
+    named |= {each.name: each.opts[0] for each in options if each.name}
+    return named | {setting: named[flag] for setting, flag in FLAGS.items() if flag in named}
 
 
 def explained(error: Exception, options: Mapping[str, str]) -> CommandError:
@@ -34,12 +37,12 @@ def explained(error: Exception, options: Mapping[str, str]) -> CommandError:
         return CommandError(error.told(options), error.exit_code)
     if isinstance(error, MemoryError):
         return CommandError("not enough memory for this recording; cut it into shorter ones", BAD_INPUT)
-    if isinstance(error, OSError) and error.errno in DISK_FULL:
-        advice = "free some space, or write elsewhere"
-        return CommandError(f"{error.filename or 'the output'}: {error.strerror}; {advice}", BAD_INPUT)
-    if isinstance(error, OSError) and error.filename:
-        return CommandError(f"{error.filename}: {error.strerror}; check the name and your permissions", BAD_INPUT)
-    if isinstance(error, OSError):
-        return CommandError(str(error), BAD_INPUT)
-    text = f"unexpected {type(error).__name__}: {error}; `vibrocast --debug ...` shows where, please report it"
-    return CommandError(text, FAILED)
+    if not isinstance(error, OSError):
+        text = f"unexpected {type(error).__name__}: {error}; `vibrocast --debug ...` shows where, please report it"
+        return CommandError(text, FAILED)
+    text = str(error)
+    if error.errno in DISK_FULL:
+        text = f"{error.filename or 'the output'}: {error.strerror}; free some space, or write elsewhere"
+    elif error.filename:
+        text = f"{error.filename}: {error.strerror}; check the name and your permissions"
+    return CommandError(text, BAD_INPUT)
