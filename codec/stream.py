@@ -419,8 +419,4 @@ def write_recording(
     """
     recording = stream.recording(path.stem, progress)
     with atomic_write(path) as partial:
-        try:
-            return textures.save(partial, recording, sixteen_bit)
-        except textures.TextureError as error:
-            # The message names the partial file.
-            raise textures.TextureError(str(error).replace(str(partial), str(path))) from error
+        return textures.save(partial, recording, sixteen_bit)

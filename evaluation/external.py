@@ -18,8 +18,8 @@ import soundfile
 from msgspec import Meta, structs
 from numpy.typing import NDArray
 
-from vibrocast.errors import InputError
-from vibrocast.toml_tables import Table, check_programs, convert, located, read_toml
+from vibrocast.errors import InputError, located
+from vibrocast.toml_tables import Table, check_programs, convert, read_toml
 
 PEAK = 0.8
 """Peak of the WAV file that a program is given: many codecs clip or saturate nearer to full scale."""

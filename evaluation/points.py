@@ -8,7 +8,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, Self, TypeVar, get_type_hints
 
-from vibrocast.errors import InputError
+from vibrocast.errors import InputError, located
 from vibrocast.textures import Recording, TextureError
 from vibrocast.textures.dataset import DatasetEntry, printable
 
@@ -127,10 +127,8 @@ def read_rows(path: Path, kind: type[Row]) -> list[Row]:
                     values[name] = _READERS[kinds[name]](filled.get(name, ""))
                 except ValueError as error:
                     raise InputError(f"{path}, row {line}, {name}: {error}") from error
-        try:
+        with located(f"{path}, row {line}"):
             read.append(kind(**values))
-        except InputError as error:
-            raise InputError(f"{path}, row {line}: {error}") from error
     return read
 
 

@@ -11,6 +11,7 @@ import torch
 from torch import nn
 
 from vibrocast.codec.mdct import HOPS
+from vibrocast.errors import located
 from vibrocast.export.eva import Eva, EvaShape
 from vibrocast.export.lapped import Lapped
 from vibrocast.export.priors import ContextPrior, FactorisedPrior
@@ -85,10 +86,8 @@ def load(path: Path) -> Checkpoint:
         raise ModelError(
             f"{path}: not a checkpoint that can be read; give one that `vibrocast train` wrote: OUT/checkpoint.pt"
         ) from error
-    try:
+    with located(path):
         return _parsed(content)
-    except ModelError as error:
-        raise ModelError(f"{path}: {error}") from error
 
 
 def _parsed(content: Any) -> Checkpoint:

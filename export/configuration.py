@@ -9,8 +9,8 @@ from msgspec import Meta
 from msgspec.structs import replace
 
 from vibrocast import textures
-from vibrocast.errors import InputError
-from vibrocast.toml_tables import Table, convert, located, one_of, read_toml, within
+from vibrocast.errors import InputError, located
+from vibrocast.toml_tables import Table, convert, one_of, read_toml, within
 
 _HOP_SAMPLES = 16  # as export.eva, which needs torch
 _LONGEST_HOP_SAMPLES = 128  # of `lapped`

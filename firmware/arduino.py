@@ -12,7 +12,7 @@ import click
 from vibrocast.errors import InputError
 from vibrocast.files import atomic_write
 from vibrocast.firmware.build import ROOT, SHARED, Target
-from vibrocast.firmware.native_core import CoreError, ffi, library
+from vibrocast.firmware.native_core import BuildError, ffi, library
 
 # The IDE finds a library by the headers at the top of its src/, which is the only include path.
 _HEADER = '#include "vibrocast/decoder.h"\n#include "vibrocast/port.h"\n'
@@ -37,7 +37,7 @@ _EXAMPLE = "examples/decode_array"
 def write_library(stream: bytes, path: Path) -> None:
     """Write the .zip of a library whose example decodes a .vct file.
 
-    Raises InputError if `stream` is none that a controller decodes without a model, OSError, and CoreError.
+    Raises InputError if `stream` is none that a controller decodes without a model, OSError, and BuildError.
     """
     texts = {
         "library.properties": _PROPERTIES.format(version=version("vibrocast")),
@@ -100,7 +100,7 @@ def main(stream: Path, zip_path: Path) -> None:
         write_library(stream.read_bytes(), zip_path)
     except InputError as error:
         sys.exit(f"error: {stream}: {error}")
-    except (CoreError, OSError) as error:
+    except (BuildError, OSError) as error:
         sys.exit(f"error: {error}")
     click.echo(f"wrote {zip_path}")
 

@@ -20,6 +20,7 @@ from vibrocast.errors import VibrocastError
 from vibrocast.firmware import rp2040
 from vibrocast.firmware.declarations import cffi_declarations
 from vibrocast.firmware.keys import read_public_key
+from vibrocast.firmware.native_core import BuildError
 
 ROOT = Path(__file__).parent
 SHARED = ("include/vibrocast", "src/core", "src/monocypher", "src/controller")
@@ -51,10 +52,6 @@ M0_PLUS = "cortex_m0plus"
 """And of one with neither."""
 _IN_RAM = (".stack", ".core", ".data", ".bss")
 _LIBRARY_SUFFIX = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
-
-
-class BuildError(VibrocastError):
-    """A failed build; the message says why, and what to do."""
 
 
 @dataclass(frozen=True)

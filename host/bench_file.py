@@ -15,7 +15,7 @@ from msgspec import Meta, structs
 from vibrocast import textures
 from vibrocast.device_protocol.messages import ActuatorDescription
 from vibrocast.device_protocol.transports import SERIAL_FORM, TransportError, serial_port
-from vibrocast.errors import InputError
+from vibrocast.errors import InputError, located
 from vibrocast.host import devices
 from vibrocast.host.bench_limits import BenchLimits
 from vibrocast.host.controller import Controller
@@ -29,7 +29,6 @@ from vibrocast.toml_tables import (
     check_names,
     check_programs,
     convert,
-    located,
     one_of,
     read_each,
     read_toml,

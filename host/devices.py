@@ -278,9 +278,7 @@ def decoding_runtime(address: str, runtime: str | None) -> str | None:
         return runtime
     if runtime == "onnx":
         raise TransportError(
-            f"{address} decodes by the integer core alone",
-            action="leave out `runtime`, or play on sim",
-            parameter="runtime",
+            f"{address} decodes by the integer core alone; leave out `runtime`, or play on sim", parameter="runtime"
         )
     return "core"
 
@@ -288,7 +286,7 @@ def decoding_runtime(address: str, runtime: str | None) -> str | None:
 @contextlib.contextmanager
 def _firmware(address: str) -> Iterator[str]:
     """Run one of FIRMWARE and yield its serial port. Raises TransportError and MissingExtraError."""
-    from vibrocast.firmware.build import BuildError
+    from vibrocast.firmware.native_core import BuildError
     from vibrocast.simulated_device.serial_port import has_pseudo_terminals, serial_port
 
     device = firmware_device(address)
@@ -312,7 +310,7 @@ def is_emulated(address: str) -> bool:
 
 def emulated(address: str) -> EmulatedBoard:
     """Return the board at an address that `is_emulated`. Raises TransportError and MissingExtraError."""
-    from vibrocast.firmware.build import BuildError
+    from vibrocast.firmware.native_core import BuildError
 
     start = firmware_device(address).board
     assert start is not None

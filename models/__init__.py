@@ -10,6 +10,7 @@ from typing import Any
 
 from vibrocast.device_protocol.model_image import MAX_IMAGE_BYTES, ModelImage, sha256
 from vibrocast.device_protocol.model_image import ModelError as ModelError
+from vibrocast.errors import located
 
 CARD = "card.json"
 ANALYSIS = "analysis.onnx"
@@ -116,10 +117,8 @@ def load(path: Path) -> Model:
 
 
 def _of_image(path: Path, image: bytes) -> Model:
-    try:
+    with located(path):
         return Model(ModelImage.unpack(image).name, path, image)
-    except ModelError as error:
-        raise ModelError(f"{path}: {error}") from error
 
 
 def _checked(path: Path, expected: str) -> bytes:

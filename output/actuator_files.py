@@ -4,10 +4,10 @@ from dataclasses import MISSING, asdict, fields
 from pathlib import Path
 from typing import Annotated
 
-from vibrocast.errors import InputError
+from vibrocast.errors import InputError, located
 from vibrocast.output.actuator import ACTUATORS, Actuator
 from vibrocast.output.actuator_constants import constants
-from vibrocast.toml_tables import Table, Text, convert, located, one_of, read_toml, within
+from vibrocast.toml_tables import Table, Text, convert, one_of, read_toml, within
 
 
 class ActuatorTable(Table, frozen=True, kw_only=True):

@@ -15,7 +15,7 @@ from vibrocast.codec.shaping import DEFAULT_TOUCH, FLAT
 from vibrocast.codec.target_search import settings
 from vibrocast.codec.threshold import read_threshold
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT, StreamHeader
-from vibrocast.errors import InputError
+from vibrocast.errors import InputError, located
 from vibrocast.firmware.native_core import library
 from vibrocast.output.profile import HAND_DELAY_US, HAND_SMOOTHING_US, min_samples
 from vibrocast.output.rendering import Drive
@@ -178,8 +178,7 @@ class Candidate:
 class Evaluator:
     """One texture of a scene, ready to be coded by every option; each coding is measured once.
 
-    `band`: the band worth coding. `whole`: the texture in it, at the stream's rate. Raises TextureError, CodecError,
-    InputError.
+    `band`: the band worth coding. `whole`: the texture in it, at the stream's rate. Raises InputError.
     """
 
     def __init__(self, scene: Scene, texture: SceneTexture) -> None:
@@ -223,10 +222,8 @@ class Evaluator:
         """
         rate_hz = self.actuator.dac_rate_hz if self.over_position else self.band.rate
         header = StreamHeader(1, rate_hz, None, self.whole.unit, (1.0,) * self.texture.channels, b"")
-        try:
+        with located(self.texture.name):
             output: float = Drive(header, self.actuator, compensation=True).delay_seconds
-        except ValueError as error:
-            raise InputError(f"{self.texture.name}: {error}") from error
         hand_us = HAND_DELAY_US + 2 * HAND_SMOOTHING_US if self.over_position else 0
         return output + 1 / self.actuator.dac_rate_hz + hand_us / 1e6
 

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 from vibrocast.codec.rate_controlled import RateTarget
-from vibrocast.errors import InputError
+from vibrocast.errors import InputError, located
 from vibrocast.pages import listed
 from vibrocast.planner.band import MARGIN_DB
 from vibrocast.planner.candidates import BUFFERS_MS, Candidate, CodingOption, Evaluator
@@ -76,10 +76,8 @@ def plan(scene: Scene, progress: Progress = lambda part, details: None) -> tuple
         def tell(part: float, details: str, place: int = place, name: str = texture.name) -> None:
             progress((place + part) / len(scene.textures), f"{name}: {details}")
 
-        try:
+        with located(scene.path):
             evaluator = Evaluator(scene, texture)
-        except InputError as error:
-            raise InputError(f"{scene.path}: {error}") from error
         choices.append(choose(evaluator, scene, tell))
     planned = tuple(map(_planned, choices))
     controllers = tuple(PlannedController(each.name, each.address, each.clock_hz) for each in scene.controllers)

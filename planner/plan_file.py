@@ -20,7 +20,7 @@ from vibrocast.codec.rate_controlled import RateTarget
 from vibrocast.codec.stream import as_stream
 from vibrocast.codec.threshold import DETECTION_THRESHOLD, sites, threshold_file
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
-from vibrocast.errors import InputError
+from vibrocast.errors import InputError, located
 from vibrocast.files import atomic_write
 from vibrocast.host.bench_file import (
     Bench,
@@ -34,7 +34,7 @@ from vibrocast.host.bench_file import (
 from vibrocast.output.actuator_files import ActuatorTable
 from vibrocast.planner.scene import Source
 from vibrocast.textures import Profile, Recording
-from vibrocast.toml_tables import Table, Text, check_names, convert, located, one_of, read_each, read_toml, within
+from vibrocast.toml_tables import Table, Text, check_names, convert, one_of, read_each, read_toml, within
 
 FORMAT = 1
 MAX_RATE = 10_000_000

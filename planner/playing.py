@@ -138,8 +138,8 @@ def opened(address: str, actuator: Actuator | None) -> Iterator[CountingControll
 class PartlyPlayedError(ControllerError):
     """Controllers that failed, by name; `played`: the textures that the others have played."""
 
-    def __init__(self, text: str, code: int | None, played: list[Played]) -> None:
-        super().__init__(text, code)
+    def __init__(self, text: str, played: list[Played]) -> None:
+        super().__init__(text)
         self.played = played
 
 
@@ -186,8 +186,7 @@ def play(
             played.update({each.texture.name: each for each in result})
     in_order = [played[texture.name] for texture in wanted if texture.name in played]
     if failures:
-        code = next((error.code for error in failures.values() if isinstance(error, ControllerError)), None)
-        raise PartlyPlayedError("; ".join(f"{name}: {error}" for name, error in failures.items()), code, in_order)
+        raise PartlyPlayedError("; ".join(f"{name}: {error}" for name, error in failures.items()), in_order)
     return in_order
 
 

@@ -14,6 +14,7 @@ from msgspec import Meta, structs
 from vibrocast import textures
 from vibrocast.codec.threshold import read_threshold, threshold_file
 from vibrocast.device_protocol.transports import BAUD
+from vibrocast.errors import located
 from vibrocast.host import devices
 from vibrocast.host.bench_file import (
     BenchActuator,
@@ -29,7 +30,7 @@ from vibrocast.textures import Profile, Recording, TextureError
 from vibrocast.textures.dataset import entries
 from vibrocast.textures.files import TEXT_SUFFIXES
 from vibrocast.textures.recording import MAX_CHANNELS
-from vibrocast.toml_tables import Table, Text, check_names, convert, located, one_of, read_each, read_toml, within
+from vibrocast.toml_tables import Table, Text, check_names, convert, one_of, read_each, read_toml, within
 
 CORES = ("M4F", "M7", "M33")
 """Processors for which decoding has been measured (docs/benchmarks/firmware.md)."""

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Annotated
 
 from vibrocast.device_protocol.transports import Transport, TransportError
+from vibrocast.errors import located
 from vibrocast.simulated_device.device import Device
 from vibrocast.simulated_device.faulty_link import FaultyDirection
-from vibrocast.toml_tables import Table, convert, located, one_of, read_toml, within
+from vibrocast.toml_tables import Table, convert, one_of, read_toml, within
 
 DIRECTIONS = ("to_controller", "to_host", "both")
 Probability = Annotated[float, within(0, 1, "probability for each frame")]

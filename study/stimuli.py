@@ -17,7 +17,7 @@ from vibrocast import models
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import Stream, read_stream
 from vibrocast.codec.threshold import MAX_HZ, MIN_HZ, read_threshold, threshold_amplitude
-from vibrocast.errors import InputError
+from vibrocast.errors import InputError, located
 from vibrocast.files import atomic_folder
 from vibrocast.host.end_to_end import check_unit
 from vibrocast.output.actuator import SKIN_OVERSAMPLING, Actuator, Codes
@@ -25,7 +25,6 @@ from vibrocast.output.rendering import LimitCounts, render
 from vibrocast.study.study_file import REFERENCE, Condition, Study
 from vibrocast.study.trials import Stimulus
 from vibrocast.textures import Recording
-from vibrocast.toml_tables import located
 
 Samples = NDArray[np.float64]
 

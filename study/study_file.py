@@ -11,10 +11,11 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta, field
 
 from vibrocast import codec, textures
+from vibrocast.errors import located
 from vibrocast.host.bench_file import TextureTable
 from vibrocast.textures import Recording
 from vibrocast.textures.generate import SURFACES
-from vibrocast.toml_tables import Table, Text, check_names, convert, located, one_of, read_each, read_toml, within
+from vibrocast.toml_tables import Table, Text, check_names, convert, one_of, read_each, read_toml, within
 
 METHODS = (
     "degradation",

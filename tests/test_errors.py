@@ -10,7 +10,6 @@ from vibrocast.errors import VibrocastError
 from vibrocast.extras import MissingExtraError
 from vibrocast.host.cli.command_line import main
 from vibrocast.host.cli.errors import explained, option_names
-from vibrocast.host.controller import ConnectionLost, ControllerError
 from vibrocast.textures import TextureError
 
 
@@ -22,10 +21,6 @@ def test_states_problem_cause_and_action(kind: type[VibrocastError], exit_code: 
     assert str(kind("it broke", action="mend it")) == "it broke; mend it"
     again = pickle.loads(pickle.dumps(error))  # as from a worker
     assert (str(again), again.parameter, again.exit_code) == (str(error), ("axis", "reduce"), exit_code)
-
-
-def test_a_lost_controller_is_no_device() -> None:
-    assert (ControllerError("it broke").exit_code, ConnectionLost("it broke").exit_code) == (1, 3)
 
 
 @pytest.mark.parametrize(

@@ -6,18 +6,8 @@ from typing import Annotated, Literal
 import pytest
 from msgspec import Meta
 
-from vibrocast.errors import InputError
-from vibrocast.toml_tables import (
-    Table,
-    Text,
-    check_names,
-    convert,
-    located,
-    one_of,
-    read_each,
-    read_toml,
-    within,
-)
+from vibrocast.errors import InputError, located
+from vibrocast.toml_tables import Table, Text, check_names, convert, one_of, read_each, read_toml, within
 
 
 class Drive(Table, frozen=True):

@@ -249,9 +249,7 @@ def _scale(contents: Contents, unit: str | None, full_scale: float | None, path:
     given = None if unit is None else known_unit(unit, "`unit`")
     relative = ("full scale", "drive")
     if full_scale is not None and not (np.isfinite(full_scale) and full_scale > 0):
-        raise TextureError(
-            f"`full_scale`={full_scale}", "not positive", "give a number above 0", parameter="full_scale"
-        )
+        raise TextureError(f"`full_scale`={full_scale}", "not positive", "give a number above 0", "full_scale")
     if contents.unit not in (None, *relative) and (given not in (None, contents.unit) or full_scale is not None):
         raise unusable(
             path, f"states its unit, {contents.unit}", "leave out `unit` and `full_scale`", "unit", "full_scale"

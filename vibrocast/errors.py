@@ -1,6 +1,7 @@
 """The base of all errors that a person may see, and the exit codes that they give a command."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 
 FAILED = 1
 """The device, or the command itself, failed."""
@@ -52,3 +53,15 @@ class InputError(VibrocastError, ValueError):
     """A file, a folder or a text that cannot be used; the message says why and what to do."""
 
     exit_code = BAD_INPUT
+
+
+@contextmanager
+def located(place: object) -> Iterator[None]:
+    """Put `place` before the problem of an InputError of the block; any other ValueError becomes an InputError."""
+    try:
+        yield
+    except InputError as error:
+        error.problem = f"{place}: {error.problem}"
+        raise
+    except ValueError as error:
+        raise InputError(f"{place}: {error}") from error

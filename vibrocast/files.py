@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from vibrocast.errors import InputError
+from vibrocast.errors import InputError, VibrocastError
 
 _partial: set[Path] = set()
 """Files and folders that are being written."""
@@ -25,8 +25,8 @@ def remove_partial() -> None:
 def atomic_write(path: Path) -> Iterator[Path]:
     """Yield a temporary path next to `path`, with the same suffix; it replaces `path` when the block succeeds.
 
-    Anything but a regular file (a terminal, /dev/stdout) is written directly. Raises OSError, which names `path`, when
-    it cannot be written.
+    Anything but a regular file (a terminal, /dev/stdout) is written directly. An error of the block names `path`, too.
+    Raises OSError, which names `path`, when it cannot be written.
     """
     target = Path(os.path.realpath(path))
     try:
@@ -39,6 +39,9 @@ def atomic_write(path: Path) -> Iterator[Path]:
             partial.touch()
             yield partial
             os.replace(partial, target)
+        except VibrocastError as error:
+            error.problem = error.problem.replace(str(partial), str(path))
+            raise
         finally:
             partial.unlink(missing_ok=True)
             _partial.discard(partial)

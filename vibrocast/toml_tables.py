@@ -3,7 +3,6 @@
 import re
 import tomllib
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -11,7 +10,7 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 from msgspec import Meta, inspect
 
-from vibrocast.errors import InputError
+from vibrocast.errors import InputError, located
 
 MAX_BYTES = 1 << 20
 _MAX_SHOWN = 80
@@ -33,15 +32,6 @@ def one_of(words: Collection[str]) -> Meta:
 def within(low: float, high: float, meaning: str = "") -> Meta:
     """Return the constraint of a number: a range. `meaning`: of the number, with its unit, for errors."""
     return Meta(ge=low, le=high, description=meaning or None)
-
-
-@contextmanager
-def located(place: object) -> Iterator[None]:
-    """Replace a ValueError of the block by an InputError, with `place` before its message."""
-    try:
-        yield
-    except ValueError as reason:
-        raise InputError(f"{place}: {reason}") from reason
 
 
 def read_toml(path: Path, name: str) -> dict[str, Any]:

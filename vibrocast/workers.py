@@ -32,11 +32,7 @@ _THREADS_OF_LIBRARIES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THR
 
 
 class WorkersError(VibrocastError):
-    """There is nobody to do the work; the message says why and what to do."""
-
-
-class OtherVersionError(VibrocastError):
-    """A worker of a cluster does not run this program; the message says which it runs."""
+    """There is nobody to do the work, or a worker runs another version; the message says why and what to do."""
 
 
 class WorkerDiedError(VibrocastError):
@@ -151,7 +147,7 @@ def on_cluster(tasks: Iterator[Task[Key, Result]], address: str, version: Callab
 
 def _same_version(wanted: str, version: Callable[[], str], work: Callable[[], Result]) -> Result:
     if version() != wanted:
-        raise OtherVersionError(f"{version()}; install {wanted}")
+        raise WorkersError(f"{version()}; install {wanted}")
     return work()
 
 
@@ -159,7 +155,7 @@ def _is_of_another_version(outcome: object) -> bool:
     """Return whether a worker's answer says that it has this program in another version, or not at all."""
     # The form in which Dask says that a worker lacks a module.
     lacks = type(outcome) is RuntimeError and isinstance(outcome.__cause__, ImportError)
-    return lacks or isinstance(outcome, OtherVersionError)
+    return lacks or isinstance(outcome, WorkersError)
 
 
 def _is_of_dask(outcome: object) -> bool:

@@ -111,10 +111,7 @@ def render(file: Path, out: Path, drive: DriveOptions, quality: QualityOptions, 
     volts = actuator.volts / 2
     signal = textures.Recording(codes / actuator.full_scale, actuator.dac_rate_hz, "full scale", out.stem)
     with atomic_write(out) as partial:
-        try:
-            textures.save(partial, signal, sixteen_bit=True, note=f"drive of {actuator.name}, 1.0 is {volts:g} V")
-        except textures.TextureError as error:
-            raise textures.TextureError(str(error).replace(str(partial), str(out))) from error
+        textures.save(partial, signal, sixteen_bit=True, note=f"drive of {actuator.name}, 1.0 is {volts:g} V")
     tell(
         f"{out}: {len(codes) / actuator.dac_rate_hz:.3f} s at {actuator.dac_rate_hz} Hz, {signal.channels} channel(s), "
         f"1.0 is {volts:g} V at {actuator.name}",
