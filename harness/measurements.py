@@ -58,7 +58,7 @@ class Together:
 
 
 def subject(bench: Bench, controller: Controller) -> Subject:
-    """Return what a run measures on a session with the first controller of the bench. Raises BenchFileError."""
+    """Return what a run measures on a session with the first controller of the bench. Raises InputError."""
     sensors = [each for each in bench.sensors if each.controller == bench.first.name and each.channel == 1]
     return Subject(
         bench,
@@ -163,7 +163,7 @@ MEASUREMENTS: Mapping[str, Callable[[Subject, Progress], Any]] = {
 def together(bench: Bench) -> list[Together]:
     """Play the bench's first texture on all its controllers at once, and compare each one's codes with those computed.
 
-    A controller that fails does so alone. Raises BenchFileError, CodecError.
+    A controller that fails does so alone. Raises InputError, CodecError.
     """
     stream = encode_recording(bench.scene()[0], live=True).stream
     offline, decoder = stream.decode_integers(), stream.decoder()

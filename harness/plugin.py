@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from vibrocast.errors import InputError
+
 if TYPE_CHECKING:
     from vibrocast.device_protocol.messages import ImageDescription
     from vibrocast.harness.faulty_transport import TimedTransport
@@ -89,12 +91,11 @@ def _read(config: pytest.Config) -> Bench | None:
     path = config.getoption("vibrocast_bench")
     if path is None:
         return None
-    from vibrocast.files import InputFileError
     from vibrocast.host.bench_file import read_bench
 
     try:
         return read_bench(Path(path), config.getoption("vibrocast_allow_programs"))
-    except (InputFileError, OSError) as error:
+    except (InputError, OSError) as error:
         raise pytest.UsageError(str(error).replace("--allow-programs", "--vibrocast-allow-programs")) from error
 
 
@@ -112,13 +113,13 @@ def _devices(config: pytest.Config) -> list[str]:
 @pytest.fixture(scope="session")
 def vibrocast_bench(request: pytest.FixtureRequest, pytestconfig: pytest.Config) -> Bench:
     """The bench of --vibrocast-bench; without it, the controller of --vibrocast-device."""
-    from vibrocast.host.bench_file import BenchFileError, choose_controller
+    from vibrocast.host.bench_file import choose_controller
 
     names = _devices(pytestconfig)
     device = getattr(request, "param", names[0] if names else None)
     try:
         return choose_controller(_read(pytestconfig), device)
-    except BenchFileError as error:
+    except InputError as error:
         raise pytest.UsageError(str(error)) from error
 
 

@@ -122,17 +122,26 @@ def open_source(
     """
     if address.startswith("serial:"):
         if volts_full_scale is not None:
-            raise TextureError(f"{address} sends numbers; leave out `volts_full_scale`, which is for a sound card")
+            raise TextureError(
+                f"{address} sends numbers",
+                action="leave out `volts_full_scale`, which is for a sound card",
+                parameter="volts_full_scale",
+            )
         port, baud = serial_port(address)
         with SerialSensor(port, baud=baud, rate_hz=rate_hz, sensitivity=sensitivity, axes=axes) as sensor:
             yield sensor
         return
     if sensitivity is None or not sensitivity.in_volts:
-        raise TextureError(f"{address} records volts; give the sensor's `sensitivity` in volts, such as {EXAMPLES}")
+        raise TextureError(
+            f"{address} records volts",
+            action=f"give the sensor's `sensitivity` in volts, such as {EXAMPLES}",
+            parameter="sensitivity",
+        )
     if volts_full_scale is None:
         raise TextureError(
-            f"{address}: how many volts digital full scale is cannot be known; give `volts_full_scale` "
-            "(docs/how-to/record.md says how to find it)"
+            f"{address}: how many volts digital full scale is cannot be known",
+            action="give `volts_full_scale` (docs/how-to/record.md says how to find it)",
+            parameter="volts_full_scale",
         )
     from vibrocast.output import sound_card
 
@@ -279,10 +288,6 @@ class Recorded:
     warnings: tuple[str, ...]
 
 
-class RecordingStopped(TransportError):
-    """A recording that ended early; the message says why, and where the saved part is."""
-
-
 def record(
     source: Source,
     path: Path,
@@ -294,7 +299,7 @@ def record(
     """Record a source into a WAV file of 32-bit floats with a sidecar, until `seconds` are over or Ctrl-C.
 
     Writes as it goes. `highpass_hz`: corner of the high-pass, `textures.LiveHighPass`; None keeps offset and drift.
-    `progress` gets the part that is done, or None, and the levels as text. Raises RecordingStopped after a lost sensor
+    `progress` gets the part that is done, or None, and the levels as text. Raises TransportError after a lost sensor
     or a full disk, with the file saved so far, OSError and TextureError.
     """
     highpass = None if highpass_hz is None else LiveHighPass(source.rate_hz, highpass_hz)
@@ -322,7 +327,7 @@ def record(
     except OSError as error:
         stopped = stopped or error
     if stopped is not None:
-        raise RecordingStopped(f"{stopped}; the first {recorded.seconds:.3f} s are saved in {path}") from stopped
+        raise TransportError(f"{stopped}; the first {recorded.seconds:.3f} s are saved in {path}") from stopped
     return recorded
 
 

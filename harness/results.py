@@ -7,7 +7,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from vibrocast.files import InputFileError, atomic_write
+from vibrocast.errors import InputError
+from vibrocast.files import atomic_write
 from vibrocast.host.bench_limits import Judged, lost_percent
 from vibrocast.host.report import Provenance
 
@@ -119,11 +120,11 @@ _WHAT_A_DEVICE_IS = ("hardware", "serial_number", "actuator")
 
 
 def read_results(path: Path) -> dict[str, Any]:
-    """Read the JSON of an earlier run. Raises InputFileError for anything else, OSError where it cannot be read."""
+    """Read the JSON of an earlier run. Raises InputError for anything else, OSError where it cannot be read."""
     if path.exists() and not path.is_file():
-        raise InputFileError(f"{path}: no file; give the JSON of an earlier `vibrocast measure`")
+        raise InputError(f"{path}: no file; give the JSON of an earlier `vibrocast measure`")
     if path.stat().st_size > _MAX_BYTES:
-        raise InputFileError(f"{path}: longer than any run's JSON; give that of an earlier `vibrocast measure`")
+        raise InputError(f"{path}: longer than any run's JSON; give that of an earlier `vibrocast measure`")
     try:
         document = json.loads(path.read_text(encoding="utf-8"), parse_float=_finite, parse_constant=_finite)
         if (document["format"], document["schema"]) != (FORMAT, SCHEMA):
@@ -131,7 +132,7 @@ def read_results(path: Path) -> dict[str, Any]:
         dict(figures(document))
         compare(document, document)
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-        raise InputFileError(f"{path}: not the JSON of an earlier `vibrocast measure`; give that ({error})") from error
+        raise InputError(f"{path}: not the JSON of an earlier `vibrocast measure`; give that ({error})") from error
     return dict(document)
 
 

@@ -17,8 +17,8 @@ from typing import BinaryIO, TypeAlias
 
 import numpy as np
 
-from vibrocast import extras, textures
-from vibrocast.device_protocol.transports import TransportError
+from vibrocast import textures
+from vibrocast.errors import VibrocastError
 from vibrocast.harness.recorder import Levels, Source, open_source, pieces
 from vibrocast.host.bench_file import Sensor
 from vibrocast.textures import Recording
@@ -42,7 +42,7 @@ _ENDS_WITHIN_S = 15.0
 _MAX_COMPLAINT_BYTES = 500
 
 
-class SensorError(RuntimeError):
+class SensorError(VibrocastError):
     """A sensor's program that failed, or a recording that cannot be used; the message says what to do."""
 
 
@@ -90,7 +90,7 @@ def _at_input(sensor: Sensor, seconds: float) -> Iterator[Callable[[], Recording
                     rate_hz=None if sensor.rate_hz is None else int(sensor.rate_hz),
                 )
             )
-        except (TransportError, textures.TextureError, extras.MissingExtraError) as error:
+        except VibrocastError as error:
             raise SensorError(f"sensor {sensor.name}: {error}") from error
         if source.channels != 1:
             raise SensorError(

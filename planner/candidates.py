@@ -15,13 +15,13 @@ from vibrocast.codec.shaping import DEFAULT_TOUCH, FLAT
 from vibrocast.codec.target_search import settings
 from vibrocast.codec.threshold import read_threshold
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT, StreamHeader
+from vibrocast.errors import InputError, located
 from vibrocast.firmware.native_core import library
 from vibrocast.output.profile import HAND_DELAY_US, HAND_SMOOTHING_US, min_samples
 from vibrocast.output.rendering import Drive
 from vibrocast.planner import costs
 from vibrocast.planner.band import (
     MARGIN_DB,
-    BandError,
     band_of,
     error_over_threshold_db,
     played_codes,
@@ -178,8 +178,7 @@ class Candidate:
 class Evaluator:
     """One texture of a scene, ready to be coded by every option; each coding is measured once.
 
-    `band`: the band worth coding. `whole`: the texture in it, at the stream's rate. Raises TextureError, CodecError,
-    BandError.
+    `band`: the band worth coding. `whole`: the texture in it, at the stream's rate. Raises InputError.
     """
 
     def __init__(self, scene: Scene, texture: SceneTexture) -> None:
@@ -197,7 +196,7 @@ class Evaluator:
         if self.over_position:
             least = min_samples(self.band.rate, self.actuator.dac_rate_hz)
             if not 0 < least <= len(self.whole.samples):
-                raise BandError(
+                raise InputError(
                     f"{texture.name}: its {1e3 * len(self.whole.samples) / self.band.rate:.3g} mm are too short to "
                     f"render by position, which needs {1e3 * least / self.band.rate:.3g} mm; measure a longer profile"
                 )
@@ -223,10 +222,8 @@ class Evaluator:
         """
         rate_hz = self.actuator.dac_rate_hz if self.over_position else self.band.rate
         header = StreamHeader(1, rate_hz, None, self.whole.unit, (1.0,) * self.texture.channels, b"")
-        try:
+        with located(self.texture.name):
             output: float = Drive(header, self.actuator, compensation=True).delay_seconds
-        except ValueError as error:
-            raise BandError(f"{self.texture.name}: {error}") from error
         hand_us = HAND_DELAY_US + 2 * HAND_SMOOTHING_US if self.over_position else 0
         return output + 1 / self.actuator.dac_rate_hz + hand_us / 1e6
 

@@ -5,9 +5,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 from vibrocast.codec.rate_controlled import RateTarget
-from vibrocast.files import InputFileError
+from vibrocast.errors import InputError, located
 from vibrocast.pages import listed
-from vibrocast.planner.band import MARGIN_DB, BandError
+from vibrocast.planner.band import MARGIN_DB
 from vibrocast.planner.candidates import BUFFERS_MS, Candidate, CodingOption, Evaluator
 from vibrocast.planner.plan_file import CAPPED_MODE, SETTING_MODE, Plan, PlannedController, PlannedTexture
 from vibrocast.planner.scene import Asked, Scene, Weights
@@ -27,10 +27,6 @@ QUALITIES = {
 """Name and unit of each measure in the answer."""
 _RATE_LIMITS = {"rate_limit_bps", "bytes_per_second"}
 """Keys of the limits that a capped rate may keep if no setting does."""
-
-
-class PlanningError(InputFileError):
-    """A scene whose requirements no codec meets. The message names the requirement, the best result and the action."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +66,7 @@ class TextureChoice:
 
 
 def plan(scene: Scene, progress: Progress = lambda part, details: None) -> tuple[Plan, tuple[TextureChoice, ...]]:
-    """Plan every texture of a scene. Raises PlanningError, also for a texture that nobody can feel.
+    """Plan every texture of a scene. Raises InputError, also for a texture that nobody can feel.
 
     `progress`: called with the share that is done, 0 to 1, and a text.
     """
@@ -80,10 +76,8 @@ def plan(scene: Scene, progress: Progress = lambda part, details: None) -> tuple
         def tell(part: float, details: str, place: int = place, name: str = texture.name) -> None:
             progress((place + part) / len(scene.textures), f"{name}: {details}")
 
-        try:
+        with located(scene.path):
             evaluator = Evaluator(scene, texture)
-        except BandError as error:
-            raise PlanningError(f"{scene.path}: {error}") from error
         choices.append(choose(evaluator, scene, tell))
     planned = tuple(map(_planned, choices))
     controllers = tuple(PlannedController(each.name, each.address, each.clock_hz) for each in scene.controllers)
@@ -91,7 +85,7 @@ def plan(scene: Scene, progress: Progress = lambda part, details: None) -> tuple
 
 
 def choose(evaluator: Evaluator, scene: Scene, progress: Progress = lambda part, details: None) -> TextureChoice:
-    """Choose for one texture. Raises PlanningError.
+    """Choose for one texture. Raises InputError.
 
     It caps the rate only if no setting keeps the limits, because a capped rate takes more bits on average.
     """
@@ -188,12 +182,12 @@ class _Search:
         more = "more" if percent == math.inf else f"{percent:.0f} % more" if percent >= 1 else "less than 1 % more"
         return f"{first}{more}, mainly {extra.name}"
 
-    def error(self) -> PlanningError:
+    def error(self) -> InputError:
         """Return the error: the requirement that cannot be met, the best that can be reached, and what to change."""
         texture, candidates, asked = self._evaluator.texture, self.candidates(), self._scene.asked
         where = f"{self._scene.path}: {texture.name}"
         if not candidates:
-            return PlanningError(
+            return InputError(
                 f"{where}: no codec that {texture.controller} decodes takes this signal; choose another controller"
             )
         within = [each for each in candidates if not each.broken and each.quality is not None]
@@ -202,7 +196,7 @@ class _Search:
         if not enough:
             place = "the best is" if best is None else "the best within all limits is"
             best = best or min(candidates, key=lambda each: each.shortfall)
-            return PlanningError(
+            return InputError(
                 f"{where}: no codec reaches {target(asked)}; {place} {reached(best, asked)} "
                 f"({best.measured.option.name}); {_lowered(best, asked) or 'choose another measure of quality'}"
             )
@@ -218,7 +212,7 @@ class _Search:
         )
         limits = "the limit to this value" if len(nearest.broken) == 1 else "the limits to these values"
         lower = None if best is None else _lowered(best, asked)
-        return PlanningError(
+        return InputError(
             f"{where}: no codec reaches {target(asked)} with {exceeded}; {nearest.measured.option.name} comes nearest "
             f"and needs {needed}; {within_limits}; raise {limits}{'' if lower is None else f', or {lower}'}"
         )

@@ -18,6 +18,7 @@ from vibrocast.codec.stream import Stream
 from vibrocast.codec.threshold import read_threshold
 from vibrocast.device_protocol.messages import PacketMessage, Position, State, Tap
 from vibrocast.device_protocol.transports import Transport, TransportError
+from vibrocast.errors import InputError
 from vibrocast.host import devices, live, uploader
 from vibrocast.host import hand_playback as position_playback
 from vibrocast.host.bench_file import Bench, actuator_of, check_actuator, choose_controller, driven_actuator
@@ -28,7 +29,7 @@ from vibrocast.host.tracing import TappedTransport
 from vibrocast.output.actuator import Actuator, Codes
 from vibrocast.planner import band
 from vibrocast.planner.candidates import spqi
-from vibrocast.planner.plan_file import Plan, PlanError, PlannedController, PlannedTexture
+from vibrocast.planner.plan_file import Plan, PlannedController, PlannedTexture
 from vibrocast.textures import Recording
 
 RETAKES = 2
@@ -137,8 +138,8 @@ def opened(address: str, actuator: Actuator | None) -> Iterator[CountingControll
 class PartlyPlayedError(ControllerError):
     """Controllers that failed, by name; `played`: the textures that the others have played."""
 
-    def __init__(self, text: str, code: int | None, played: list[Played]) -> None:
-        super().__init__(text, code)
+    def __init__(self, text: str, played: list[Played]) -> None:
+        super().__init__(text)
         self.played = played
 
 
@@ -152,7 +153,7 @@ def play(
     """Play textures of a plan, all if none is named, and return what was measured, in the order asked for.
 
     Controllers play one after another, and so do the textures of each; a simulated one is flashed with the models that
-    it lacks. Raises PlanError if the plan does not fit files or controllers, PartlyPlayedError where some
+    it lacks. Raises InputError if the plan does not fit files or controllers, PartlyPlayedError where some
     controllers failed, ControllerError, and as `PlannedTexture.encode`.
     """
     wanted = [plan.texture(name) for name in names] or list(plan.textures)
@@ -184,8 +185,7 @@ def play(
             played.update({each.texture.name: each for each in own})
     in_order = [played[texture.name] for texture in wanted if texture.name in played]
     if failures:
-        code = next((error.code for error in failures.values() if isinstance(error, ControllerError)), None)
-        raise PartlyPlayedError("; ".join(f"{name}: {error}" for name, error in failures.items()), code, in_order)
+        raise PartlyPlayedError("; ".join(f"{name}: {error}" for name, error in failures.items()), in_order)
     return in_order
 
 
@@ -397,18 +397,18 @@ class _Player:
         )
 
     def _check_fits(self, texture: PlannedTexture) -> None:
-        """Raise PlanError where the controller cannot play a texture as planned."""
+        """Raise InputError where the controller cannot play a texture as planned."""
         hello = self._controller.description
         codecs = [name for _, name in hello.codecs]
         if texture.codec not in codecs:
-            raise PlanError(
+            raise InputError(
                 f"{texture.name} is planned for the codec {texture.codec}, {self._planned.name} decodes "
                 f"{', '.join(codecs)}; plan for that controller, or update its firmware"
             )
         # Of a profile it keeps all, and says so itself.
         needed = 0 if texture.over_position else texture.packet_samples + texture.buffer_ms / 1e3 * texture.rate
         if needed > hello.limits.buffer_samples:
-            raise PlanError(
+            raise InputError(
                 f"{texture.name} needs a buffer of {math.ceil(needed)} samples, and {self._planned.name} holds "
                 f"{hello.limits.buffer_samples}; plan for that controller"
             )

@@ -14,7 +14,7 @@ from msgspec import Meta, structs
 from vibrocast import textures
 from vibrocast.codec.threshold import read_threshold, threshold_file
 from vibrocast.device_protocol.transports import BAUD
-from vibrocast.files import InputFileError
+from vibrocast.errors import located
 from vibrocast.host import devices
 from vibrocast.host.bench_file import (
     BenchActuator,
@@ -30,7 +30,7 @@ from vibrocast.textures import Profile, Recording, TextureError
 from vibrocast.textures.dataset import entries
 from vibrocast.textures.files import TEXT_SUFFIXES
 from vibrocast.textures.recording import MAX_CHANNELS
-from vibrocast.toml_tables import Table, Text, check_names, convert, located, one_of, read_each, read_toml, within
+from vibrocast.toml_tables import Table, Text, check_names, convert, one_of, read_each, read_toml, within
 
 CORES = ("M4F", "M7", "M33")
 """Processors for which decoding has been measured (docs/benchmarks/firmware.md)."""
@@ -47,10 +47,6 @@ HAND_SPEEDS_MM_S = (1.0, 2000.0)
 
 MAX_TRACKED_MM_S = 300.0
 """Highest hand speed at which controllers render profiles by position (vibrocast/profile.h)."""
-
-
-class SceneError(InputFileError):
-    """A mistake in a scene. The message names file, table and key, and says what to do."""
 
 
 class SceneController(BenchController, frozen=True, kw_only=True):
@@ -309,8 +305,8 @@ class _SceneFile(Table, frozen=True, kw_only=True):
 
 
 def read_scene(path: Path) -> Scene:
-    """Read a scene file and all of its textures. Raises SceneError, and OSError where the file cannot be read."""
-    with located(path, SceneError):
+    """Read a scene file and all of its textures. Raises InputError, and OSError where the file cannot be read."""
+    with located(path):
         document = read_toml(path, "scene")
         given = document.get("controllers")
         for table in given if isinstance(given, list) else ():
@@ -398,7 +394,7 @@ def _check_limits(asked: Asked, link: Link) -> None:
 
 def _threshold(folder: Path, skin: _Skin) -> Path:
     path = threshold_file(skin.threshold, folder)
-    with located("[skin]", ValueError):
+    with located("[skin]"):
         read_threshold(path)
     return path
 

@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vibrocast.errors import InputError
 from vibrocast.study import statistics, stimuli
 from vibrocast.study.methods import GRADES, MAIN, design, staircase_of, staircases_of
 from vibrocast.study.session import LOG, RESULTS, RUN
 from vibrocast.study.simulation import SIMULATED
 from vibrocast.study.statistics import Correlation, Interval, MixedModel, PairedTest
 from vibrocast.study.study_file import HIDDEN_REFERENCE, Study, read_study
-from vibrocast.study.trials import RESULT_COLUMNS, Stimulus, StudyError
+from vibrocast.study.trials import RESULT_COLUMNS, Stimulus
 
 STUDY_FILE, STIMULI = "study.toml", "stimuli"
 RATED = ("degradation", "mushra")
@@ -136,17 +137,17 @@ class Analysis:
 
 
 def read_results(folder: Path) -> Analysis:
-    """Read a results folder without analysing it. Raises StudyError for a folder without results, or of two studies."""
+    """Read a results folder without analysing it. Raises InputError for a folder without results, or of two studies."""
     study = read_study(folder / STUDY_FILE, with_files=False) if (folder / STUDY_FILE).is_file() else None
     paths = sorted(folder.glob(f"participant_*/{RESULTS}"))
     if study is None or not paths:
-        raise StudyError(f"{folder}: no results of a study; give the folder of --out of `vibrocast study run`")
+        raise InputError(f"{folder}: no results of a study; give the folder of --out of `vibrocast study run`")
     warnings: list[str] = []
     participants: list[Participant] = []
     for path in paths:
         participant, flaws = _read_participant(path, study)
         if any(participant.number == each.number for each in participants):
-            raise StudyError(f"{path.parent}: participant {participant.number} is there twice; move one folder away")
+            raise InputError(f"{path.parent}: participant {participant.number} is there twice; move one folder away")
         warnings += flaws
         participants.append(participant)
     simulated = sum(each.is_simulated for each in participants)
@@ -161,13 +162,13 @@ def _read_participant(path: Path, study: Study) -> tuple[Participant, list[str]]
         run = json.loads((path.parent / RUN).read_text(encoding="utf-8"))
         number, sha256, device = int(run["participant"]), run["study_sha256"], run["device"]
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise StudyError(f"{path.parent / RUN}: damaged or missing ({error}); move that folder away") from error
+        raise InputError(f"{path.parent / RUN}: damaged or missing ({error}); move that folder away") from error
     if sha256 != study.sha256:
-        raise StudyError(f"{path.parent}: answers to another study file; move that folder away")
+        raise InputError(f"{path.parent}: answers to another study file; move that folder away")
     with path.open(newline="", encoding="utf-8", errors="replace") as file:
         lines = list(csv.reader(line.replace("\0", "") for line in file))
     if not lines or lines[0] != list(RESULT_COLUMNS):
-        raise StudyError(f"{path}: other columns than those of a run; move that folder away")
+        raise InputError(f"{path}: other columns than those of a run; move that folder away")
     rows: dict[tuple[str, str], Row] = {}
     for line in lines[1:]:
         row = dict(zip(RESULT_COLUMNS, line, strict=False))
@@ -244,7 +245,7 @@ def _is_number(text: str) -> bool:
 
 
 def analyse(folder: Path) -> Analysis:
-    """Return every figure of a study. Raises StudyError as `read_results`."""
+    """Return every figure of a study. Raises InputError as `read_results`."""
     read = read_results(folder)
     method = read.study.method
     if method in RATED:

@@ -32,7 +32,7 @@ _OF_SIMULATION = "Simulated observers, not people"
 
 
 def write_report(folder: Path, out: Path) -> Path:
-    """Analyse a results folder and write the report into `out`; return the page. Raises StudyError, OSError."""
+    """Analyse a results folder and write the report into `out`; return the page. Raises InputError, OSError."""
     read = analysis.analyse(folder)
     tables = analysis.tables(read)
     page = pages.render(

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from vibrocast.device_protocol.transports import TransportError
+from vibrocast.errors import InputError
 from vibrocast.files import atomic_write
 from vibrocast.host.controller import ControllerError
 from vibrocast.study.methods import PRACTICE, Answered, design, presentation
@@ -34,7 +35,6 @@ from vibrocast.study.trials import (
     State,
     Stimulus,
     StimulusPlayer,
-    StudyError,
     Trial,
 )
 
@@ -52,7 +52,7 @@ class Session(Run):
 
     `folder` holds its results; one with earlier answers is resumed after the last of them. `stimuli`: of the study, by
     key. `player`: closed with the session. `device`: for the experimenter. `clock`: seconds; `sleep`: of the thread
-    that plays intervals one after the other. Raises StudyError for results of another study, participant or method.
+    that plays intervals one after the other. Raises InputError for results of another study, participant or method.
     """
 
     def __init__(
@@ -432,7 +432,7 @@ class Session(Run):
             self._warnings.append(f"the log cannot be written: {error.strerror}; free some space")
 
     def _check_folder(self) -> None:
-        """Write what run this is; raise StudyError where the folder holds another one."""
+        """Write what run this is; raise InputError where the folder holds another one."""
         path = self._folder / RUN
         run = {
             "study": self._study.name,
@@ -445,10 +445,10 @@ class Session(Run):
             try:
                 known = json.loads(path.read_text(encoding="utf-8"))
             except ValueError as error:
-                raise StudyError(f"{path}: damaged ({error}); give another folder") from error
+                raise InputError(f"{path}: damaged ({error}); give another folder") from error
             differing = [key for key, value in run.items() if known.get(key) != value]
             if differing:
-                raise StudyError(
+                raise InputError(
                     f"{path}: a run of another {differing[0]}; give another folder or the study file of that run"
                 )
             return
@@ -465,14 +465,14 @@ class Session(Run):
         while kept < len(rows):
             trial = self._design.next_trial(history)
             if trial is None:
-                raise StudyError(f"{path}: more trials than the study has; give the study file of that run")
+                raise InputError(f"{path}: more trials than the study has; give the study file of that run")
             count = 1 if isinstance(trial.response, Choices) else len(trial.response.labels)
             block = rows[kept : kept + count]
             if len(block) < count:
                 is_damaged = True
                 break
             if any(row["trial"] != str(trial.number) or row["presentation"] != presentation(trial) for row in block):
-                raise StudyError(f"{path}: trial {trial.number} is another one; give the study file of that run")
+                raise InputError(f"{path}: trial {trial.number} is another one; give the study file of that run")
             values = tuple(int(row["value"]) for row in block)
             history.append(Answered(trial, Answer(values, float(block[0]["reaction_s"]), {})))
             kept += count
@@ -482,10 +482,10 @@ class Session(Run):
         return history
 
     def _check_stimuli(self) -> None:
-        """Raise StudyError unless all stimuli of the first trial are there."""
+        """Raise InputError unless all stimuli of the first trial are there."""
         wanted = [] if self._trial is None else [each.stimulus for each in self._trial.intervals]
         if missing := [key for key in wanted if key is not None and key not in self._stimuli]:
-            raise StudyError(f"there is no stimulus {missing[0]!r}; prepare the stimuli of this study file again")
+            raise InputError(f"there is no stimulus {missing[0]!r}; prepare the stimuli of this study file again")
 
 
 def _check_values(trial: Trial, values: Sequence[int]) -> None:
@@ -500,7 +500,7 @@ def _check_values(trial: Trial, values: Sequence[int]) -> None:
 
 
 def _read_rows(path: Path, columns: Sequence[str]) -> tuple[list[dict[str, str]], bool]:
-    """Return the whole rows of a table, and whether its end is damaged. Raises StudyError for another table."""
+    """Return the whole rows of a table, and whether its end is damaged. Raises InputError for another table."""
     if not path.exists():
         return [], False
     text = path.read_bytes().decode("utf-8", errors="replace")
@@ -509,7 +509,7 @@ def _read_rows(path: Path, columns: Sequence[str]) -> tuple[list[dict[str, str]]
     if not lines:
         return [], bool(rest)
     if lines[0] != list(columns):
-        raise StudyError(f"{path}: other columns than those of a run; give another folder")
+        raise InputError(f"{path}: other columns than those of a run; give another folder")
     rows = [dict(zip(columns, line, strict=True)) for line in lines[1:] if len(line) == len(columns)]
     return rows, bool(rest) or len(rows) != len(lines) - 1
 

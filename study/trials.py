@@ -5,14 +5,10 @@ from dataclasses import dataclass, field
 from typing import Protocol, TypeAlias
 
 from vibrocast.codec.stream import Stream
-from vibrocast.files import InputFileError
+from vibrocast.errors import VibrocastError
 
 
-class StudyError(InputFileError):
-    """A study file, a set of stimuli or results that cannot be used; the message says what to correct."""
-
-
-class Rejected(RuntimeError):
+class Rejected(VibrocastError):
     """A request of a participant or experimenter that does not fit the screen; the message says why."""
 
 

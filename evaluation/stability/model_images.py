@@ -79,7 +79,7 @@ def measure_hash(rate_point: RatePoint) -> Measured:
 
 
 def measure_crc(rate_point: RatePoint) -> Measured:
-    """Read an image with one byte changed. Raises ModelImageError."""
+    """Read an image with one byte changed. Raises ModelError."""
     image = bytearray(rate_point.trained.image)
     image[len(image) // 2] ^= 0x55
     ModelImage.unpack(bytes(image))

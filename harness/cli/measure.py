@@ -9,11 +9,13 @@ from typing import Any
 
 import click
 
+from vibrocast.errors import REGRESSION
 from vibrocast.harness import ACTUATOR, JSON, NAMES, PAGE
 from vibrocast.host.cli.answers import add, figures_so_far, tell
+from vibrocast.host.cli.errors import CommandError
 from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import FOLDER, INPUT
-from vibrocast.host.cli.options import Regression, allow_programs_option, fail_where_missed
+from vibrocast.host.cli.options import allow_programs_option, fail_where_missed
 
 TRACE = "trace.pcapng"
 MAX_SHOWN = 6
@@ -109,8 +111,9 @@ def measure(
         )
     if worse := [f"{change.name} ({change.problem})" for change in changes if change.regressed]:
         more = f"; and {len(worse) - MAX_SHOWN} more" if len(worse) > MAX_SHOWN else ""
-        raise Regression(
-            f"not as in {earlier}: {'; '.join(worse[:MAX_SHOWN])}{more}; compare both reports, then measure again"
+        raise CommandError(
+            f"not as in {earlier}: {'; '.join(worse[:MAX_SHOWN])}{more}; compare both reports, then measure again",
+            REGRESSION,
         )
     if wrong := list(deviations(results.document())):
         raise click.ClickException(

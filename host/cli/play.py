@@ -17,14 +17,14 @@ from vibrocast.codec.stream import Stream, read_stream
 from vibrocast.device_protocol.coded_stream import StreamError, packet_sequence
 from vibrocast.device_protocol.messages import MessageError
 from vibrocast.device_protocol.transports import TransportError
+from vibrocast.errors import FAILED, InputError
 from vibrocast.host import devices, player
 from vibrocast.host.bench_limits import Judged, missed
 from vibrocast.host.cli.answers import add, answer, wants_json
-from vibrocast.host.cli.errors import DeviceFailure, explained
+from vibrocast.host.cli.errors import CommandError, explained
 from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import INPUT, OutputFile, positive, reject_overwriting
 from vibrocast.host.cli.options import (
-    BadInput,
     Chosen,
     QualityOptions,
     RecordingOptions,
@@ -345,19 +345,19 @@ def tell_outcome(run: Run, outcome: "end_to_end.Outcome", given: Stream) -> None
 
 
 def read_source(file: Path, quality: QualityOptions, recording: RecordingOptions) -> Stream | textures.Recording:
-    """Return a .vct file, or a recording that is to be coded. Raises BadInput, CodecError and TextureError."""
+    """Return a .vct file, or a recording that is to be coded. Raises InputError, CodecError and TextureError."""
     from vibrocast.host import playback as end_to_end
 
     source: Stream | textures.Recording
     if file.suffix.lower() == ".vct":
         coded = coded_already(file, quality, replace(recording, unit=None) if recording.unit == "drive" else recording)
         if coded.header.spatial:
-            raise BadInput(f"{file}: coded over position; give --hand, and --hand-speed-mm-s for a stroke")
+            raise InputError(f"{file}: coded over position; give --hand, and --hand-speed-mm-s for a stroke")
         source = playable(coded)
     else:
         source = textures.load(file, **recording.facts())
         if source.axes:
-            raise BadInput(
+            raise InputError(
                 f"{file}: three axes of one texture; encode it with --axis x, y or z, dft321 or norm, or none for one "
                 "actuator for each axis; then play the .vct file"
             )
@@ -368,18 +368,18 @@ def read_source(file: Path, quality: QualityOptions, recording: RecordingOptions
 def report_each(run: Run, outcomes: "Mapping[str, end_to_end.Outcome | Exception]") -> None:
     """Print a line for each of several controllers, and tell their reports.
 
-    If one failed, or played something else than was sent, raises the error of all that failed; DeviceFailure where
-    theirs differ.
+    If one failed, or played something else than was sent, raises CommandError, with the exit code of all
+    that failed; FAILED where theirs differ.
     """
     run.tell_reports(
         [run.unfinished(name, each) if isinstance(each, Exception) else each.report for name, each in outcomes.items()]
     )
     lines: dict[str, str] = {}
-    failed: dict[str, type[click.ClickException]] = {}
+    failed: dict[str, int] = {}
     for name, each in outcomes.items():
         if isinstance(each, Exception):
             lines[name] = f"FAILED: {each}"
-            failed[name] = type(explained(each, {}))
+            failed[name] = explained(each, {}).exit_code
             continue
         report = each.report
         lines[name] = (
@@ -388,13 +388,14 @@ def report_each(run: Run, outcomes: "Mapping[str, end_to_end.Outcome | Exception
             f"DAC as computed {ANSWERS[report.dac_equals_offline]}"
         )
         if report.differs:
-            failed[name] = DeviceFailure
+            failed[name] = FAILED
     if not wants_json():
         show(lines)
     if failed:
-        kinds = set(failed.values())
-        raise (kinds.pop() if len(kinds) == 1 else DeviceFailure)(
-            f"{len(failed)} of {len(outcomes)} controllers failed: {', '.join(failed)}; the line of each says why"
+        codes = set(failed.values())
+        raise CommandError(
+            f"{len(failed)} of {len(outcomes)} controllers failed: {', '.join(failed)}; the line of each says why",
+            codes.pop() if len(codes) == 1 else FAILED,
         )
 
 
@@ -403,7 +404,7 @@ def spatial_stream(
 ) -> tuple[Stream, textures.Recording | None]:
     """Return a height profile, or a .vct file of one, as a stream over position, and what was coded, where known.
 
-    Raises BadInput for any other.
+    Raises InputError for any other.
     """
     if file.suffix.lower() == ".vct":
         stream, texture = coded_already(file, quality, recording), None
@@ -411,7 +412,7 @@ def spatial_stream(
         encoding = encoded_profile(file, quality, recording)
         stream, texture = encoding.stream, encoding.recording
     if not stream.header.spatial:
-        raise BadInput(f"{file}: coded over time, not over position; encode the profile without --hand-speed-mm-s")
+        raise InputError(f"{file}: coded over time, not over position; encode the profile without --hand-speed-mm-s")
     return stream, texture
 
 

@@ -23,12 +23,12 @@ from vibrocast import codec, models, textures
 from vibrocast.codec.stream import read_stream
 from vibrocast.device_protocol.messages import State
 from vibrocast.device_protocol.model_image import ModelImage
+from vibrocast.errors import LIMIT_MISSED, NO_DEVICE
 from vibrocast.host import devices
 from vibrocast.host.bench_file import actuator_toml
 from vibrocast.host.cli import sections
 from vibrocast.host.cli.command_line import main
 from vibrocast.host.cli.commands import SECTIONS, subcommands
-from vibrocast.host.cli.exit_codes import LIMIT_MISSED, NO_DEVICE
 from vibrocast.host.report import Report
 from vibrocast.output.actuator import ACTUATORS, Codes
 from vibrocast.simulated_device.controller import Controller

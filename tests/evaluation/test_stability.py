@@ -16,6 +16,7 @@ from matplotlib.colors import to_rgb
 from tests.codec.eva_models import tiny_model
 from vibrocast import codec
 from vibrocast.device_protocol.model_image import ModelImage
+from vibrocast.errors import InputError
 from vibrocast.evaluation.cli import stability_page
 from vibrocast.evaluation.cli.stability import stability
 from vibrocast.evaluation.stability import (
@@ -33,7 +34,7 @@ from vibrocast.evaluation.stability import (
     signals,
     transport,
 )
-from vibrocast.evaluation.stability.cell_files import CellsError, read_cells, write_cells
+from vibrocast.evaluation.stability.cell_files import read_cells, write_cells
 from vibrocast.evaluation.stability.known_causes import explanation, known_causes
 from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, methods
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict, attempt, run
@@ -378,7 +379,7 @@ def test_peers_are_measured_and_no_paths_of_theirs_are_kept(tmp_path: Path) -> N
 def test_other_files_are_no_peers(text: str, tmp_path: Path) -> None:
     file = tmp_path / "edge.csv"
     file.write_text(text)
-    with pytest.raises(peers.PeersError):
+    with pytest.raises(InputError):
         peers.read_peers(file)
 
 
@@ -453,7 +454,7 @@ def test_cells_are_read_again_as_they_were_written(tmp_path: Path) -> None:
     write_cells(tmp_path / "loss.csv", LOSS, [*cells, rejected])
     again = read_cells(tmp_path / "loss.csv", LOSS)
     assert again == [*cells, replace(rejected, figures={"off_share": None})]
-    with pytest.raises(CellsError, match=r"run `vibrocast stability` again"):
+    with pytest.raises(InputError, match=r"run `vibrocast stability` again"):
         read_cells(tmp_path / "loss.csv", transport.STALLS)
 
 

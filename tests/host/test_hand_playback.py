@@ -19,7 +19,7 @@ from vibrocast.codec import profiles
 from vibrocast.codec.stream import Stream, read_stream
 from vibrocast.codec.threshold import read_threshold, threshold_amplitude
 from vibrocast.device_protocol.coded_stream import StreamError
-from vibrocast.files import InputFileError
+from vibrocast.errors import InputError
 from vibrocast.host import hand_playback as position_playback
 from vibrocast.host import playback as end_to_end
 from vibrocast.host.cli.command_line import main
@@ -143,7 +143,7 @@ def test_command_says_what_a_spatial_stream_is(tmp_path: Path) -> None:
 def test_movements_that_cannot_be_read_are_rejected(tmp_path: Path, text: str, reason: str) -> None:
     path = tmp_path / "hand.csv"
     path.write_text(text)
-    with pytest.raises(InputFileError, match=reason):
+    with pytest.raises(InputError, match=reason):
         position_playback.read_movement(path)
 
 

@@ -12,6 +12,7 @@ from vibrocast.codec.live_format import live_format
 from vibrocast.device_protocol.coded_stream import StreamError, packet_sequence
 from vibrocast.device_protocol.messages import Start, State, Tap
 from vibrocast.device_protocol.transports import TransportError
+from vibrocast.errors import InputError
 from vibrocast.host import live
 from vibrocast.host.live import LiveCoding, LiveStream
 from vibrocast.host.stream_session import read_capture
@@ -201,7 +202,7 @@ def test_a_source_that_does_not_keep_its_rate_is_rejected() -> None:
                 link.sleep(0.05)
             yield np.zeros((16, 1))
 
-    with pytest.raises(live.LiveError, match="the source is not live"):
+    with pytest.raises(InputError, match="the source is not live"):
         live.play(stream, flood())
     assert controller.request_status().state == State.STOPPED
 
