@@ -10,11 +10,12 @@ from functools import partial
 from vibrocast.device_protocol.messages import MessageError
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.errors import InputError
+from vibrocast.host.controller import ControllerError
 from vibrocast.workers import cores, on_cores
 
 LIMIT_S = 240.0
 """A trial that takes more processor time hangs. Most take a second, coding of an hour up to 20."""
-CLEAR_ERRORS = (InputError, MessageError, TransportError)
+CLEAR_ERRORS = (ControllerError, InputError, MessageError, TransportError)
 """Errors that tell a person what to do; any other that comes out of a trial is a crash."""
 
 
