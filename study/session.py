@@ -520,7 +520,7 @@ def _append(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, obje
     with path.open("a", encoding="utf-8", newline="") as file:
         before = file.tell()
         try:
-            file.write(_as_csv(columns, rows, header=begins))
+            file.write(as_csv(columns, rows, header=begins))
             file.flush()
             os.fsync(file.fileno())
         except OSError:
@@ -538,10 +538,11 @@ def _append(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, obje
 def _write(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, object]]) -> None:
     """Replace a table by whole rows."""
     with atomic_write(path) as partial:
-        partial.write_text(_as_csv(columns, rows, header=True), encoding="utf-8", newline="")
+        partial.write_text(as_csv(columns, rows), encoding="utf-8", newline="")
 
 
-def _as_csv(columns: Sequence[str], rows: Sequence[Mapping[str, Any]], header: bool) -> str:
+def as_csv(columns: Sequence[str], rows: Sequence[Mapping[str, Any]], header: bool = True) -> str:
+    """Return rows as the text of a CSV file; None is an empty field."""
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, lineterminator="\n", restval="")
     if header:

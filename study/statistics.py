@@ -138,15 +138,13 @@ def holm(p_values: Sequence[float | None]) -> list[float | None]:
     S. Holm, "A simple sequentially rejective multiple test procedure", Scandinavian Journal of Statistics 6, 1979.
     Raises StudyError for a p outside 0 to 1.
     """
+    from statsmodels.stats.multitest import multipletests
+
     if any(p is not None and not 0 <= p <= 1 for p in p_values):
         raise StudyError("a p value lies outside 0 to 1; correct p values of tests")
-    known = sorted((p, place) for place, p in enumerate(p_values) if p is not None)
-    corrected: list[float | None] = [None] * len(p_values)
-    largest = 0.0
-    for rank, (p, place) in enumerate(known):
-        largest = max(largest, min(1.0, (len(known) - rank) * p))
-        corrected[place] = largest
-    return corrected
+    known = [p for p in p_values if p is not None]
+    corrected = iter(multipletests(known, method="holm")[1].tolist() if known else ())
+    return [None if p is None else next(corrected) for p in p_values]
 
 
 # ---- sensitivity ----

@@ -1,5 +1,6 @@
 """A study as its parts see it: stimuli, screens that a participant meets, answers, and the session between them."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, TypeAlias
@@ -258,29 +259,40 @@ class Played:
     seconds: float
 
 
-class StimulusPlayer(Protocol):
+class StimulusPlayer(ABC):
     """Plays stimuli on a device for a run. Calls return at once; another thread plays."""
 
+    def __init__(self) -> None:
+        self._played: list[Played] = []
+
+    @abstractmethod
     def prepare(self, stimuli: Sequence[Stimulus]) -> None:
         """Do all that would delay a first presentation. Raises ControllerError, TransportError."""
 
+    @abstractmethod
     def start(self, stimulus: Stimulus) -> None:
         """Play from the beginning; what plays before ramps down. Raises ControllerError, TransportError."""
 
     def switch(self, stimulus: Stimulus) -> None:
         """Go on at the same place in another stimulus, without a gap where the device can; else as `start`."""
+        self.start(stimulus)
 
+    @abstractmethod
     def stop(self) -> None:
         """Bring the actuator to rest. Never raises for a device that is gone."""
 
+    @abstractmethod
     def playing(self) -> str | None:
         """Return the key of the stimulus that plays, None at rest. Raises what went wrong in the other thread."""
 
     def take_played(self) -> list[Played]:
         """Return what has been played since the last call."""
+        played, self._played = self._played, []
+        return played
 
     def close(self) -> None:
         """Bring the actuator to rest; nothing is played after this."""
+        self.stop()
 
 
 RESULT_COLUMNS = (
