@@ -149,7 +149,7 @@ def max_gap(
 
 def _silence(controller: Controller, texture: Recording, buffer_s: float, gap_s: float, rate_hz: int) -> str | None:
     """Send ahead, be silent, and send the rest; return the cause if the stream ended early."""
-    samples = looped(texture, max(buffer_s, gap_s) + 2 * _AFTER_GAP_S, rate_hz)
+    samples = looped(texture, max(buffer_s, gap_s) + 2 * _AFTER_GAP_S, rate_hz).samples
     stream = live.LiveStream(controller, _format(texture, samples, rate_hz), playout_delay_s=_START_S)
     packets = stream.code(samples)
     ahead = round((buffer_s - _START_S) * rate_hz / stream.packet_samples)
@@ -172,7 +172,7 @@ def _listen(controller: Controller, seconds: float) -> None:
 
 
 def _play(controller: Controller, texture: Recording, channels: int, rate_hz: int, seconds: float) -> live.LiveResult:
-    samples = np.repeat(looped(texture, seconds, rate_hz), channels, axis=1)
+    samples = np.repeat(looped(texture, seconds, rate_hz).samples, channels, axis=1)
     stream = live.LiveStream(controller, _format(texture, samples, rate_hz))
     return live.play(stream, (block for _, block in live.paced(stream, samples, stream.packet_samples)))
 

@@ -3,7 +3,7 @@
 import csv
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -136,12 +136,12 @@ def write_csv(path: Path, compared: Sequence[Row]) -> None:
 
 def document(played: Played) -> dict[str, Any]:
     """Return forecast and measured figures of a texture, ready for JSON."""
-    texture = played.texture
+    texture, measured = played.texture, structs.asdict(played.measured)
     return {
         "texture": texture.name,
         "controller": texture.controller,
         "forecast": structs.asdict(texture.forecast),
-        "measured": asdict(played.measured),
+        "measured": {key: value for key, value in measured.items() if key not in ("flash_bytes", "ram_bytes")},
         "underruns": played.underruns,
         "lost_packets": played.lost_packets,
         "decoded_as_sent": played.as_decoded,

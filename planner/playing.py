@@ -3,7 +3,6 @@
 import contextlib
 import math
 import time
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -29,7 +28,7 @@ from vibrocast.host.tracing import TappedTransport
 from vibrocast.output.actuator import Actuator, Codes
 from vibrocast.planner import band
 from vibrocast.planner.candidates import spqi
-from vibrocast.planner.plan_file import Plan, PlanError, PlannedController, PlannedTexture
+from vibrocast.planner.plan_file import Forecast, Plan, PlanError, PlannedController, PlannedTexture
 from vibrocast.textures import Recording
 
 RETAKES = 2
@@ -40,7 +39,7 @@ _ASKED_EVERY_S = 0.1
 
 
 class CountingController(Controller):
-    """A session that keeps what is sent of each stream, by its number: the packets, and the bytes of their frames.
+    """A session that keeps what is sent of a stream: the `packets`, and the bytes of their frames.
 
     `instructions`: returns how many the controller's processor has carried out; None where nothing counts them.
     """
@@ -53,52 +52,40 @@ class CountingController(Controller):
         instructions: Callable[[], int] | None = None,
     ) -> None:
         self.instructions = instructions
-        self.packets: defaultdict[int, list[bytes]] = defaultdict(list)
-        self.frame_bytes: defaultdict[int, int] = defaultdict(int)
+        self.forget()
         super().__init__(transport, clock, sleep)
+
+    def forget(self) -> None:
+        """Forget what was sent so far, such as packets that probed the link."""
+        self.packets: list[bytes] = []
+        self.frame_bytes = 0
 
     def send(self, data: PacketMessage | Position) -> None:
         """Send what is not answered; of stream data, keep what it was. Raises TransportError."""
         before = self.bytes_sent
         super().send(data)
         if isinstance(data, PacketMessage):
-            self.frame_bytes[data.stream] += self.bytes_sent - before
-            self.packets[data.stream] += data.packets
+            self.frame_bytes += self.bytes_sent - before
+            self.packets += data.packets
 
 
 Opener = Callable[[str, Actuator | None], AbstractContextManager[CountingController]]
 
 
 @dataclass(frozen=True)
-class MeasuredPlayback:
-    """Measured figures of a Forecast, by the same names; None where nothing measured them.
-
-    Rates by the bytes that were sent, quality by the samples that the controller decoded, the error at the skin by the
-    codes of its DAC.
-    """
-
-    payload_bps: float
-    wire_bps: float
-    instructions_per_second: float | None
-    load_percent: float | None
-    snr_db: float | None
-    spqi: float | None
-    third_octave_distance_db: float | None
-    error_over_threshold_db: float | None
-    delay_ms: float | None
-
-
-@dataclass(frozen=True)
 class Played:
-    """A texture that was played as planned, and what was measured.
+    """A texture that was played as planned.
 
+    `measured`: the figures of a Forecast by measurement, None where nothing measures them, such as memory. Rates are by
+    the bytes that were sent, quality by the samples that the controller decoded, the error at the skin by the codes of
+    its DAC.
     `underruns`, `lost_packets`: where there are any, quality is not the codec's alone. `as_decoded`, `as_computed`:
     whether decoded samples and DAC codes, as far as the controller keeps them, are bit for bit what the host computes;
     None where it keeps none.
     """
 
     texture: PlannedTexture
-    measured: MeasuredPlayback
+    measured: Forecast
     underruns: int
     lost_packets: int
     as_decoded: bool | None
@@ -230,9 +217,7 @@ def play_live(
 
     Whatever is raised, the controller is stopped first. Raises as `live.LiveStream`.
     """
-    # Packets that probed the link do not belong to the stream.
-    controller.packets.clear()
-    controller.frame_bytes.clear()
+    controller.forget()
     ask_s = 0.0
     load = _Load(controller, stream.stream)
     with stopped_on_error(controller):
@@ -254,8 +239,7 @@ def play_by_hand(
     tell: Callable[[float], None],
 ) -> tuple[position_playback.Played, float | None]:
     """Load a profile, and play it once under a hand that goes there and back, so fast at most; return as play_live."""
-    controller.packets.clear()
-    controller.frame_bytes.clear()
+    controller.forget()
     load = _Load(controller)
 
     def note(part: float) -> None:
@@ -303,8 +287,6 @@ class _Player:
         as_computed = position_playback.as_computed(
             result, position_playback.computed(stream, result, self._driven), self._driven
         )
-        number = result.status.stream
-        sent = controller.packets[number]
         # As if swept at the greatest speed, like the forecast.
         rate_hz = texture.rate * texture.hand_speed_mm_s / 1000
         seconds = len(stream.packets) * stream.decoder().packet_samples / rate_hz
@@ -312,8 +294,8 @@ class _Player:
             texture,
             Recording(recording.samples, rate_hz, recording.unit, recording.name),
             stream.decode(),
-            payload_bps=8 * sum(map(len, sent)) / seconds,
-            wire_bps=8 * controller.frame_bytes[number] / seconds,
+            payload_bps=8 * sum(map(len, controller.packets)) / seconds,
+            wire_bps=8 * controller.frame_bytes / seconds,
             instructions_per_second=instructions,
         )
         return Played(texture, measured, result.status.underruns, result.status.lost_packets, None, as_computed)
@@ -339,7 +321,7 @@ class _Player:
         clock = DeviceClock(controller)
         began_s = controller.clock()
         result, instructions = play_live(stream, controller, recording.samples, clock, tell)
-        sent = Stream(stream.header, tuple(controller.packets[stream.stream]), model.image if model else None)
+        sent = Stream(stream.header, tuple(controller.packets), model.image if model else None)
         seconds = len(sent.packets) * stream.packet_samples / texture.rate
         as_decoded, decoded = self._read_back(Tap.DECODED, offline := sent.decode_integers())
         decoder = sent.decoder()
@@ -355,7 +337,7 @@ class _Player:
             recording,
             decoded_samples,
             payload_bps=8 * sum(map(len, sent.packets)) / seconds,
-            wire_bps=8 * controller.frame_bytes[stream.stream] / seconds,
+            wire_bps=8 * controller.frame_bytes / seconds,
             instructions_per_second=instructions,
             error_over_threshold_db=error_db,
             delay_ms=self._delay_ms(sent, clock, began_s),
@@ -380,12 +362,12 @@ class _Player:
         instructions_per_second: float | None,
         error_over_threshold_db: float | None = None,
         delay_ms: float | None = None,
-    ) -> MeasuredPlayback:
+    ) -> Forecast:
         """Return what was measured; `decoded_samples`: what was decoded, in the recording's unit and of its length."""
         quality = metrics.measure(recording.samples, decoded_samples, recording.rate_hz, recording.unit)
         clock_hz = self._planned.clock_hz
         load = None if instructions_per_second is None or clock_hz is None else 100 * instructions_per_second / clock_hz
-        return MeasuredPlayback(
+        return Forecast(
             payload_bps=payload_bps,
             wire_bps=wire_bps,
             instructions_per_second=instructions_per_second,

@@ -11,7 +11,8 @@ from vibrocast import codec, textures
 from vibrocast.codec import CodedSignal, Framing, Source
 from vibrocast.codec.core import decoding_cycles
 from vibrocast.codec.rate_controlled import added_bytes
-from vibrocast.harness import Latency, machine, measure_latency, subject
+from vibrocast.harness.latency import Latency, measure_latency
+from vibrocast.harness.measurements import machine, subject
 from vibrocast.host import bench_file, live
 from vibrocast.host.bench_file import Bench, BenchController
 from vibrocast.textures import Recording

@@ -9,7 +9,8 @@ import click
 
 from studies.page import OUT, errors_in_one_line, render, results_folder, write, write_rows
 from vibrocast import progress, textures
-from vibrocast.harness import machine, run_live
+from vibrocast.harness.live_run import run_live
+from vibrocast.harness.measurements import machine
 from vibrocast.host import devices, live
 from vibrocast.host import playback as end_to_end
 from vibrocast.host.cli.option_types import Whole, positive

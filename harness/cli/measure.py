@@ -9,8 +9,19 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from vibrocast.harness import ACTUATOR, JSON, NAMES, PAGE
 from vibrocast.harness.cli.sensor_options import sensitivity_option, volts_option
+from vibrocast.harness.results import (
+    ACTUATOR,
+    JSON,
+    NAMES,
+    PAGE,
+    compare,
+    described,
+    deviations,
+    figures,
+    read_results,
+    warnings,
+)
 from vibrocast.host.cli.answers import add, figures_so_far, tell
 from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import FOLDER, INPUT
@@ -146,7 +157,7 @@ def measure(
     The exit code is 5 if the run is worse than the earlier one, or cannot be compared with it. It is 1 if a measurement
     failed, or the controller played something else than was sent, and 4 if a limit of the bench file was missed.
     """
-    from vibrocast.harness import compare, described, deviations, figures, measure_bench, read_results, warnings
+    from vibrocast.harness.run import measure_bench
     from vibrocast.host.bench_file import choose_controller, read_bench
 
     if bench_path and calibration != CalibrationOptions(None, None, None, None):

@@ -9,7 +9,8 @@ from studies.faulty_bench import Misreading, at_half_gain
 from vibrocast import textures
 from vibrocast.codec import SignalFormat
 from vibrocast.device_protocol.messages import Message, SinglePacket
-from vibrocast.harness import LiveRun, measure_latency, run_live
+from vibrocast.harness.latency import measure_latency
+from vibrocast.harness.live_run import LiveRun, run_live
 from vibrocast.host.bench_limits import BenchLimits, missed
 from vibrocast.host.controller import Controller
 from vibrocast.host.live import LiveStream

@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from studies import latency as study
-from vibrocast.harness import Latency, MinLatency
-from vibrocast.harness.latency import PARTS, Spread
+from vibrocast.harness.latency import PARTS, Latency, MinLatency, Spread
 from vibrocast.host.device_clock import ClockFit
 
 TABLE = Path(__file__).parents[2] / "docs" / "benchmarks" / "results" / "latency.csv"
