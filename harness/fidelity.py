@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, encode_recording
+from vibrocast.codec.encoding import encode_recording
 from vibrocast.harness.sensors import Recorder, recorded
 from vibrocast.host import playback as end_to_end
 from vibrocast.host.controller import Controller
@@ -66,7 +66,6 @@ def measure_fidelity(
     skin_model: Actuator,
     recorder: Recorder | None = None,
     sensor_name: str = "",
-    stream_rate_hz: int = DEFAULT_STREAM_RATE_HZ,
     progress: Callable[[float], None] | None = None,
 ) -> Fidelity:
     """Play the first channel of a texture and compare the skin with the sent signal.
@@ -75,7 +74,7 @@ def measure_fidelity(
     through `skin_model`. Raises SensorError, AlignmentError, and whatever `host.end_to_end.play` raises.
     """
     one = Recording(np.ascontiguousarray(texture.samples[:, :1]), texture.rate_hz, texture.unit, texture.name)
-    encoding = encode_recording(one, stream_rate_hz, live=True)
+    encoding = encode_recording(one, live=True)
     with recorded(recorder, controller, one.seconds) as finish:
         outcome = end_to_end.play(
             controller,

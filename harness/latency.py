@@ -223,13 +223,12 @@ def measure_credible_latency(
     actuator: Actuator,
     texture: Recording,
     *,
-    seconds: float = 4.0,
     recorder: Recorder | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Latency:
     """Measure the latency, once more if it has a flaw. Raises ControllerError if it has one then too, and as before."""
     for _ in range(2):
-        measured = measure_latency(controller, actuator, texture, seconds=seconds, recorder=recorder, progress=progress)
+        measured = measure_latency(controller, actuator, texture, recorder=recorder, progress=progress)
         if measured.flaw is None:
             return measured
     raise ControllerError(f"{measured.flaw}; use a less busy machine or a faster link")
@@ -241,7 +240,6 @@ def find_min_latency(
     texture: Recording,
     *,
     seconds: float = 4.0,
-    rate_hz: int = 2800,
     progress: Callable[[float], None] | None = None,
 ) -> MinLatency:
     """Search the lowest delay that is stable: for each length of a block, the margin down until it fails twice.
@@ -253,14 +251,9 @@ def find_min_latency(
     stable: list[tuple[float, str, float]] = []
 
     def measured(hop: str, playout_delay_s: float, lasts_s: float) -> Latency:
+        setting = {"hop": hop}
         return measure_latency(
-            controller,
-            actuator,
-            texture,
-            seconds=lasts_s,
-            rate_hz=rate_hz,
-            setting={"hop": hop},
-            playout_delay_s=playout_delay_s,
+            controller, actuator, texture, seconds=lasts_s, setting=setting, playout_delay_s=playout_delay_s
         )
 
     for number, hop in enumerate(HOPS):

@@ -111,7 +111,6 @@ class MeasuredCoding:
     peak_bps: float
     max_frame_bytes: int
     delay_samples: int
-    size_bytes: int
     snr_db: float | None
     spqi: float | None
     third_octave_distance_db: float | None
@@ -361,7 +360,6 @@ class Evaluator:
             peak_bps=_peak_bps(frames, packet_s),
             max_frame_bytes=max(frames),
             delay_samples=decoder.delay_samples,
-            size_bytes=encoding.stream.size_bytes,
             snr_db=encoding.quality.snr_db,
             spqi=spqi(felt[0], decoded) if every or self._measure == "spqi" else None,
             third_octave_distance_db=(

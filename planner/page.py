@@ -35,16 +35,17 @@ _COLOURS = ("#20123a", "#0072b2", "#009e73", "#d55e00", "#cc79a7", "#56b4e9", "#
 
 def write_tables(folder: Path, choices: Sequence[TextureChoice]) -> None:
     """Write candidates.csv and bands.csv: all candidates, and the third octaves of each texture. Raises OSError."""
-    _write(folder / CANDIDATES, (row for choice in choices for row in _candidate_rows(choice)))
-    _write(folder / BANDS, (row for choice in choices for row in _band_rows(choice)))
+    for name, rows_of in ((CANDIDATES, _candidate_rows), (BANDS, _band_rows)):
+        rows = [row for choice in choices for row in rows_of(choice)]
+        write_table(folder / name, list(rows[0]), rows)
 
 
-def _write(path: Path, rows: Iterable[Mapping[str, object]]) -> None:
-    first, *others = rows
+def write_table(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, object]]) -> None:
+    """Write rows as CSV; None is an empty field. Raises OSError."""
     with atomic_write(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
-        table = csv.DictWriter(file, first, lineterminator="\n")
+        table = csv.DictWriter(file, columns, lineterminator="\n")
         table.writeheader()
-        table.writerows([first, *others])
+        table.writerows(rows)
 
 
 def _candidate_rows(choice: TextureChoice) -> Iterator[dict[str, object]]:
@@ -226,11 +227,7 @@ def document(choice: TextureChoice, planned: PlannedTexture) -> dict[str, object
         "texture": planned.name,
         "choice": {
             "option": choice.chosen.measured.option.name,
-            "codec": planned.codec,
-            "model": planned.model,
-            "setting": dict(planned.setting),
-            "rate": planned.rate,
-            "packet_samples": planned.packet_samples,
+            **{key: getattr(planned, key) for key in ("codec", "model", "setting", "rate", "packet_samples")},
             "controller": planned.controller,
             "cost": choice.compared.cost,
             "forecast": structs.asdict(planned.forecast),

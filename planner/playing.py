@@ -56,9 +56,23 @@ class CountingController(Controller):
         super().__init__(transport, clock, sleep)
 
     def forget(self) -> None:
-        """Forget what was sent so far, such as packets that probed the link."""
+        """Forget what was sent and noted so far, such as packets that probed the link."""
         self.packets: list[bytes] = []
         self.frame_bytes = 0
+        self._loads: list[tuple[float, int]] = []
+
+    def note_load(self) -> None:
+        """Note what the processor has done so far, if a stream plays."""
+        if self.instructions is not None and self.status is not None and self.status.state == State.PLAYING:
+            self._loads[1:] = [(self.clock(), self.instructions())]  # the first one, and the last
+
+    @property
+    def instructions_per_second(self) -> float | None:
+        """From the first note to the last; None where nothing counts, or nothing has played for any time."""
+        if len(self._loads) < 2:
+            return None
+        (first_s, first), (last_s, last) = self._loads
+        return (last - first) / (last_s - first_s)
 
     def send(self, data: PacketMessage | Position) -> None:
         """Send what is not answered; of stream data, keep what it was. Raises TransportError."""
@@ -178,34 +192,6 @@ def play(
     return in_order
 
 
-class _Load:
-    """The instructions of a processor from the first note that a stream plays until the last one.
-
-    `stream`: its number; None = the one that is known to play.
-    """
-
-    def __init__(self, controller: CountingController, stream: int | None = None) -> None:
-        self._controller, self._stream = controller, stream
-        self._noted: list[tuple[float, int]] = []
-
-    def note(self) -> None:
-        """Note what it has done so far."""
-        status, instructions = self._controller.status, self._controller.instructions
-        if instructions is None or status is None or status.state != State.PLAYING:
-            return
-        if self._stream in (None, status.stream):
-            # The first one, and the last.
-            self._noted[1:] = [(self._controller.clock(), instructions())]
-
-    @property
-    def instructions_per_second(self) -> float | None:
-        """None where nothing counts, or it has not played for any time."""
-        if len(self._noted) < 2:
-            return None
-        (first_s, first), (last_s, last) = self._noted
-        return (last - first) / (last_s - first_s)
-
-
 def play_live(
     stream: live.LiveStream,
     controller: CountingController,
@@ -219,16 +205,15 @@ def play_live(
     """
     controller.forget()
     ask_s = 0.0
-    load = _Load(controller, stream.stream)
     with stopped_on_error(controller):
         for due_s, block in live.paced(stream, samples, stream.packet_samples, clock.sleep):
             stream.send_packets(stream.code(block))
             if due_s >= ask_s:
                 ask_s = due_s + _ASKED_EVERY_S
                 clock.ask(stream.packets_sent)
-            load.note()
+            controller.note_load()
             tell(stream.packets_sent * stream.packet_samples / len(samples))
-        return stream.finish(), load.instructions_per_second
+        return stream.finish(), controller.instructions_per_second
 
 
 def play_by_hand(
@@ -240,14 +225,13 @@ def play_by_hand(
 ) -> tuple[position_playback.Played, float | None]:
     """Load a profile, and play it once under a hand that goes there and back, so fast at most; return as play_live."""
     controller.forget()
-    load = _Load(controller)
 
     def note(part: float) -> None:
-        load.note()
+        controller.note_load()
         tell(part)
 
     movement = position_playback.back_and_forth(length_mm, hand_speed_mm_s, 1)
-    return position_playback.play(controller, stream, movement, note), load.instructions_per_second
+    return position_playback.play(controller, stream, movement, note), controller.instructions_per_second
 
 
 class _Player:

@@ -17,7 +17,7 @@ from vibrocast.study.methods import GRADES, MAIN, design, staircase_of, staircas
 from vibrocast.study.session import LOG, RESULTS, RUN
 from vibrocast.study.simulation import SIMULATED
 from vibrocast.study.staircases import Staircase
-from vibrocast.study.statistics import Correlation, Interval, MixedModel, PairedTest
+from vibrocast.study.statistics import Correlation, Effect, Interval, PairedTest
 from vibrocast.study.study_file import HIDDEN_REFERENCE, Study, read_study
 from vibrocast.study.trials import RESULT_COLUMNS, Stimulus, StudyError
 
@@ -124,7 +124,7 @@ class Analysis:
     excluded: Mapping[int, str]
     warnings: tuple[str, ...]
     ratings: tuple[Rating, ...] = ()
-    model: MixedModel | None = None
+    model: Mapping[str, Effect] | None = None
     detections: tuple[Detection, ...] = ()
     preferences: tuple[Preference, ...] = ()
     thresholds: tuple[Threshold, ...] = ()
@@ -581,10 +581,7 @@ def tables(read: Analysis) -> dict[str, list[dict[str, Any]]]:
             }
             for people in (PLANNED_PARTICIPANTS if read.ratings else ())
         ],
-        "mixed_model": [
-            {"condition": name, "difference": value, "standard_error": error, "p": p}
-            for name, (value, error, p) in (read.model.effects if read.model else {}).items()
-        ],
+        "mixed_model": [{"condition": name, **effect._asdict()} for name, effect in (read.model or {}).items()],
         "correlations": [
             {"metric": metric, "stimuli": each.count, **_columns(each, "pearson", "spearman")}
             for metric, each in (read.correlations or {}).items()

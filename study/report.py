@@ -113,12 +113,11 @@ def _charts(read: Analysis) -> list[tuple[str, Figure]]:
     return charts
 
 
-def _panels(titles: Sequence[str], height: float = 1.0) -> tuple[Figure, list[Axes]]:
+def _panels(titles: Sequence[str]) -> tuple[Figure, list[Axes]]:
     """Return a figure with a panel for each title."""
     columns = min(_MAX_COLUMNS, len(titles))
     rows = math.ceil(len(titles) / columns)
-    size = columns * _PANEL_IN[0], rows * _PANEL_IN[1] * height
-    figure = Figure(figsize=size, layout="constrained")
+    figure = Figure(figsize=(columns * _PANEL_IN[0], rows * _PANEL_IN[1]), layout="constrained")
     axes = [figure.add_subplot(rows, columns, number) for number in range(1, len(titles) + 1)]
     for each, title in zip(axes, titles, strict=True):
         each.set_title(title, fontsize=pictures.POINTS, color=pictures.INK)

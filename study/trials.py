@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 from vibrocast.codec.stream import Stream
 from vibrocast.files import InputFileError
@@ -188,50 +188,6 @@ class State:
     level_db: float | None
     device: str
     warnings: tuple[str, ...] = ()
-
-
-class Run(Protocol):
-    """One participant's run, as pages and terminal use it. Safe to call from several threads.
-
-    Each method raises Rejected where it does not fit the screen. A run whose device is gone pauses, with the reason in
-    `state().warnings`, until the experimenter resumes it.
-    """
-
-    def screen(self) -> Screen:
-        """Return the present screen."""
-
-    def version(self) -> int:
-        """Return a number that changes whenever `screen` or `state` does: pages poll it."""
-
-    def go_on(self) -> None:
-        """Leave a Message, or a Break after its time."""
-
-    def reply(self, text: str) -> None:
-        """Answer a Question."""
-
-    def play(self, label: str) -> None:
-        """Play an interval of the present trial, or switch to it; returns while it plays."""
-
-    def stop_playing(self) -> None:
-        """Bring the actuator to rest; the trial goes on."""
-
-    def answer(self, values: tuple[int, ...]) -> bool | None:
-        """Store the answer on disk and go on; return whether it was correct, None without feedback."""
-
-    def pause(self) -> None:
-        """Stop the actuator and show Paused until `resume`."""
-
-    def resume(self) -> None:
-        """Show the trial again, from its beginning."""
-
-    def abort(self) -> None:
-        """Stop the actuator and end the run; started again, the command goes on after the last answer."""
-
-    def plays(self) -> Mapping[str, int]:
-        """Return how often each label of the present trial was played."""
-
-    def state(self) -> State:
-        """Return what the experimenter sees."""
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from tests.study.stub_run import CONDITIONS, LOST, WELCOME, StubRun, mushra, served, trial
 from vibrocast.study.server import CALL_THE_EXPERIMENTER, NOISE_RATE_HZ, Aids, StudyPages, serve
-from vibrocast.study.trials import Break, Message, Question, Run, Screen, StudyError
+from vibrocast.study.session import Session
+from vibrocast.study.trials import Break, Message, Question, Screen, StudyError
 
 
 @pytest.fixture(autouse=True)
@@ -28,7 +29,7 @@ SCREENS: tuple[Screen, ...] = (WELCOME, Question("age", "Your age?"), trial(1), 
 class Client:
     """A browser that sends requests to the application itself, and knows the screen which it shows."""
 
-    def __init__(self, run: Run, aids: Aids | None = None) -> None:
+    def __init__(self, run: Session, aids: Aids | None = None) -> None:
         self.pages = StudyPages(run, aids or Aids())
         self.application = self.pages.application()
 
