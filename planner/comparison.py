@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -131,12 +131,12 @@ def write_csv(path: Path, compared: Sequence[Row]) -> None:
 
 def document(played: Played) -> dict[str, Any]:
     """Return forecast and measured figures of a texture, ready for JSON."""
-    texture, measured = played.texture, structs.asdict(played.measured)
+    texture = played.texture
     return {
         "texture": texture.name,
         "controller": texture.controller,
         "forecast": structs.asdict(texture.forecast),
-        "measured": {key: value for key, value in measured.items() if key not in ("flash_bytes", "ram_bytes")},
+        "measured": asdict(played.measured),
         "underruns": played.underruns,
         "lost_packets": played.lost_packets,
         "decoded_as_sent": played.as_decoded,

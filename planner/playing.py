@@ -28,7 +28,7 @@ from vibrocast.host.tracing import TappedTransport
 from vibrocast.output.actuator import Actuator, Codes
 from vibrocast.planner import band
 from vibrocast.planner.candidates import spqi
-from vibrocast.planner.plan_file import Forecast, Plan, PlanError, PlannedController, PlannedTexture
+from vibrocast.planner.plan_file import Plan, PlanError, PlannedController, PlannedTexture
 from vibrocast.textures import Recording
 
 RETAKES = 2
@@ -87,19 +87,35 @@ Opener = Callable[[str, Actuator | None], AbstractContextManager[CountingControl
 
 
 @dataclass(frozen=True)
-class Played:
-    """A texture that was played as planned.
+class MeasuredPlayback:
+    """Measured figures of a Forecast, by the same names; None where nothing measured them.
 
-    `measured`: the figures of a Forecast by measurement, None where nothing measures them, such as memory. Rates are by
-    the bytes that were sent, quality by the samples that the controller decoded, the error at the skin by the codes of
-    its DAC.
+    Rates by the bytes that were sent, quality by the samples that the controller decoded, the error at the skin by the
+    codes of its DAC.
+    """
+
+    payload_bps: float
+    wire_bps: float
+    instructions_per_second: float | None
+    load_percent: float | None
+    snr_db: float | None
+    spqi: float | None
+    third_octave_distance_db: float | None
+    error_over_threshold_db: float | None
+    delay_ms: float | None
+
+
+@dataclass(frozen=True)
+class Played:
+    """A texture that was played as planned, and what was measured.
+
     `underruns`, `lost_packets`: where there are any, quality is not the codec's alone. `as_decoded`, `as_computed`:
     whether decoded samples and DAC codes, as far as the controller keeps them, are bit for bit what the host computes;
     None where it keeps none.
     """
 
     texture: PlannedTexture
-    measured: Forecast
+    measured: MeasuredPlayback
     underruns: int
     lost_packets: int
     as_decoded: bool | None
@@ -346,12 +362,12 @@ class _Player:
         instructions_per_second: float | None,
         error_over_threshold_db: float | None = None,
         delay_ms: float | None = None,
-    ) -> Forecast:
+    ) -> MeasuredPlayback:
         """Return what was measured; `decoded_samples`: what was decoded, in the recording's unit and of its length."""
         quality = metrics.measure(recording.samples, decoded_samples, recording.rate_hz, recording.unit)
         clock_hz = self._planned.clock_hz
         load = None if instructions_per_second is None or clock_hz is None else 100 * instructions_per_second / clock_hz
-        return Forecast(
+        return MeasuredPlayback(
             payload_bps=payload_bps,
             wire_bps=wire_bps,
             instructions_per_second=instructions_per_second,
