@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,31 +37,6 @@ _SIDECAR_BYTES = 1 << 16
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
-class Source(Protocol):
-    """A sensor whose samples are read in `unit`, on a uniform grid; as `SerialSensor`."""
-
-    name: str
-    rate_hz: int
-    channels: int
-    unit: str
-    axes: str
-    full_scale: float | None
-    sensitivity: str | None
-
-    @property
-    def losses(self) -> Losses:
-        """The samples that were lost."""
-
-    def read(self, timeout_s: float) -> Signal:
-        """Return the samples (n, channels) since the last call; none after `timeout_s`. Raises TransportError."""
-
-    def warnings(self) -> list[str]:
-        """Return remarks for people."""
-
-    def facts(self) -> dict[str, object]:
-        """Return what else the sidecar should state."""
-
-
 class Card(Protocol):
     """A sound card that records; as `output.sound_card.Capture`."""
 
@@ -73,7 +48,7 @@ class Card(Protocol):
 
 
 class AnalogueSensor:
-    """A sensor whose volts a sound card records; as `Source`.
+    """A sensor whose volts a sound card records; it reads as `SerialSensor` does.
 
     Lost samples are cut out: how many there were is not known.
     """
@@ -89,7 +64,7 @@ class AnalogueSensor:
         self._frames = 0
 
     def read(self, timeout_s: float) -> Signal:
-        """As `Source.read`."""
+        """Return the samples (n, channels) since the last call; none after `timeout_s`. Raises TransportError."""
         samples = self._card.read(timeout_s)
         for _ in range(self._card.overruns - self.losses.gaps):
             self.losses.add(self._frames / self.rate_hz, None)
@@ -97,12 +72,15 @@ class AnalogueSensor:
         return samples[:, self._columns].astype(np.float64) * (self.full_scale or 1.0)
 
     def warnings(self) -> list[str]:
-        """As `Source.warnings`."""
+        """Return remarks for people: none."""
         return []
 
     def facts(self) -> dict[str, object]:
-        """As `Source.facts`."""
+        """Return what is known of the card, for the sidecar."""
         return {"volts_full_scale": self._volts}
+
+
+Source: TypeAlias = SerialSensor | AnalogueSensor
 
 
 @contextmanager

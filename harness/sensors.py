@@ -21,6 +21,7 @@ from vibrocast import textures
 from vibrocast.errors import VibrocastError
 from vibrocast.harness.recorder import Levels, Source, open_source, pieces
 from vibrocast.host.bench_file import Sensor
+from vibrocast.host.controller import Controller
 from vibrocast.textures import Recording
 from vibrocast.textures.recording import Signal
 from vibrocast.textures.sensitivity import parse
@@ -36,6 +37,8 @@ class TimedRecording(Recording):
 Recorder: TypeAlias = Callable[[float], AbstractContextManager[Callable[[], Recording]]]
 """Records for so many seconds; what it yields waits for the end and gives the recording, m/s^2 or um."""
 
+AROUND_S = 1.0
+"""Recorded before and after what is played: how late the controller starts, and the ends that filters need."""
 # A program may take so long to start, and to end after its time.
 _STARTS_WITHIN_S = 1.0
 _ENDS_WITHIN_S = 15.0
@@ -73,6 +76,20 @@ def recorder(sensor: Sensor) -> Recorder:
                 process.wait()
 
     return record
+
+
+@contextlib.contextmanager
+def recorded(
+    recorder: Recorder | None, controller: Controller, seconds: float
+) -> Iterator[Callable[[], Recording] | None]:
+    """Record what is played in the block, for so many seconds, with AROUND_S before and after it.
+
+    Yields what waits for the recording; None without a recorder. Raises SensorError.
+    """
+    with contextlib.nullcontext() if recorder is None else recorder(seconds + 2 * AROUND_S) as finish:
+        if finish is not None:
+            controller.sleep(AROUND_S)
+        yield finish
 
 
 @contextlib.contextmanager

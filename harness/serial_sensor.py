@@ -6,7 +6,6 @@ import struct
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -218,20 +217,11 @@ class Frames:
         return pieces
 
 
-class Placing(Protocol):
-    """Puts what a sensor sent on a uniform grid, and counts what is lost."""
-
-    losses: Losses
-
-    def warnings(self) -> list[str]:
-        """Return remarks on the stream, for people."""
-
-    def feed(self, data: bytes) -> Signal:
-        """Take bytes that arrived; return the samples (n, channels) that are now known. Raises TransportError."""
-
-
 class NumberedSamples:
-    """Samples of binary frames, whose numbers count them: a gap is interpolated from its two ends."""
+    """Puts samples of binary frames, whose numbers count them, on a uniform grid.
+
+    A gap is interpolated from its two ends. `losses`: the samples that were lost.
+    """
 
     def __init__(self, frames: Frames, rate_hz: int) -> None:
         self.losses = Losses()
@@ -242,7 +232,7 @@ class NumberedSamples:
         self._bad_before = frames.bad
 
     def feed(self, data: bytes) -> Signal:
-        """As `Placing.feed`."""
+        """Take bytes that arrived; return the samples (n, channels) that are now known. Raises TransportError."""
         return self.place(self._frames.feed(data))
 
     def place(self, pieces: list[tuple[int, Signal]]) -> Signal:
@@ -266,13 +256,13 @@ class NumberedSamples:
         return np.concatenate(placed)
 
     def warnings(self) -> list[str]:
-        """As `Placing.warnings`."""
+        """Return remarks on the stream, for people."""
         damaged = self._frames.bad - self._bad_before
         return [f"{damaged} damaged frame(s)"] if damaged else []
 
 
 class TimedSamples:
-    """Samples of lines, interpolated from their times to a uniform grid.
+    """Puts samples of lines on a uniform grid, interpolated from their times. `losses`: the samples that were lost.
 
     Between samples by the cubic polynomial with the parabolic slope at either end (C. de Boor, A Practical Guide to
     Splines, 1978, chapter IV: Bessel interpolation), over gaps by a line.
@@ -295,7 +285,7 @@ class TimedSamples:
         self._second: list[float] = []
 
     def feed(self, data: bytes) -> Signal:
-        """As `Placing.feed`."""
+        """Take bytes that arrived; return the samples (n, channels) that are now known. Raises TransportError."""
         found = self._lines.feed(data)
         if self._lines.bad_in_a_row > _MAX_BAD_LINES:
             raise TransportError(
@@ -385,7 +375,7 @@ class TimedSamples:
         return result
 
     def warnings(self) -> list[str]:
-        """As `Placing.warnings`."""
+        """Return remarks on the stream, for people."""
         remarks = []
         if damaged := self._lines.bad - self._bad_before:
             remarks.append(f"{damaged} line(s) without a sample")
@@ -561,7 +551,7 @@ class SerialSensor(Closing):
         chosen = "".join(sorted(axes or stated))
         return ([stated.index(axis) for axis in chosen] if chosen else list(range(width))), chosen
 
-    def _placed(self, reader: Lines | Frames, rate_hz: int | None) -> tuple[Placing, Signal]:
+    def _placed(self, reader: Lines | Frames, rate_hz: int | None) -> tuple[NumberedSamples | TimedSamples, Signal]:
         """Return what places the samples, and the first ones. Raises TextureError and TransportError."""
         stated_hz = self.description.rate_hz
         if rate_hz is not None and stated_hz not in (None, rate_hz):

@@ -177,11 +177,8 @@ class Plan:
         )
 
     def bench(self) -> Bench:
-        """Return controllers, actuators and the textures over time as a bench; a texture raises as its `recording`."""
-        controllers = tuple(BenchController(each.name, each.address) for each in self.controllers)
-        over_time = tuple(each.recording for each in self.textures if not each.over_position)
-        names = tuple(each.name for each in self.textures if not each.over_position)
-        return Bench(controllers, self.actuators, textures=over_time, texture_names=names)
+        """Return controllers and actuators as a bench."""
+        return Bench(self.controllers, self.actuators)
 
 
 def prepared(

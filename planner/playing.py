@@ -3,7 +3,6 @@
 import contextlib
 import math
 import time
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -40,7 +39,7 @@ _ASKED_EVERY_S = 0.1
 
 
 class CountingController(Controller):
-    """A session that keeps what is sent of each stream, by its number: the packets, and the bytes of their frames.
+    """A session that keeps what is sent of a stream: the `packets`, and the bytes of their frames.
 
     `instructions`: returns how many the controller's processor has carried out; None where nothing counts them.
     """
@@ -53,17 +52,35 @@ class CountingController(Controller):
         instructions: Callable[[], int] | None = None,
     ) -> None:
         self.instructions = instructions
-        self.packets: defaultdict[int, list[bytes]] = defaultdict(list)
-        self.frame_bytes: defaultdict[int, int] = defaultdict(int)
+        self.forget()
         super().__init__(transport, clock, sleep)
+
+    def forget(self) -> None:
+        """Forget what was sent and noted so far, such as packets that probed the link."""
+        self.packets: list[bytes] = []
+        self.frame_bytes = 0
+        self._loads: list[tuple[float, int]] = []
+
+    def note_load(self) -> None:
+        """Note what the processor has done so far, if a stream plays."""
+        if self.instructions is not None and self.status is not None and self.status.state == State.PLAYING:
+            self._loads[1:] = [(self.clock(), self.instructions())]  # the first one, and the last
+
+    @property
+    def instructions_per_second(self) -> float | None:
+        """From the first note to the last; None where nothing counts, or nothing has played for any time."""
+        if len(self._loads) < 2:
+            return None
+        (first_s, first), (last_s, last) = self._loads
+        return (last - first) / (last_s - first_s)
 
     def send(self, data: PacketMessage | Position) -> None:
         """Send what is not answered; of stream data, keep what it was. Raises TransportError."""
         before = self.bytes_sent
         super().send(data)
         if isinstance(data, PacketMessage):
-            self.frame_bytes[data.stream] += self.bytes_sent - before
-            self.packets[data.stream] += data.packets
+            self.frame_bytes += self.bytes_sent - before
+            self.packets += data.packets
 
 
 Opener = Callable[[str, Actuator | None], AbstractContextManager[CountingController]]
@@ -189,34 +206,6 @@ def play(
     return in_order
 
 
-class _Load:
-    """The instructions of a processor from the first note that a stream plays until the last one.
-
-    `stream`: its number; None = the one that is known to play.
-    """
-
-    def __init__(self, controller: CountingController, stream: int | None = None) -> None:
-        self._controller, self._stream = controller, stream
-        self._noted: list[tuple[float, int]] = []
-
-    def note(self) -> None:
-        """Note what it has done so far."""
-        status, instructions = self._controller.status, self._controller.instructions
-        if instructions is None or status is None or status.state != State.PLAYING:
-            return
-        if self._stream in (None, status.stream):
-            # The first one, and the last.
-            self._noted[1:] = [(self._controller.clock(), instructions())]
-
-    @property
-    def instructions_per_second(self) -> float | None:
-        """None where nothing counts, or it has not played for any time."""
-        if len(self._noted) < 2:
-            return None
-        (first_s, first), (last_s, last) = self._noted
-        return (last - first) / (last_s - first_s)
-
-
 def play_live(
     stream: live.LiveStream,
     controller: CountingController,
@@ -228,20 +217,17 @@ def play_live(
 
     Whatever is raised, the controller is stopped first. Raises as `live.LiveStream`.
     """
-    # Packets that probed the link do not belong to the stream.
-    controller.packets.clear()
-    controller.frame_bytes.clear()
+    controller.forget()
     ask_s = 0.0
-    load = _Load(controller, stream.stream)
     with stopped_on_error(controller):
         for due_s, block in live.paced(stream, samples, stream.packet_samples, clock.sleep):
             stream.send_packets(stream.code(block))
             if due_s >= ask_s:
                 ask_s = due_s + _ASKED_EVERY_S
                 clock.ask(stream.packets_sent)
-            load.note()
+            controller.note_load()
             tell(stream.packets_sent * stream.packet_samples / len(samples))
-        return stream.finish(), load.instructions_per_second
+        return stream.finish(), controller.instructions_per_second
 
 
 def play_by_hand(
@@ -252,16 +238,14 @@ def play_by_hand(
     tell: Callable[[float], None],
 ) -> tuple[position_playback.Played, float | None]:
     """Load a profile, and play it once under a hand that goes there and back, so fast at most; return as play_live."""
-    controller.packets.clear()
-    controller.frame_bytes.clear()
-    load = _Load(controller)
+    controller.forget()
 
     def note(part: float) -> None:
-        load.note()
+        controller.note_load()
         tell(part)
 
     movement = position_playback.back_and_forth(length_mm, hand_speed_mm_s, 1)
-    return position_playback.play(controller, stream, movement, note), load.instructions_per_second
+    return position_playback.play(controller, stream, movement, note), controller.instructions_per_second
 
 
 class _Player:
@@ -301,8 +285,6 @@ class _Player:
         as_computed = position_playback.as_computed(
             result, position_playback.computed(stream, result, self._driven), self._driven
         )
-        number = result.status.stream
-        sent = controller.packets[number]
         # As if swept at the greatest speed, like the forecast.
         rate_hz = texture.rate * texture.hand_speed_mm_s / 1000
         seconds = len(stream.packets) * stream.decoder().packet_samples / rate_hz
@@ -310,8 +292,8 @@ class _Player:
             texture,
             Recording(recording.samples, rate_hz, recording.unit, recording.name),
             stream.decode(),
-            payload_bps=8 * sum(map(len, sent)) / seconds,
-            wire_bps=8 * controller.frame_bytes[number] / seconds,
+            payload_bps=8 * sum(map(len, controller.packets)) / seconds,
+            wire_bps=8 * controller.frame_bytes / seconds,
             instructions_per_second=instructions,
         )
         return Played(texture, measured, result.status.underruns, result.status.lost_packets, None, as_computed)
@@ -337,7 +319,7 @@ class _Player:
         clock = DeviceClock(controller)
         began_s = controller.clock()
         result, instructions = play_live(stream, controller, recording.samples, clock, tell)
-        sent = Stream(stream.header, tuple(controller.packets[stream.stream]), model.image if model else None)
+        sent = Stream(stream.header, tuple(controller.packets), model.image if model else None)
         seconds = len(sent.packets) * stream.packet_samples / texture.rate
         as_decoded, decoded = self._read_back(Tap.DECODED, offline := sent.decode_integers())
         decoder = sent.decoder()
@@ -353,7 +335,7 @@ class _Player:
             recording,
             decoded_samples,
             payload_bps=8 * sum(map(len, sent.packets)) / seconds,
-            wire_bps=8 * controller.frame_bytes[stream.stream] / seconds,
+            wire_bps=8 * controller.frame_bytes / seconds,
             instructions_per_second=instructions,
             error_over_threshold_db=error_db,
             delay_ms=self._delay_ms(sent, clock, began_s),

@@ -134,6 +134,33 @@ class SceneTexture:
         return 1 if isinstance(self.loaded, Profile) else self.loaded.channels
 
 
+@dataclass(frozen=True)
+class Measure:
+    """A measure of quality that a scene may require.
+
+    `name`, `unit`: in the answer. `label`: of the picture's axis. `far`: the difference from the target up to which the
+    picture shows candidates. `sign`: 1 where more is better, -1 where less is. `digits`: decimals of a proposed target.
+    """
+
+    name: str
+    unit: str
+    label: str
+    far: float
+    sign: int
+    digits: int
+
+
+MEASURES = {
+    "snr_db": Measure("SNR", " dB", "SNR, dB", 6.0, 1, 1),
+    "spqi": Measure("SPQI", "", "SPQI", 0.3, 1, 2),
+    "third_octave_distance_db": Measure(
+        "third-octave distance", " dB", "third-octave distance, dB (less is better)", 4.0, -1, 1
+    ),
+    "imperceptible": Measure("error", " dB", "error re felt level, dB (less is better)", 12.0, -1, 1),
+}
+"""By the keys of [asked]."""
+
+
 class Asked(Table, frozen=True, kw_only=True):
     """The requirements of every texture. Exactly one of the first four is given.
 
@@ -155,8 +182,7 @@ class Asked(Table, frozen=True, kw_only=True):
     delay_limit_ms: Annotated[float, within(1, 10_000, "delay to the skin in ms")] | None = None
 
     def __post_init__(self) -> None:
-        targets = [key for key in ("snr_db", "spqi", "third_octave_distance_db") if getattr(self, key) is not None]
-        targets += ["imperceptible"] * self.imperceptible
+        targets = self._targets
         if len(targets) != 1:
             problem = f"{' and '.join(targets)} are given" if targets else "no quality is given"
             raise ValueError(
@@ -175,9 +201,12 @@ class Asked(Table, frozen=True, kw_only=True):
 
     @property
     def measure(self) -> str:
-        """Name of the required quality: "snr_db", "spqi", "third_octave_distance_db" or "imperceptible"."""
-        given = (name for name in ("snr_db", "spqi", "third_octave_distance_db") if getattr(self, name) is not None)
-        return next(given, "imperceptible")
+        """The required quality, a key of MEASURES."""
+        return self._targets[0]
+
+    @property
+    def _targets(self) -> list[str]:
+        return [key for key in MEASURES if getattr(self, key) is not None and getattr(self, key) is not False]
 
 
 Weight = Annotated[float, within(0, 1e6, "weight of one such unit")]

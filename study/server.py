@@ -30,7 +30,8 @@ from starlette.routing import Route
 from vibrocast.errors import InputError
 from vibrocast.files import plain
 from vibrocast.host.controller import ControllerError
-from vibrocast.study.trials import Break, Message, Paused, Question, Rejected, Run, Screen, Trial
+from vibrocast.study.session import Session
+from vibrocast.study.trials import Break, Message, Paused, Question, Rejected, Screen, Trial
 
 DEFAULT_HOST = "127.0.0.1"
 DEFAULT_PORT = 8017
@@ -117,7 +118,7 @@ def masking_noise(spectrum: str) -> NDArray[np.float32]:
 class StudyPages:
     """The pages of a run and their requests. `token`: the secret part of the experimenter's address."""
 
-    def __init__(self, run: Run, aids: Aids) -> None:
+    def __init__(self, run: Session, aids: Aids) -> None:
         self.token = secrets.token_urlsafe(16)
         self.closing = False
         self._run = run
@@ -282,7 +283,7 @@ class StudyPages:
 
 
 def serve(
-    run: Run,
+    run: Session,
     host: str = DEFAULT_HOST,
     port: int = DEFAULT_PORT,
     aids: Aids = Aids(),

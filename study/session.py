@@ -30,7 +30,6 @@ from vibrocast.study.trials import (
     Paused,
     Question,
     Rejected,
-    Run,
     Screen,
     State,
     Stimulus,
@@ -47,8 +46,11 @@ _INSTRUCTIONS = "Play each texture. Then answer. You can stop at any time."
 _END = "This is the end. Thank you for taking part."
 
 
-class Session(Run):
-    """A run of one participant, safe to use from several threads.
+class Session:
+    """A run of one participant, as pages and terminal use it; safe to use from several threads.
+
+    A method raises Rejected where it does not fit the screen. A run whose device is gone pauses, with the reason in
+    `state().warnings`, until the experimenter resumes it.
 
     `folder` holds its results; one with earlier answers is resumed after the last of them. `stimuli`: of the study, by
     key. `player`: closed with the session. `device`: for the experimenter. `clock`: seconds; `sleep`: of the thread
@@ -117,7 +119,7 @@ class Session(Run):
             return self._question("after") or Message("end", study.title, _END)
 
     def version(self) -> int:
-        """Return a number that changes whenever `screen` or `state` does."""
+        """Return a number that changes whenever `screen` or `state` does: pages poll it."""
         with self._changed:
             return self._version
 
@@ -199,10 +201,10 @@ class Session(Run):
         with self._changed:
             return dict(self._plays)
 
-    def wait_until_quiet(self, seconds: float = 60.0) -> None:
-        """Wait until nothing plays any more, at most some seconds."""
+    def wait_until_quiet(self) -> None:
+        """Wait until nothing plays any more, at most a minute."""
         with self._changed:
-            self._changed.wait_for(lambda: self._paused or not (self._queue or self._now), seconds)
+            self._changed.wait_for(lambda: self._paused or not (self._queue or self._now), 60.0)
 
     def answer(self, values: tuple[int, ...]) -> bool | None:
         """Store the answer on disk and go on; return whether it was correct, None without feedback.
@@ -520,7 +522,7 @@ def _append(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, obje
     with path.open("a", encoding="utf-8", newline="") as file:
         before = file.tell()
         try:
-            file.write(_as_csv(columns, rows, header=begins))
+            file.write(as_csv(columns, rows, header=begins))
             file.flush()
             os.fsync(file.fileno())
         except OSError:
@@ -538,10 +540,11 @@ def _append(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, obje
 def _write(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, object]]) -> None:
     """Replace a table by whole rows."""
     with atomic_write(path) as partial:
-        partial.write_text(_as_csv(columns, rows, header=True), encoding="utf-8", newline="")
+        partial.write_text(as_csv(columns, rows), encoding="utf-8", newline="")
 
 
-def _as_csv(columns: Sequence[str], rows: Sequence[Mapping[str, Any]], header: bool) -> str:
+def as_csv(columns: Sequence[str], rows: Sequence[Mapping[str, Any]], header: bool = True) -> str:
+    """Return rows as the text of a CSV file; None is an empty field."""
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, lineterminator="\n", restval="")
     if header:

@@ -1,9 +1,9 @@
 """Statistics of listening studies: intervals, tests, effect sizes, sensitivities, power; each with its source."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -50,7 +50,7 @@ def _finite(values: ArrayLike, name: str) -> Values:
     return array
 
 
-def mean_interval(values: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
+def mean_interval(values: ArrayLike) -> Interval:
     """Return the mean of independent values (n,) and Student's t interval; none for fewer than two."""
     from scipy import stats
 
@@ -60,7 +60,7 @@ def mean_interval(values: ArrayLike, confidence: float = CONFIDENCE) -> Interval
     mean = float(np.mean(array))
     if len(array) < 2:
         return Interval(mean, None, None)
-    width = float(stats.sem(array) * stats.t.ppf((1 + confidence) / 2, len(array) - 1))
+    width = float(stats.sem(array) * stats.t.ppf((1 + CONFIDENCE) / 2, len(array) - 1))
     return Interval(mean, mean - width, mean + width)
 
 
@@ -138,15 +138,13 @@ def holm(p_values: Sequence[float | None]) -> list[float | None]:
     S. Holm, "A simple sequentially rejective multiple test procedure", Scandinavian Journal of Statistics 6, 1979.
     Raises InputError for a p outside 0 to 1.
     """
+    from statsmodels.stats.multitest import multipletests
+
     if any(p is not None and not 0 <= p <= 1 for p in p_values):
         raise InputError("a p value lies outside 0 to 1; correct p values of tests")
-    known = sorted((p, place) for place, p in enumerate(p_values) if p is not None)
-    corrected: list[float | None] = [None] * len(p_values)
-    largest = 0.0
-    for rank, (p, place) in enumerate(known):
-        largest = max(largest, min(1.0, (len(known) - rank) * p))
-        corrected[place] = largest
-    return corrected
+    known = [p for p in p_values if p is not None]
+    corrected = iter(multipletests(known, method="holm")[1].tolist() if known else ())
+    return [None if p is None else next(corrected) for p in p_values]
 
 
 # ---- sensitivity ----
@@ -234,7 +232,7 @@ def _sensitivity_at(rate_of: Callable[[float], float], rate: float) -> float:
     return float(brentq(lambda sensitivity: rate_of(sensitivity) - rate, 0.0, LARGEST_SENSITIVITY))
 
 
-def sensitivity(method: str, counts: ArrayLike, seed: int = 0, model: Model = "differencing") -> Interval:
+def sensitivity(method: str, counts: ArrayLike, model: Model = "differencing") -> Interval:
     """Return d' of a method, and its bootstrap interval over participants.
 
     `counts`: (participants, 4): hits, trials that differ, false alarms, trials that are the same; (participants, 2) of
@@ -261,7 +259,7 @@ def sensitivity(method: str, counts: ArrayLike, seed: int = 0, model: Model = "d
         rate = (total[0] + 0.5) / (total[1] + 1)
         return sensitivity_abx(rate, model) if method == "abx" else sensitivity_two_alternative(rate)
 
-    return bootstrap(table, pooled, seed)
+    return bootstrap(table, pooled)
 
 
 # ---- planning ----
@@ -294,7 +292,7 @@ def detectable_effect(count: int, power: float = 0.8, alpha: float = 0.05) -> fl
 
 
 def participants_by_resampling(
-    differences: ArrayLike, power: float = 0.8, alpha: float = 0.05, most: int = 100, seed: int = 0
+    differences: ArrayLike, power: float = 0.8, alpha: float = 0.05, most: int = 100
 ) -> list[int | None]:
     """Return for each condition how many participants the study needs to find it, after Holm's correction.
 
@@ -309,7 +307,7 @@ def participants_by_resampling(
     if pool.ndim != 2 or len(pool) < 2 or not np.all(np.isfinite(pool)):
         raise InputError("differences must be finite, of at least two participants; simulate more of them")
     studies, conditions = BOOTSTRAPS // 4, pool.shape[1]
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     needed: list[int | None] = [None] * conditions
     for count in range(2, most + 1):
         if None not in needed:
@@ -364,25 +362,21 @@ def bradley_terry(wins: ArrayLike, added: float = 0.5) -> Values:
     return np.asarray(np.log(updated))
 
 
-@dataclass(frozen=True)
-class MixedModel:
-    """A linear mixed model of ratings: each condition against the reference, participants as random intercepts.
+class Effect(NamedTuple):
+    """The effect of a condition in a linear mixed model."""
 
-    `effects`: by condition, difference, standard error and p. `participant_sd`, `residual_sd`: standard deviations.
-    """
-
-    effects: Mapping[str, tuple[float, float, float]]
-    participant_sd: float
-    residual_sd: float
+    difference: float
+    standard_error: float
+    p: float
 
 
 def mixed_model(
     ratings: ArrayLike, conditions: Sequence[str], participants: Sequence[object], reference: str
-) -> MixedModel | None:
+) -> dict[str, Effect] | None:
     """Fit rating ~ condition + (1 | participant) by REML with statsmodels; None where the data determine no fit.
 
-    N. M. Laird and J. H. Ware, "Random-effects models for longitudinal data", Biometrics 38(4), 1982. Raises
-    InputError.
+    Returns the effect of each condition; participants are random intercepts. N. M. Laird and J. H. Ware,
+    "Random-effects models for longitudinal data", Biometrics 38(4), 1982. Raises InputError.
     """
     import warnings
 
@@ -404,13 +398,10 @@ def mixed_model(
         except (np.linalg.LinAlgError, ValueError):
             return None
     effects = {
-        name: (float(fit.fe_params[place]), float(fit.bse_fe[place]), float(fit.pvalues[place]))
+        name: Effect(float(fit.fe_params[place]), float(fit.bse_fe[place]), float(fit.pvalues[place]))
         for place, name in enumerate(others, 1)
     }
-    if not all(math.isfinite(number) for each in effects.values() for number in each):
-        return None
-    spread = math.sqrt(max(0.0, float(np.asarray(fit.cov_re).ravel()[0])))
-    return MixedModel(effects, spread, math.sqrt(float(fit.scale)))
+    return effects if all(math.isfinite(number) for each in effects.values() for number in each) else None
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from vibrocast import models
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import Stream, read_stream
 from vibrocast.codec.threshold import MAX_HZ, MIN_HZ, read_threshold, threshold_amplitude
+from vibrocast.device_protocol.messages import Status
 from vibrocast.errors import InputError, located
 from vibrocast.files import atomic_folder
 from vibrocast.host.playback import check_unit
@@ -152,10 +153,14 @@ def _played(coded: Stream, gain_db: float, actuator: Actuator, loops: int) -> tu
     return stream, codes, counts
 
 
+def limited_samples(counts: LimitCounts | Status) -> int:
+    """Return how many DAC samples the limits changed; a sample that two limits changed counts twice."""
+    return counts.compensation_clipped + counts.voltage_limited + counts.slew_limited + counts.power_limited
+
+
 def limited_part(counts: LimitCounts, codes: Codes) -> float:
-    """Return the part of DAC samples that a limit changed, 0 to 1; a sample that two limits changed counts twice."""
-    changed = counts.compensation_clipped + counts.voltage_limited + counts.slew_limited + counts.power_limited
-    return min(1.0, changed / max(1, codes.size))
+    """Return the part of DAC samples that a limit changed, 0 to 1, by `limited_samples`."""
+    return min(1.0, limited_samples(counts) / max(1, codes.size))
 
 
 def skin_level_db(codes: Codes, actuator: Actuator) -> float:

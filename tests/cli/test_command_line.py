@@ -129,12 +129,12 @@ def test_report_page_explains_every_field() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("samples", "level"), [(1, 1.0), (17, 0.5), (500, 0.0), (500, 1.0)])
-def test_plays_extremes(samples: int, level: float, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("samples", "level", "loops"), [(1, 1.0, 1), (17, 0.5, 1), (500, 0.0, 3), (500, 1.0, 3)])
+def test_plays_extremes(samples: int, level: float, loops: int, tmp_path: Path) -> None:
     path = tmp_path / "extreme.wav"
     soundfile.write(path, np.full((samples, 2), level), RATE_HZ, subtype="FLOAT")
-    report = answer("play", path, "--unit", "drive", "--loop", 3, "--plot", tmp_path / "plot.svg")
-    assert (report["loops"], report["channels"], report["dac_equals_offline"]) == (3, 2, True)
+    report = answer("play", path, "--unit", "drive", "--loop", loops, "--plot", tmp_path / "plot.svg")
+    assert (report["loops"], report["channels"], report["dac_equals_offline"]) == (loops, 2, True)
     assert (report["snr_db"] is None) == (level == 0)
 
 

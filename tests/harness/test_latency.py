@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from tests.conftest import RATE_HZ, linked, noise, session, texture
-from vibrocast.harness import Latency, latency, warnings
+from vibrocast.harness import latency
+from vibrocast.harness.latency import Latency
+from vibrocast.harness.results import warnings
 from vibrocast.harness.sensors import TimedRecording
 from vibrocast.host import live
 from vibrocast.host.controller import Controller, ControllerError

@@ -10,7 +10,8 @@ from tests.conftest import session
 from vibrocast import textures
 from vibrocast.codec import SignalFormat
 from vibrocast.device_protocol.messages import Message, SinglePacket
-from vibrocast.harness import LiveRun, measure_latency, run_live
+from vibrocast.harness.latency import measure_latency
+from vibrocast.harness.live_run import LiveRun, run_live
 from vibrocast.host.bench_limits import BenchLimits, missed
 from vibrocast.host.live import LiveStream
 from vibrocast.host.live_watch import CodedSignal, LiveQuality, judged

@@ -158,4 +158,3 @@ def test_a_plan_is_a_bench(tmp_path: Path) -> None:
     bench = plan(tmp_path).bench()
     assert bench.first.address == "cortex-m4"
     assert bench.actuator("one") == plan(tmp_path).actuators[0].model
-    assert len(bench.scene()) == 1
