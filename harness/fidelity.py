@@ -7,7 +7,7 @@ import numpy as np
 
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.harness.sensors import Recorder, recorded
-from vibrocast.host import playback as end_to_end
+from vibrocast.host import playback
 from vibrocast.host.controller import Controller
 from vibrocast.host.picture import third_octave_levels
 from vibrocast.host.skin_quality import compare_skin, displacement_above_20_hz, high_passed
@@ -71,12 +71,12 @@ def measure_fidelity(
     """Play the first channel of a texture and compare the skin with the sent signal.
 
     `actuator`: the one that the controller works with. `recorder`: the sensor on that channel; None = the DAC's codes
-    through `skin_model`. Raises SensorError, AlignmentError, and whatever `host.end_to_end.play` raises.
+    through `skin_model`. Raises SensorError, AlignmentError, and whatever `host.playback.play` raises.
     """
     one = Recording(np.ascontiguousarray(texture.samples[:, :1]), texture.rate_hz, texture.unit, texture.name)
     encoding = encode_recording(one, live=True)
     with recorded(recorder, controller, one.seconds) as finish:
-        outcome = end_to_end.play(
+        outcome = playback.play(
             controller,
             address,
             texture.name,

@@ -286,13 +286,13 @@ def vibrocast_play(vibrocast_bench: Bench, _vibrocast_member: Member, _vibrocast
     than was sent though nothing was lost.
     """
     from vibrocast.codec.encoding import encode_recording
-    from vibrocast.host import playback as end_to_end
+    from vibrocast.host import playback
 
     member = _vibrocast_member
 
     def play_texture(texture: Recording, **options: Any) -> Outcome:
         encoding = encode_recording(texture, live=True, **options)
-        outcome = end_to_end.play(
+        outcome = playback.play(
             member.controller,
             member.address,
             texture.name,
@@ -383,7 +383,7 @@ def vibrocast_stroke(vibrocast_bench: Bench, _vibrocast_member: Member) -> Calla
     playback misses limits of the bench file.
     """
     from vibrocast.codec import profiles
-    from vibrocast.host import hand_playback as position_playback
+    from vibrocast.host import hand_playback
 
     def stroke(
         profile: Recording,
@@ -393,8 +393,8 @@ def vibrocast_stroke(vibrocast_bench: Bench, _vibrocast_member: Member) -> Calla
         **options: Any,
     ) -> Stroke:
         encoding = profiles.encode(profile, **options)
-        movement = position_playback.back_and_forth(stroke_mm, hand_speed_mm_s, strokes)
-        played = position_playback.play_and_compare(
+        movement = hand_playback.back_and_forth(stroke_mm, hand_speed_mm_s, strokes)
+        played = hand_playback.play_and_compare(
             _vibrocast_member, profile.name, encoding.stream, movement, encoding.recording, vibrocast_bench.sha256
         )
         _judge(vibrocast_bench, played.report.judged())

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import Position, State, Status, Tap
 from vibrocast.errors import InputError
-from vibrocast.host import playback as end_to_end
+from vibrocast.host import playback
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.limits import playable
 from vibrocast.host.picture import Trace
@@ -274,7 +274,7 @@ def play_and_compare(
     controller, hello = member.controller, member.controller.description
     sent = playable(stream)
     played = play(controller, sent, movement, progress)
-    actuator = member.actuator or end_to_end.actuator_model(hello.actuator)
+    actuator = member.actuator or playback.actuator_model(hello.actuator)
     skin_model = member.skin_model or actuator
     expected = computed(sent, played, actuator)
     length_mm = 1e3 * stream.samples / stream.header.rate_hz
@@ -296,9 +296,9 @@ def play_and_compare(
         bad_frames=played.damaged,
         bad_frames_back=played.damaged_back,
         skin=_skin_quality(sent, texture, played, expected, actuator, skin_model),
-        device=end_to_end.device_description(member.address, hello),
+        device=playback.device_description(member.address, hello),
         sound_card=controller.sound_card,
-        actuator=end_to_end.actuator_use(actuator, skin_model, played.status),
+        actuator=playback.actuator_use(actuator, skin_model, played.status),
         dac_equals_offline=as_computed(played, expected, actuator),
     )
     return Stroke(played, expected, skin_model, report)

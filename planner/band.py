@@ -112,7 +112,7 @@ def levels_of(recording: Recording, actuator: Actuator, threshold: Samples) -> t
 def at_the_skin(recording: Recording, actuator: Actuator) -> Samples:
     """Return the displacement at the skin, um (n, channels), without a delay and without limits.
 
-    It is the recording's displacement (host.end_to_end.displacement_um), times the gain of compensation, DAC, whose
+    It is the recording's displacement (host.playback.displacement_um), times the gain of compensation, DAC, whose
     output is constant over a sample, and actuator.
     """
     displacement = displacement_um(recording.samples, recording.unit, recording.rate_hz, actuator)

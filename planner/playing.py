@@ -18,8 +18,7 @@ from vibrocast.codec.threshold import read_threshold
 from vibrocast.device_protocol.messages import PacketMessage, Position, State, Tap
 from vibrocast.device_protocol.transports import Transport, TransportError
 from vibrocast.errors import InputError
-from vibrocast.host import devices, live, uploader
-from vibrocast.host import hand_playback as position_playback
+from vibrocast.host import devices, hand_playback, live, uploader
 from vibrocast.host.bench_file import Bench, actuator_of, check_actuator, choose_controller, driven_actuator
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.device_clock import DeviceClock
@@ -140,7 +139,7 @@ def opened(address: str, actuator: Actuator | None) -> Iterator[CountingControll
         with devices.reach(address, actuator=actuator) as transport:
             yield CountingController(transport)
         return
-    from vibrocast.simulated_device.faulty_link import MemoryLink
+    from vibrocast.simulated_device.memory_link import MemoryLink
 
     if emulated:
         device = devices.emulated(address)
@@ -236,7 +235,7 @@ def play_by_hand(
     length_mm: float,
     hand_speed_mm_s: float,
     tell: Callable[[float], None],
-) -> tuple[position_playback.Played, float | None]:
+) -> tuple[hand_playback.Played, float | None]:
     """Load a profile, and play it once under a hand that goes there and back, so fast at most; return as play_live."""
     controller.forget()
 
@@ -244,8 +243,8 @@ def play_by_hand(
         controller.note_load()
         tell(part)
 
-    movement = position_playback.back_and_forth(length_mm, hand_speed_mm_s, 1)
-    return position_playback.play(controller, stream, movement, note), controller.instructions_per_second
+    movement = hand_playback.back_and_forth(length_mm, hand_speed_mm_s, 1)
+    return hand_playback.play(controller, stream, movement, note), controller.instructions_per_second
 
 
 class _Player:
@@ -282,8 +281,8 @@ class _Player:
         self._provide_model(texture)
         length_mm = 1e3 * len(recording.samples) / texture.rate
         result, instructions = play_by_hand(controller, stream, length_mm, texture.hand_speed_mm_s, tell)
-        as_computed = position_playback.as_computed(
-            result, position_playback.computed(stream, result, self._driven), self._driven
+        as_computed = hand_playback.as_computed(
+            result, hand_playback.computed(stream, result, self._driven), self._driven
         )
         # As if swept at the greatest speed, like the forecast.
         rate_hz = texture.rate * texture.hand_speed_mm_s / 1000

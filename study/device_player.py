@@ -15,8 +15,7 @@ from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.device_protocol.messages import State, Status
 from vibrocast.device_protocol.transports import TransportError
-from vibrocast.host import hand_playback as position_playback
-from vibrocast.host import player
+from vibrocast.host import hand_playback, player
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.hand_playback import Movement, back_and_forth
 from vibrocast.host.limits import carried, check_limits, fitted
@@ -184,7 +183,7 @@ class HandPlayer(ControllerPlayer):
             over_position = replace(recording, rate_hz=1000 * recording.rate_hz / self._speed_mm_s)
             try:
                 profile = profiles.encode(over_position, snr_db=UNCODED_SNR_DB, touch=0).stream
-                position_playback.load(self._controller, profile)
+                hand_playback.load(self._controller, profile)
             except (ControllerError, ValueError) as error:
                 raise ControllerError(f"{stimulus.key} as a height profile: {error}") from error
             finally:
@@ -195,9 +194,7 @@ class HandPlayer(ControllerPlayer):
         """Play under the hand to the end, and keep the last status."""
         profile = self._carried[stream_sha256(stimulus.stream)]
         with suppress(_Stopped):
-            position_playback.play(
-                self._controller, profile, self._movement, lambda part: watch(0.0 if part > 0 else None)
-            )
+            hand_playback.play(self._controller, profile, self._movement, lambda part: watch(0.0 if part > 0 else None))
         self._status = self._controller.request_status()
 
 

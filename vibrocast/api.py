@@ -17,8 +17,7 @@ from vibrocast.codec.stream import Stream as Stream
 from vibrocast.codec.stream import read_stream
 from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.errors import VibrocastError as VibrocastError
-from vibrocast.host import devices, player, uploader
-from vibrocast.host import playback as end_to_end
+from vibrocast.host import devices, playback, player, uploader
 from vibrocast.host.controller import Controller
 from vibrocast.host.report import Report as Report
 from vibrocast.output import actuator_files
@@ -202,7 +201,7 @@ def render(
         CodecError: The unit or the level cannot be played.
         InputError: There is no such actuator, or its file is wrong.
     """
-    return end_to_end.at_the_skin(_playable(stream, unit, gain_db), _actuator(actuator))
+    return playback.at_the_skin(_playable(stream, unit, gain_db), _actuator(actuator))
 
 
 class Connection:
@@ -248,8 +247,8 @@ class Connection:
         chosen = _playable(stream, unit, gain_db)
         _check_callable(progress)
         name = str(stream) if isinstance(stream, str | os.PathLike) else "stream"
-        member = end_to_end.member(self.controller, self._address, self._actuator)
-        outcome = end_to_end.play(
+        member = playback.member(self.controller, self._address, self._actuator)
+        outcome = playback.play(
             self.controller,
             self._address,
             name,
@@ -393,7 +392,7 @@ def _playable(data: bytes | str | Path | Stream, unit: str | None, gain_db: floa
         raise CodecError(
             f"the stream states its unit, {stream.header.unit}", action="leave out `unit`", parameter="unit"
         )
-    end_to_end.check_unit(stream.header.unit, unit)
+    playback.check_unit(stream.header.unit, unit)
     return stream.with_gain(arguments.number("gain_db", gain_db))
 
 

@@ -19,7 +19,7 @@ from vibrocast.evaluation.trained import runtimes
 from vibrocast.host.controller import Controller as Host
 from vibrocast.host.player import play
 from vibrocast.simulated_device.controller import Controller
-from vibrocast.simulated_device.faulty_link import MemoryLink
+from vibrocast.simulated_device.memory_link import MemoryLink
 
 PLACES_PERCENT = tuple(5.0 * place for place in range(21))
 CHANGED, CUT = "byte changed, CRC and hash fit", "cut, CRC and hash fit"

@@ -16,9 +16,8 @@ from vibrocast.codec.live_format import live_format
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.device_protocol.messages import Status
 from vibrocast.errors import InputError
-from vibrocast.host import devices, uploader
+from vibrocast.host import devices, playback, uploader
 from vibrocast.host import live as streaming
-from vibrocast.host import playback as end_to_end
 from vibrocast.host.bench_limits import BenchLimits, missed
 from vibrocast.host.cli.answers import add, tell
 from vibrocast.host.cli.option_types import Number, Whole, positive
@@ -222,7 +221,7 @@ def live(
             result = streaming.play(stream, coded.blocks(blocks), progress=show)
             if not result.packets:
                 raise InputError("standard input ended before its first sample; check the program that writes to it")
-            member = end_to_end.member(controller, address, actuator)
+            member = playback.member(controller, address, actuator)
             quality = coded.quality(member, model, result)
             timing = watch.timing(member)
         finally:

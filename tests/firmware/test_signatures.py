@@ -21,7 +21,7 @@ from vibrocast.host import signatures, uploader
 from vibrocast.host.controller import Controller as Host
 from vibrocast.host.controller import ControllerError
 from vibrocast.simulated_device.controller import Controller, Settings
-from vibrocast.simulated_device.faulty_link import MemoryLink
+from vibrocast.simulated_device.memory_link import MemoryLink
 
 PRIVATE_KEY = bytes(range(32))
 KEY = keys.public_key(PRIVATE_KEY)

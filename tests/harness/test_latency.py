@@ -18,8 +18,8 @@ from vibrocast.host.device_clock import ClockFit, DeviceClock
 from vibrocast.output.actuator import PIEZO_STACK, Codes
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
-from vibrocast.simulated_device.faulty_link import MemoryLink, SimulatedTime
 from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
+from vibrocast.simulated_device.memory_link import MemoryLink, SimulatedTime
 from vibrocast.textures import Recording
 
 

@@ -19,8 +19,8 @@ from vibrocast.host.playback import Member, actuator_model, member
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
 from vibrocast.simulated_device.device import Device
-from vibrocast.simulated_device.faulty_link import MemoryLink
 from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
+from vibrocast.simulated_device.memory_link import MemoryLink
 
 FORMAT = SignalFormat(2800, "m/s^2", (1.0,), (1.0,))
 ROUGH = textures.GENERATORS["rough"](seconds=1.0)

@@ -18,8 +18,8 @@ from vibrocast.host.live import LiveCoding, LiveStream
 from vibrocast.host.stream_session import read_capture
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
-from vibrocast.simulated_device.faulty_link import MemoryLink
 from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
+from vibrocast.simulated_device.memory_link import MemoryLink
 
 RATE_HZ = 2800
 FORMAT = live_format(RATE_HZ, "um", [10.0])
