@@ -22,8 +22,8 @@ from vibrocast.host.limits import carried, check_limits, fitted
 from vibrocast.host.stream_session import configure_steps
 from vibrocast.output.actuator import Actuator, Codes
 from vibrocast.output.rendering import render
-from vibrocast.output.sample_player import SamplePlayer
 from vibrocast.output.sound_card import Card
+from vibrocast.study.sample_player import SamplePlayer
 from vibrocast.study.stimuli import UNCODED_SNR_DB, limited_samples, stream_sha256
 from vibrocast.study.study_file import Hand
 from vibrocast.study.trials import Played, Stimulus, StimulusPlayer
