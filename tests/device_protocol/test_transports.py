@@ -174,15 +174,6 @@ def test_serial_port_without_a_file_is_read_by_pyserial() -> None:
         threaded.close()
 
 
-def test_serial_port_whose_other_end_closes_is_an_error() -> None:
-    controller, port = os.openpty()
-    with SerialTransport(os.ttyname(port)) as transport:
-        os.close(port)
-        os.close(controller)
-        with pytest.raises(TransportError, match="broke off"):
-            transport.read(1.0)
-
-
 @pytest.fixture
 def usb_port() -> Iterator[UsbPort]:
     """A USB device, 1209:0001, that sends back what it gets."""

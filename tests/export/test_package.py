@@ -22,7 +22,9 @@ def test_files_are_named_by_the_model() -> None:
     }
 
 
-@pytest.mark.parametrize("contents", ["core", "onnx", "both"])
+@pytest.mark.parametrize(
+    "contents", [pytest.param("core", marks=pytest.mark.slow), pytest.param("onnx", marks=pytest.mark.slow), "both"]
+)
 def test_an_image_holds_the_requested_parts(contents: Contents) -> None:
     package, both = tiny.package(contents), EvaImage.unpack(tiny.model("both").tables)
     image = EvaImage.unpack(ModelImage.unpack(package.image).payload)

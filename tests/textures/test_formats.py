@@ -120,14 +120,6 @@ def test_csv_keeps_axes_and_any_rate_exactly(tmp_path: Path) -> None:
     np.testing.assert_array_equal(loaded.samples, recording.samples)
 
 
-def test_a_plain_array_does_not_state_its_rate_and_unit(tmp_path: Path) -> None:
-    save(tmp_path / "a.npy", Recording(NOISE, 2800, "um", "a"))
-    with pytest.raises(TextureError, match="does not state its sample rate; give `rate_hz`"):
-        load(tmp_path / "a.npy")
-    with pytest.raises(TextureError, match="does not state its unit; give `unit`"):
-        load(tmp_path / "a.npy", rate_hz=2800)
-
-
 def test_what_no_format_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     recording = Recording(NOISE, 2800, "um", "a")
     with pytest.raises(TextureError, match=r"saved as \.wav, \.csv, \.npy, \.mat; give one of these"):

@@ -7,7 +7,6 @@ import pytest
 
 from vibrocast.textures import Profile, TextureError, load, load_profile, resample
 
-SHARED = Path(__file__).parents[2] / ".." / "shared"
 HEIGHTS_UM = np.random.default_rng(0).normal(size=400)
 
 
@@ -108,12 +107,3 @@ def test_only_text_holds_a_profile(tmp_path: Path) -> None:
         load_profile(tmp_path / "profile.wav")
     with pytest.raises(TextureError, match="cannot be read"):
         load_profile(tmp_path / "missing.csv")
-
-
-@pytest.mark.skipif(not SHARED.is_dir(), reason="the development recordings are not here")
-@pytest.mark.parametrize("name", ["mitutoyo_stylus_unknown_10mm", "mts_Bu_1_56_ak", "npl_softgauge_edm"])
-def test_measured_profiles_load(name: str) -> None:
-    path = SHARED / "data" / "surface_profiles" / f"{name}.csv"
-    recording = resample(load(path, hand_speed_mm_s=50), 2800)
-    assert recording.unit == "um"
-    assert recording.seconds == pytest.approx(load_profile(path).length_mm / 50, abs=1e-3)
