@@ -173,14 +173,12 @@ CELL[:] = [NOISE, NOISE]
         ({"trial": {"acc": NOISE}, "b": NOISE}, {"key": "trial"}, "trial is a struct, not"),
         ({"trials": CELL, "name": "oak"}, {}, "trials is a cell, name is a char, not"),
         ({"on": np.array([True, False])}, {}, "on is a logical, not"),
-        ({"a": NOISE}, {}, "does not state its sample rate"),
         (
             {"a": NOISE, "Fs": 1000, "rate_hz": 2000},
             {},
             "several rates, Fs 1000, rate_hz 2000; choose one with `rate_hz`",
         ),
         ({"a": NOISE, "Fs": 1000, "rate_hz": 2000}, {"rate_hz": 3000}, "several rates"),
-        ({"a": NOISE, "Fs": 1000}, {"rate_hz": 3000}, "states 1000 Hz; leave out `rate_hz`=3000"),
     ],
 )
 def test_variables_of_matlab_rejected_with_what_to_do(
