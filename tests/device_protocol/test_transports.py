@@ -52,12 +52,6 @@ def test_serial_carries_every_byte_both_ways(pseudo_terminal: tuple[int, str]) -
         assert received(transport, len(EVERY_BYTE)) == EVERY_BYTE
 
 
-def test_serial_read_without_data_returns_nothing(pseudo_terminal: tuple[int, str]) -> None:
-    with SerialTransport(pseudo_terminal[1]) as transport:
-        assert transport.read(0) == b""
-        assert transport.read(0.01) == b""
-
-
 def test_serial_reopens(pseudo_terminal: tuple[int, str]) -> None:
     controller, port = pseudo_terminal
     with open_transport(f"serial:{port}") as transport:

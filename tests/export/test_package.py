@@ -13,15 +13,6 @@ from vibrocast.export.checkpoint import ModelError
 from vibrocast.export.package import Contents, make
 
 
-def test_files_are_named_by_the_model() -> None:
-    package = tiny.package()
-    assert package.files == {
-        "tiny.vcmi": package.image,
-        "analysis.onnx": package.graphs.analysis,
-        "synthesis.onnx": package.graphs.synthesis,
-    }
-
-
 @pytest.mark.parametrize(
     "contents", [pytest.param("core", marks=pytest.mark.slow), pytest.param("onnx", marks=pytest.mark.slow), "both"]
 )

@@ -86,11 +86,6 @@ def test_another_codec_never_stands_in_for_a_family_that_is_missing() -> None:
     assert all(claim.here == "" for claim in claims[:3])
 
 
-def test_times_are_not_called_reproduced() -> None:
-    (time,) = (claim for claim in papers.eva_claims(measured(0.9)) if "encode" in claim.claim)
-    assert time.here == "slp 2 s (core); eva-64 2 s (core), 1 times" and time.reproduced == papers.NOT_COMPARABLE
-
-
 def test_ratios_and_zeros_are_held_against_the_paper_where_its_listeners_noticed_nothing() -> None:
     rows = [
         Result("wood", "linear", 14, None, 23.796, 22.0, 99.0, 0.0, 99.0),
