@@ -33,6 +33,7 @@ def test_a_runtime_that_an_image_does_not_have_is_rejected(contents: Contents, m
         )
 
 
+@pytest.mark.slow
 def test_numbered_models_are_a_family() -> None:
     assert tiny.package(name="eva-16-4").family == "eva-16"
     assert tiny.package(name="tiny").family == "tiny"

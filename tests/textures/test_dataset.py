@@ -81,7 +81,7 @@ def test_a_name_that_is_no_text_is_escaped(tmp_path: Path) -> None:
     assert load(entry).rate_hz == 2800
 
 
-def test_folders_without_recordings_are_rejected(tmp_path: Path) -> None:
+def test_folders_without_recordings_and_other_files_are_rejected(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="no such folder"):
         entries(tmp_path / "missing")
     with pytest.raises(DatasetError, match="no recordings"):
@@ -90,6 +90,8 @@ def test_folders_without_recordings_are_rejected(tmp_path: Path) -> None:
     (tmp_path / "folder.wav").mkdir()
     with pytest.raises(DatasetError, match="no recordings"):
         entries(tmp_path)
+    with pytest.raises(DatasetError, match="neither a folder nor a manifest"):
+        read(tmp_path / "picture.png")
 
 
 def test_the_reference_set_is_split_into_224_and_56() -> None:
@@ -228,12 +230,6 @@ def test_a_wrong_manifest_is_rejected_by_row_and_column(tmp_path: Path, text: st
     textures.save(tmp_path / "a.wav", wood(0, 0.1))
     with pytest.raises(DatasetError, match=message):
         read(manifest(tmp_path, text))
-
-
-def test_other_files_are_no_data_sets(tmp_path: Path) -> None:
-    (tmp_path / "a.wav").touch()
-    with pytest.raises(DatasetError, match="neither a folder nor a manifest"):
-        read(tmp_path / "a.wav")
 
 
 def stated(*rows: tuple[str, str, str, str]) -> list[DatasetEntry]:

@@ -326,7 +326,11 @@ def bomb(suffix: str, path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("suffix", "reason"),
-    [(".npy", "bytes of it"), (".npz", "a way that NumPy does not write"), (".h5", "bytes of it")],
+    [
+        (".npy", "bytes of it"),
+        pytest.param(".npz", "a way that NumPy does not write", marks=pytest.mark.slow),
+        (".h5", "bytes of it"),
+    ],
 )
 def test_small_files_that_state_large_arrays_are_rejected_before_they_take_memory(
     suffix: str, reason: str, tmp_path: Path
