@@ -18,9 +18,16 @@ from vibrocast.device_protocol.messages import (
     SlotState,
     pack,
 )
-from vibrocast.device_protocol.model_image import ModelImage, sha256
+from vibrocast.device_protocol.model_image import (
+    MAX_NUMBER,
+    ModelError,
+    ModelImage,
+    sha256,
+    signed_message,
+    with_signature,
+)
 from vibrocast.device_protocol.transports import TransportError
-from vibrocast.host import signatures
+from vibrocast.firmware import keys
 from vibrocast.host.controller import ConnectionLost, Controller, ControllerError
 from vibrocast.host.devices import SIMULATED
 
@@ -50,7 +57,7 @@ def flash(
     controller needs, ControllerError, TransportError, MessageError.
     """
     public_key = controller.description.public_key
-    model = signatures.check(image, public_key) if public_key else ModelImage.unpack(image)
+    model = check_signature(image, public_key) if public_key else ModelImage.unpack(image)
     identity = sha256(image)
 
     def described(slot: int, state: SlotState) -> ImageDescription:
@@ -178,3 +185,31 @@ def _confirm(controller: Controller, wanted: ImageDescription) -> ImageDescripti
     if wanted not in controller.description.images:
         raise ControllerError(f"the controller did not keep the image in slot {wanted.slot}; upload it again")
     return wanted
+
+
+def signed(image: bytes, private_key: bytes, number: int) -> bytes:
+    """Return a packed model image with a signature, in place of any before.
+
+    `number`: of the release, from 1 on; a controller takes none below the highest one confirmed. Raises
+    ModelError for bytes that are no image, or another number, and MissingExtraError.
+    """
+    ModelImage.unpack(image)
+    if not 1 <= number <= MAX_NUMBER:
+        raise ModelError(f"the number {number} is not in 1 to {MAX_NUMBER}; count releases from 1 on")
+    return with_signature(image, number, keys.sign(private_key, signed_message(image, number)))
+
+
+def check_signature(image: bytes, public_key: bytes) -> ModelImage:
+    """Return the image that the owner of a public key has signed.
+
+    Raises ModelError for any other, and MissingExtraError.
+    """
+    held = ModelImage.unpack(image)
+    if not held.signature:
+        raise ModelError(f"the model image {held.name} has no signature; sign it with `vibrocast keys sign`")
+    if not keys.is_signed(held.signature, public_key, signed_message(image, held.number)):
+        raise ModelError(
+            f"the signature of the model image {held.name} is not by the key {public_key.hex()[:16]}, or the image has "
+            "changed; sign it with that key"
+        )
+    return held

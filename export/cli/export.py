@@ -1,6 +1,7 @@
 """The subcommand `export`: a checkpoint becomes graphs, a model image and a card, in one folder."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,10 +9,13 @@ import click
 import numpy as np
 
 from vibrocast import models, progress
+from vibrocast.device_protocol.model_image import MAX_NUMBER
 from vibrocast.errors import InputError
 from vibrocast.files import atomic_folder
+from vibrocast.firmware.keys import read_private_key
+from vibrocast.host import uploader
 from vibrocast.host.cli.answers import tell
-from vibrocast.host.cli.option_types import FOLDER, INPUT
+from vibrocast.host.cli.option_types import FOLDER, INPUT, Whole
 from vibrocast.host.cli.options import command_run
 
 FILES = {models.CARD, "card.md", "curves.csv", "curves.png", models.ANALYSIS, "synthesis.onnx"}
@@ -66,6 +70,13 @@ def reject_replacing_others(folder: Path) -> None:
     metavar="COMMAND",
     help="State the command of the training. Default: `vibrocast train NAME.toml`.",
 )
+@click.option(
+    "--sign",
+    "signing",
+    type=(INPUT, Whole("number", 1, MAX_NUMBER)),
+    metavar="KEY NUMBER",
+    help="Sign the image by a private key, as this release.",
+)
 @click.option("--out", type=FOLDER, help="Write the model into this folder. Default: ./NAME.")
 def export(
     checkpoint: Path,
@@ -75,17 +86,20 @@ def export(
     runtime: Any,
     data_folder: Path,
     training_command: str | None,
+    signing: tuple[Path, int] | None,
 ) -> None:
     """Export a checkpoint: ONNX graphs, model image and card.
 
     The training's data set the ranges of the integers. The card measures the model on the data that the training held
     back.
 
-    The command writes the folder as a whole, and replaces a folder that holds a model.
+    The command writes the folder as a whole, and replaces a folder that holds a model. No release with a lower number
+    runs after one that is signed.
     """
     from vibrocast.export import configuration, model_card, package, training_curves, training_data
     from vibrocast.export.checkpoint import load
 
+    private_key = None if signing is None else read_private_key(signing[0])
     loaded = load(checkpoint)
     try:
         trained_as = configuration.parsed(loaded.training)
@@ -111,6 +125,8 @@ def export(
         signals = [trace.samples.astype(np.float64) for trace in trained]
         update(0, "integers")
         made = package.make(loaded, name, model_version, runtime, signals)
+        if private_key is not None and signing is not None:
+            made = replace(made, image=uploader.signed(made.image, private_key, signing[1]))
         card = model_card.made(loaded, made, trained, held_back, commands, update)
     with atomic_folder(out) as partial:
         for file, data in {**made.files, **training_curves.files(loaded.curves)}.items():

@@ -9,7 +9,7 @@ from vibrocast.device_protocol.model_image import MAX_NUMBER
 from vibrocast.errors import InputError
 from vibrocast.files import atomic_write, plain
 from vibrocast.firmware import keys as key_files
-from vibrocast.host import signatures
+from vibrocast.host import uploader
 from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import INPUT, OutputFile, Whole, reject_overwriting
 from vibrocast.host.cli.options import chosen_model
@@ -75,7 +75,7 @@ def sign(model: models.Model, key: Path, number: int, out: Path) -> None:
     """
     reject_overwriting([out], [key, *files_of(model)])
     private_key = key_files.read_private_key(key)
-    image = signatures.signed(model.image, private_key, number)
+    image = uploader.signed(model.image, private_key, number)
     with atomic_write(out) as partial:
         partial.write_bytes(image)
     public_key = key_files.public_key(private_key).hex()
@@ -99,7 +99,7 @@ def verify(model: models.Model, public_key: Path) -> None:
     MODEL is as for `sign`.
     """
     key = key_files.read_public_key(public_key)
-    image = signatures.check(model.image, key)
+    image = uploader.check_signature(model.image, key)
     tell(
         plain(f"{model.path}: {image.name} {image.version}, number {image.number}, by {key.hex()}"),
         file=str(model.path),

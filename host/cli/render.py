@@ -18,7 +18,6 @@ from vibrocast.host.cli.options import (
     grouped,
     hand_speed_option,
     model_option,
-    snr_db_option,
     unit_option,
 )
 from vibrocast.host.cli.play import read_source
@@ -42,7 +41,7 @@ class DriveOptions:
 @click.argument("file", type=INPUT)
 @click.argument("out", type=OutputFile(".wav"))
 @grouped("recording", RecordingOptions, unit_option, hand_speed_option)
-@grouped("quality", QualityOptions, model_option, snr_db_option)
+@grouped("quality", QualityOptions, model_option)
 @grouped(
     "drive",
     DriveOptions,

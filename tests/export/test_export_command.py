@@ -166,3 +166,12 @@ def test_curves_stand_next_to_the_card(exported: Path) -> None:
     assert (exported / "curves.csv").read_text().splitlines()[0].startswith("step,seconds,training_loss,loss")
     assert (exported / "curves.png").read_bytes().startswith(b"\x89PNG")
     assert "![Losses over steps; SNR over rate](curves.png)" in (exported / "card.md").read_text()
+
+
+def test_an_image_is_signed_as_it_is_exported(trained: Path, tmp_path: Path) -> None:
+    key, out = tmp_path / "vendor.pem", tmp_path / "signed"
+    succeeds("keys", "new", key)
+    succeeds("export", trained, "--out", out, "--sign", key, 3)
+    told = succeeds("keys", "verify", out, "--public-key", tmp_path / "vendor.pub.pem")
+    assert "number 3" in told
+    assert "cannot be used" in fails(2, "export", trained, "--out", out, "--sign", key, 0)

@@ -17,7 +17,7 @@ from vibrocast.firmware import keys
 from vibrocast.firmware.build import build
 from vibrocast.harness.boards import cortex_m
 from vibrocast.harness.boards.host_process import HostProcess
-from vibrocast.host import signatures, uploader
+from vibrocast.host import uploader
 from vibrocast.host.controller import Controller as Host
 from vibrocast.host.controller import ControllerError
 from vibrocast.simulated_device.controller import Controller, Settings
@@ -26,7 +26,7 @@ from vibrocast.simulated_device.memory_link import MemoryLink
 PRIVATE_KEY = bytes(range(32))
 KEY = keys.public_key(PRIVATE_KEY)
 IMAGE = models.find("eva-16-4").image
-SIGNED = signatures.signed(IMAGE, PRIVATE_KEY, 3)
+SIGNED = uploader.signed(IMAGE, PRIVATE_KEY, 3)
 KNOWN = (Path(__file__).with_name("known_signature.c"),)
 """The sources of a verifier that knows the signature of SIGNED alone."""
 INSTALLED = tuple(map(Path, filter(None, os.environ.get("VIBROCAST_VERIFIER", "").split(os.pathsep))))
@@ -63,7 +63,7 @@ def test_a_controller_with_a_key_takes_only_what_its_verifier_calls_signed(
         with pytest.raises(ModelError, match="no signature"):
             uploader.flash(host, IMAGE)
         with monkeypatch.context() as patch:
-            patch.setattr(signatures, "check", lambda image, key: ModelImage.unpack(image))
+            patch.setattr(uploader, "check_signature", lambda image, key: ModelImage.unpack(image))
             for place in (len(IMAGE), -1):  # the number, the signature
                 changed = bytearray(SIGNED)
                 changed[place] ^= 1

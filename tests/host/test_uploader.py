@@ -22,7 +22,7 @@ from vibrocast.device_protocol.messages import (
 from vibrocast.device_protocol.model_image import ModelError, ModelImage, sha256
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.firmware import keys
-from vibrocast.host import signatures
+from vibrocast.host import uploader
 from vibrocast.host.controller import ControllerError
 from vibrocast.host.uploader import flash
 
@@ -48,7 +48,7 @@ def test_flashes_verifies_tries_and_confirms() -> None:
 def test_image_without_the_signature_that_the_controller_needs_is_not_sent() -> None:
     scripted = ScriptedController()
     scripted.description = replace(scripted.description, public_key=keys.public_key(bytes(32)))
-    for image in (IMAGE, signatures.signed(IMAGE, b"x" * 32, 1)):
+    for image in (IMAGE, uploader.signed(IMAGE, b"x" * 32, 1)):
         with pytest.raises(ModelError, match="signature"):
             flash(scripted.connect(), image)
     assert not any(isinstance(message, FlashBegin) for message in scripted.handled)
@@ -56,7 +56,7 @@ def test_image_without_the_signature_that_the_controller_needs_is_not_sent() -> 
 
 def test_release_with_another_number_is_another_image() -> None:
     scripted = ScriptedController()
-    first, second = (signatures.signed(IMAGE, bytes(32), number) for number in (1, 2))
+    first, second = (uploader.signed(IMAGE, bytes(32), number) for number in (1, 2))
     assert flash(scripted.connect(), first).number == 1
     before = len(scripted.handled)
     assert flash(scripted.connect(), first).number == 1
