@@ -60,18 +60,16 @@ def _in_pieces(transform: Callable[[Values], Values], values: Values, hop_in: in
 
 def _latents(rate_point: RatePoint) -> tuple[Values, Values]:
     """Return a texture (1, 1, time) as the network gets it, and its latents (1, latents, columns)."""
-    assert rate_point.model is not None, "a learned method has models"
     samples = texture()
     samples = samples[: len(samples) // HOP * HOP] / np.sqrt(np.mean(samples**2))
     signal = samples.T[None].astype(np.float32)
-    return signal, run(rate_point.model.analysis, SIGNAL, LATENTS, signal)
+    return signal, run(rate_point.trained.analysis, SIGNAL, LATENTS, signal)
 
 
 def measure_analysis(rate_point: RatePoint, way: str) -> Measured:
     """Run the analysis in another way; count the latents that are rounded to other integers."""
     signal, latents = _latents(rate_point)
-    assert rate_point.model is not None, "a learned method has models"
-    other = _otherwise(way, partial(run, rate_point.model.analysis, SIGNAL, LATENTS), signal, HOP, 1)
+    other = _otherwise(way, partial(run, rate_point.trained.analysis, SIGNAL, LATENTS), signal, HOP, 1)
     rounded = float(np.mean(np.rint(latents) != np.rint(other)))
     return _judged(latents, other, {"rounded_otherwise_per_million": 1e6 * rounded})
 
@@ -79,8 +77,7 @@ def measure_analysis(rate_point: RatePoint, way: str) -> Measured:
 def measure_synthesis(rate_point: RatePoint, way: str) -> Measured:
     """Run the synthesis in another way on the same integers."""
     _, latents = _latents(rate_point)
-    assert rate_point.model is not None, "a learned method has models"
-    synthesis = partial(run, EvaImage.unpack(rate_point.model.tables).graph, LATENTS, SIGNAL)
+    synthesis = partial(run, EvaImage.unpack(rate_point.trained.tables).graph, LATENTS, SIGNAL)
     values = np.rint(latents)
     return _judged(synthesis(values), _otherwise(way, synthesis, values, 1, HOP), {})
 
@@ -116,15 +113,15 @@ def measure_core(rate_point: RatePoint) -> Measured:
 def _graphs(scope: Scope) -> Iterator[Trial]:
     for method in scope.learned:
         rate_point = maps.middle_rate_point(method)
-        if rate_point.model is None or not rate_point.model.analysis:
+        if not rate_point.trained.analysis:
             continue
         parts: dict[str, Callable[[RatePoint, str], Measured]] = {"analysis": measure_analysis}
-        if "onnx" in runtimes(rate_point.model):
+        if "onnx" in runtimes(rate_point.trained):
             parts["synthesis"] = measure_synthesis
         for part, measure in parts.items():
             for way in scope.some(list(_WAYS), 4):
                 yield Trial(method.name, f"{part}, {way}", partial(measure, rate_point, way), rate_point.text)
-        if "core" in runtimes(rate_point.model):
+        if "core" in runtimes(rate_point.trained):
             core = partial(measure_core, rate_point)
             yield Trial(method.name, "integer core, without ONNX Runtime", core, rate_point.text)
 

@@ -176,10 +176,9 @@ def _levels(scope: Scope) -> Iterator[Trial]:
         middle = maps.middle_rate_point(method)
         if "level" not in CODECS[middle.codec].parameters:
             continue
-        assert middle.model is not None, "a learned method has models"
         for off_db in scope.some(OFF_LEVEL_DB, 5):
             rate_point = RatePoint(middle.codec, {**middle.setting, "level": 10 ** (off_db / 20)}, middle.model)
-            for runtime in runtimes(middle.model):
+            for runtime in runtimes(middle.trained):
                 for name in ("texture", "texture with clicks"):
                     level = partial(measure_level, rate_point, runtime, name)
                     yield Trial(f"{method.name}, {runtime}", name, level, rate_point.text, off_db)

@@ -19,7 +19,7 @@ from vibrocast.evaluation.trained import runtimes
 from vibrocast.host.controller import Controller as Host
 from vibrocast.host.player import play
 from vibrocast.simulated_device.controller import Controller
-from vibrocast.simulated_device.faulty_link import MemoryLink
+from vibrocast.simulated_device.memory_link import MemoryLink
 
 PLACES_PERCENT = tuple(5.0 * place for place in range(21))
 CHANGED, CUT = "byte changed, CRC and hash fit", "cut, CRC and hash fit"
@@ -33,13 +33,12 @@ def _stream(rate_point: RatePoint) -> Stream:
 
 def _with_payload(rate_point: RatePoint, payload: bytes) -> bytes:
     """Return a model's image, packed again with another payload: its CRC is right."""
-    assert rate_point.image is not None, "a learned method has models"
-    return replace(ModelImage.unpack(rate_point.image), payload=payload).pack()
+    return replace(ModelImage.unpack(rate_point.trained.image), payload=payload).pack()
 
 
 def _changed(rate_point: RatePoint, place_percent: float) -> bytes:
     """Return a model's payload with one byte changed at a place."""
-    payload = bytearray(ModelImage.unpack(rate_point.image or b"").payload)
+    payload = bytearray(rate_point.trained.tables)
     payload[round(place_percent / 100 * (len(payload) - 1))] ^= 0x55
     return bytes(payload)
 
@@ -47,7 +46,7 @@ def _changed(rate_point: RatePoint, place_percent: float) -> bytes:
 def measure_changed(rate_point: RatePoint, runtime: str, place_percent: float) -> Measured:
     """Decode with a changed payload that no CRC or hash reveals, and compare the samples. Raises CodecError."""
     stream = _stream(rate_point)
-    payloads = ModelImage.unpack(rate_point.image or b"").payload, _changed(rate_point, place_percent)
+    payloads = rate_point.trained.tables, _changed(rate_point, place_percent)
     expected, came = (_decoded(stream, payload, runtime) for payload in payloads)
     snr_db = codec.snr_db(expected, came)
     assert snr_db is not None, "a texture is not silent"
@@ -65,7 +64,7 @@ def _decoded(stream: Stream, payload: bytes, runtime: str) -> Signal:
 
 def measure_cut(rate_point: RatePoint, percent: float) -> Measured:
     """Decode with a part of a payload, in an image whose CRC is right. Raises CodecError."""
-    payload = ModelImage.unpack(rate_point.image or b"").payload
+    payload = rate_point.trained.tables
     cut = payload[: round(percent / 100 * len(payload))]
     header = _stream(rate_point).header
     codec.decoder(header.codec_identifier, header.configuration, header.channels, cut)
@@ -80,8 +79,8 @@ def measure_hash(rate_point: RatePoint) -> Measured:
 
 
 def measure_crc(rate_point: RatePoint) -> Measured:
-    """Read an image with one byte changed. Raises ModelImageError."""
-    image = bytearray(rate_point.image or b"")
+    """Read an image with one byte changed. Raises ModelError."""
+    image = bytearray(rate_point.trained.image)
     image[len(image) // 2] ^= 0x55
     ModelImage.unpack(bytes(image))
     return Measured(Outcome.HOLDS, {})
@@ -105,8 +104,7 @@ def measure_on_controller(rate_point: RatePoint, image: bytes | None) -> Measure
 def _images(scope: Scope) -> Iterator[Trial]:
     for method in scope.learned:
         rate_point = middle_rate_point(method)
-        assert rate_point.model is not None, "a learned method has models"
-        another = next(model.image for model in models.shipped() if model.image != rate_point.image)
+        another = next(model.image for model in models.shipped() if model.image != rate_point.trained.image)
         rejected: dict[str, Callable[[RatePoint], Measured]] = {
             "byte changed, CRC wrong": measure_crc,
             "byte changed, hash wrong": measure_hash,
@@ -119,7 +117,7 @@ def _images(scope: Scope) -> Iterator[Trial]:
             yield trial(case, partial(measure, rate_point), to_be_rejected=True)
         for percent in CUTS_PERCENT:
             yield trial(CUT, partial(measure_cut, rate_point, percent), value=percent, to_be_rejected=True)
-        for runtime in runtimes(rate_point.model):
+        for runtime in runtimes(rate_point.trained):
             for percent in scope.some(PLACES_PERCENT, 4):
                 changed = partial(measure_changed, rate_point, runtime, percent)
                 yield trial(", ".join(filter(None, (CHANGED, runtime))), changed, value=percent)

@@ -5,18 +5,19 @@ from pathlib import Path
 import click
 
 from vibrocast import progress
+from vibrocast.errors import InputError
 from vibrocast.harness import recorder
 from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import OutputFile, Whole, positive
 from vibrocast.textures import sidecar
-from vibrocast.textures.sensitivity import EXAMPLES, Sensitivity, SensitivityError, parse
+from vibrocast.textures.sensitivity import EXAMPLES, Sensitivity, parse
 
 
 def parsed_sensitivity(ctx: click.Context, param: click.Parameter, value: str | None) -> Sensitivity | None:
     """Return the sensitivity of a sensor, or raise click.BadParameter."""
     try:
         return None if value is None else parse(value)
-    except SensitivityError as error:
+    except InputError as error:
         raise click.BadParameter(str(error), ctx, param) from error
 
 

@@ -23,12 +23,12 @@ from vibrocast import codec, models, textures
 from vibrocast.codec.stream import read_stream
 from vibrocast.device_protocol.messages import State
 from vibrocast.device_protocol.model_image import ModelImage
+from vibrocast.errors import LIMIT_MISSED, NO_DEVICE
 from vibrocast.host import devices
 from vibrocast.host.bench_file import actuator_toml
 from vibrocast.host.cli import sections
 from vibrocast.host.cli.command_line import main
 from vibrocast.host.cli.commands import SECTIONS, subcommands
-from vibrocast.host.cli.exit_codes import LIMIT_MISSED, NO_DEVICE
 from vibrocast.host.report import Report
 from vibrocast.output.actuator import ACTUATORS, Codes
 from vibrocast.simulated_device.controller import Controller
@@ -129,12 +129,12 @@ def test_report_page_explains_every_field() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("samples", "level"), [(1, 1.0), (17, 0.5), (500, 0.0), (500, 1.0)])
-def test_plays_extremes(samples: int, level: float, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("samples", "level", "loops"), [(1, 1.0, 1), (17, 0.5, 1), (500, 0.0, 3), (500, 1.0, 3)])
+def test_plays_extremes(samples: int, level: float, loops: int, tmp_path: Path) -> None:
     path = tmp_path / "extreme.wav"
     soundfile.write(path, np.full((samples, 2), level), RATE_HZ, subtype="FLOAT")
-    report = answer("play", path, "--unit", "drive", "--loop", 3, "--plot", tmp_path / "plot.svg")
-    assert (report["loops"], report["channels"], report["dac_equals_offline"]) == (3, 2, True)
+    report = answer("play", path, "--unit", "drive", "--loop", loops, "--plot", tmp_path / "plot.svg")
+    assert (report["loops"], report["channels"], report["dac_equals_offline"]) == (loops, 2, True)
     assert (report["snr_db"] is None) == (level == 0)
 
 

@@ -11,18 +11,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vibrocast import codec, textures, workers
+from tests.evaluation.conftest import here
+from vibrocast import codec, workers
 from vibrocast.codec import CodecError, metrics
 from vibrocast.codec.encoding import encode_recording
+from vibrocast.errors import InputError
 from vibrocast.evaluation import bench, cells
 from vibrocast.evaluation.bench import CellCounts, Journal
-from vibrocast.evaluation.cells import BenchError, Cell, Measured, Method
+from vibrocast.evaluation.cells import Cell, Measured, Method
 from vibrocast.evaluation.comparison import Measurements
 from vibrocast.evaluation.peers import measured_codecs
 from vibrocast.evaluation.points import Failure, Point, Timing, read_rows
 from vibrocast.textures import Recording
 from vibrocast.textures.dataset import DatasetEntry, entries, load
-from vibrocast.textures.generate import rough, wood
 
 METHODS = [Method("mdct", ({"step": 1.0}, {"step": 0.25}), "mdct"), Method("flac", ({},), "flac")]
 Results = list[Measured | Failure]
@@ -33,14 +34,6 @@ class Deadly(Recording):
 
     def __reduce__(self) -> Any:
         return os._exit, (1,)
-
-
-def here(tasks: Iterator[bench.Task]) -> bench.Outcomes:
-    for key, work in tasks:
-        try:
-            yield key, work()
-        except Exception as error:
-            yield key, error
 
 
 def cut_after(count: int, tasks: Iterator[bench.Task]) -> bench.Outcomes:
@@ -72,14 +65,6 @@ def written(results: Path, measured: Results) -> dict[str, bytes]:
     failures = [each for each in measured if isinstance(each, Failure)]
     bench.write(results, Measurements(points, [], [], failures))
     return {name: (results / name).read_bytes() for name in ("points.csv", "failures.csv")}
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    (tmp_path / "recordings").mkdir()
-    textures.save(tmp_path / "recordings" / "rough.wav", rough(0, 0.3))
-    textures.save(tmp_path / "recordings" / "wood.wav", wood(1, 0.3))
-    return tmp_path / "recordings"
 
 
 @pytest.fixture
@@ -270,7 +255,7 @@ def test_methods_by_codec_and_by_rate_point_set() -> None:
     chosen = cells.methods(["g726", "mdct"])
     assert [method.name for method in chosen] == ["mdct", "mdct-live", "g726"]
     assert chosen == cells.methods(["mdct", "g726"])
-    with pytest.raises(BenchError, match=r"no codec or set of rate points 'mp3'; choose from .*mdct"):
+    with pytest.raises(InputError, match=r"no codec or set of rate points 'mp3'; choose from .*mdct"):
         cells.methods(["mdct", "mp3"])
 
 
@@ -280,7 +265,7 @@ def test_files_of_other_origin_are_left_alone(tmp_path: Path, name: str) -> None
     (tmp_path / "results" / "thesis.tex").touch()
     assert bench.results_folder(tmp_path) == tmp_path / "results"
     (tmp_path / name).write_text("a,b\n1,2\n")
-    with pytest.raises(BenchError, match=f"{name}: would be overwritten"):
+    with pytest.raises(InputError, match=f"{name}: would be overwritten"):
         bench.results_folder(tmp_path)
     (tmp_path / "results" / bench.JOURNAL).touch()
     assert bench.results_folder(tmp_path) == tmp_path / "results"

@@ -1,22 +1,20 @@
 """The codec of another package, which the registry alone knows, in the benchmark, its page and the stability maps."""
 
 import sys
-from collections.abc import Iterator
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
-from typing import Any
 
 import pytest
-from click.testing import CliRunner
 
-from vibrocast import codec, textures, workers
+from tests.command import run
+from tests.evaluation.conftest import here
+from vibrocast import codec, workers
 from vibrocast.codec import plugins, registry
 from vibrocast.evaluation import cells, cost
 from vibrocast.evaluation.points import Point, read_rows
 from vibrocast.evaluation.stability import maps, signals
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, attempt
-from vibrocast.host.cli.command_line import main
-from vibrocast.textures.generate import rough, wood
+from vibrocast.textures.generate import wood
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "codec_plugin"
 NAME = "haar"
@@ -33,20 +31,11 @@ def installed(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "CODECS", registry.CODECS)
 
 
-def here(tasks: Iterator[Any], processes: int) -> Iterator[Any]:
-    for key, work in tasks:
-        yield key, work()
-
-
 @pytest.mark.slow
-def test_the_benchmark_takes_it_as_any_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(workers, "on_cores", here)
+def test_the_benchmark_takes_it_as_any_other(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workers, "on_cores", lambda tasks, processes: here(tasks))
     monkeypatch.setattr(cost, "peak_memory_bytes", lambda codec_name, model: None)
-    (tmp_path / "recordings").mkdir()
-    textures.save(tmp_path / "recordings" / "rough.wav", rough(0, 0.5))
-    textures.save(tmp_path / "recordings" / "wood.wav", wood(1, 0.5))
-    arguments = ["bench", str(tmp_path / "recordings"), "--out", str(tmp_path / "out"), "--repeats", "1"]
-    result = CliRunner().invoke(main, [*arguments, "--codecs", f"{NAME},slp"])
+    result = run("bench", folder, "--out", tmp_path / "out", "--repeats", "1", "--codecs", f"{NAME},slp")
     assert result.exit_code == 0, result.output
     points = read_rows(tmp_path / "out" / "results" / "points.csv", Point)
     own = [point for point in points if point.codec == NAME]

@@ -372,6 +372,7 @@ def test_a_long_name_keeps_its_distinctive_end() -> None:
     assert name.startswith("Direct_-_1...") and name.endswith("esterPad_-_slow")
 
 
+@pytest.mark.slow
 def test_many_recordings_still_fit(tmp_path: Path) -> None:
     points = [
         point for number in range(100) for point in curve("mdct", f"trace {number}", 1 + number / 100, (8.0, 16.0))
@@ -448,7 +449,7 @@ def test_the_shaded_region_is_what_bd_rate_integrates() -> None:
     assert bd_regions(of(*curve("mdct")), [PSNR]).is_empty()
 
 
-def test_recordings_kept_apart_lead_the_page(copied: Path) -> None:
+def test_recordings_kept_apart_lead_the_page_and_a_note_stands_on_it(copied: Path) -> None:
     rows = [
         "mdct,SNR,VC-PWQ,-61.9,-47.8",
         "mdct,SNR,all peers,-47,-30.7",
@@ -457,19 +458,16 @@ def test_recordings_kept_apart_lead_the_page(copied: Path) -> None:
     ]
     path = copied / "results" / results_page.HELD_OUT
     path.write_text("\n".join(["codec,measure,peer,mean_percent,worst_percent", *rows]))
+    (copied / "results" / results_page.NOTE).write_text("Chosen on *these* recordings.\n")
     result = CliRunner().invoke(results_page.main, [str(copied)])
     assert result.exit_code == 0, result.output
     page = (copied / "results.md").read_text()
     assert "`mdct` needs fewer bits than the best of all peers: 47 % at equal SNR, 41 % at equal SPQI." in page
     assert "| VC-PWQ | 3.74 | -75.0 % | -61.9 % (worst -47.8 %) |" in page
+    assert "\n\nChosen on *these* recordings.\n\n" in page
     path.write_text("codec,measure\n")
     result = CliRunner().invoke(results_page.main, [str(copied)])
     assert result.exit_code == 1 and "held_out.csv: no column" in result.output
-
-
-def test_a_note_in_the_folder_stands_on_the_page(copied: Path) -> None:
-    (copied / "results" / results_page.NOTE).write_text("Chosen on *these* recordings.\n")
-    assert "\n\nChosen on *these* recordings.\n\n" in write(copied, MEASURED)
 
 
 @pytest.mark.slow
