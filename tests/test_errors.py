@@ -26,8 +26,8 @@ def test_states_problem_cause_and_action(kind: type[VibrocastError], exit_code: 
 @pytest.mark.parametrize(
     ("name", "text"),
     [
-        ("encode", "give --rate-hz, --model or --keep-dc; `sixteen_bit` and `unit`"),
-        ("render", "give --recording-rate-hz, --model or --keep-dc; `sixteen_bit` and `unit`"),
+        ("encode", "give --rate-hz, --model or `highpass_hz=None`; `sixteen_bit` and `unit`"),
+        ("bench", "give `rate_hz`, `model` or --keep-dc; `sixteen_bit` and `unit`"),
         ("decode", "give `rate_hz`, --model or `highpass_hz=None`; `sixteen_bit` and `unit`"),
     ],
 )
