@@ -53,8 +53,7 @@ class DriveOptions:
         help=f"Choose the actuator: {', '.join(ACTUATORS)} or a TOML file.",
     ),
     click.option(
-        "--rate-hz",
-        "dac_rate_hz",
+        "--dac-rate-hz",
         type=Whole("Hz", 1000, 384_000),
         default=48_000,
         show_default=True,

@@ -217,7 +217,7 @@ def test_a_lost_card_ends_the_program_with_its_reason(mortal_sound_server: Sound
 def test_render_writes_what_a_card_plays(tmp_path: Path) -> None:
     stream, out = short_stream(), tmp_path / "drive.wav"
     stream.save(tmp_path / "short.vct")
-    options = ["--actuator", "voice-coil", "--rate-hz", "44100", "--full-scale-volts", "2.5", "--gain-db", "-6"]
+    options = ["--actuator", "voice-coil", "--dac-rate-hz", "44100", "--full-scale-volts", "2.5", "--gain-db", "-6"]
     result = CliRunner().invoke(main, ["render", str(tmp_path / "short.vct"), str(out), *options])
     assert result.exit_code == 0, result.output
     assert "1.0 is 2.5 V at voice-coil" in result.output
