@@ -402,6 +402,7 @@ def learned() -> Measurements:
     return Measurements(points, MEASURED.timings, costs, [], speeds, kinds)
 
 
+@pytest.mark.slow
 def test_trained_models_are_compared_by_kind(tmp_path: Path) -> None:
     write_results(tmp_path, learned(), DESCRIPTION)
     page = (tmp_path / "results.md").read_text()
