@@ -64,11 +64,12 @@ def encode_recording(  # noqa: PLR0913 - the options of the public `encode`, whi
     which the error is shaped for touch, 0 to 1; None = as `codec.shape_setting` says.
     `packet_s`: duration of packets, rounded up to whole blocks; None = the fewest bytes or, with `live`, 4 blocks.
 
-    Raises CodecError (also when the target rate or SNR cannot be met), ModelError, ModelImageError, StreamError or
-    TextureError.
+    Raises CodecError (also when the target rate or SNR cannot be met), ModelError, StreamError or TextureError.
     """
     if rate_bps is not None and snr_db is not None:
-        raise codec.CodecError("`rate_bps` and `snr_db` are both given; give one of them")
+        raise codec.CodecError(
+            "`rate_bps` and `snr_db` are both given", action="give one of them", parameter=("rate_bps", "snr_db")
+        )
     passed = textures.highpass(recording, highpass_hz)
     resampled = textures.resample(passed.recording, stream_rate_hz)
     check_length(resampled.samples.size)
@@ -199,9 +200,7 @@ def first_reachable(
                 unreachable = error
         if made:
             return made[0] if choice is None else min(made, key=choice.cost)
-    raise unreachable or models.ModelError(
-        f"no model for the codec {chosen.name} ships; train one, and give its folder as `model`"
-    )
+    raise unreachable or _no_model(chosen)
 
 
 def chosen_codec(codec_name: str | None, model: models.Model | None) -> codec.Codec:
@@ -247,7 +246,15 @@ def default_model(chosen: codec.Codec) -> models.Model:
     """
     for members in families(chosen):
         return middle(members)
-    raise models.ModelError(f"no model for the codec {chosen.name} ships; train one, and give its folder as `model`")
+    raise _no_model(chosen)
+
+
+def _no_model(chosen: codec.Codec) -> models.ModelError:
+    return models.ModelError(
+        f"no model for the codec {chosen.name} ships",
+        action="train one, and give its folder as `model`",
+        parameter="model",
+    )
 
 
 def brings_built_in_tables(model: models.Model) -> bool:

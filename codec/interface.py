@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast.device_protocol.coded_stream import MAX_CHANNELS
+from vibrocast.errors import InputError
 
 Signal = NDArray[np.float64]
 Decoded = NDArray[np.int16]
@@ -24,7 +25,7 @@ RUNTIMES = ("core", "onnx")
 """The decoders of a learned codec: the integer core, or ONNX Runtime."""
 
 
-class CodecError(ValueError):
+class CodecError(InputError):
     """A signal, parameter, configuration or packet that the codec rejects; the message says why and what to do."""
 
 

@@ -20,8 +20,9 @@ from vibrocast.codec.encoding import (
 from vibrocast.codec.live_format import recording_format
 from vibrocast.codec.rate_control import DEFAULT_RATE_BUFFER_S
 from vibrocast.codec.stream import Stream, as_stream
-from vibrocast.device_protocol.frames import MAX_PAYLOAD_BYTES, FrameError, write_frame
+from vibrocast.device_protocol.frames import MAX_PAYLOAD_BYTES, write_frame
 from vibrocast.device_protocol.messages import SinglePacket, pack
+from vibrocast.errors import InputError
 
 WINDOW_S = 2.0
 """A rate is held over any run of whole packets of this length."""
@@ -35,7 +36,7 @@ def added_bytes(packet: bytes) -> int:
     """
     try:
         return len(write_frame(pack(SinglePacket(0, packet)))) - len(packet)
-    except FrameError as error:
+    except InputError as error:
         raise codec.TargetUnreachable(
             f"a packet of {len(packet)} bytes cannot be sent, because a frame carries {MAX_PAYLOAD_BYTES}; "
             "choose a lower rate or quality, or shorter packets"

@@ -79,7 +79,9 @@ class Stream:
     def __post_init__(self) -> None:
         if self.image is not None and image_hash(self.image) != self.header.image_hash:
             raise codec.CodecError(
-                "the stream was not coded for this model image; leave out `model`, or give the right one"
+                "the stream was not coded for this model image",
+                action="leave out `model`, or give the right one",
+                parameter="model",
             )
         decoder = self.decoder()
         if not self.packets or self.samples < 1:
@@ -107,7 +109,7 @@ class Stream:
             CodecError: The codec is unknown, or the image is another.
         """
         if not isinstance(data, bytes | bytearray | memoryview):
-            raise StreamError(f"`data` is of type {type(data).__name__}; pass the bytes of a .vct file")
+            raise arguments.wrong_type("data", data, "the bytes of a .vct file")
         header, packets = coded_stream.unpack_file(bytes(data))
         return cls(header, tuple(packets), shipped_image(header) if image is None else image)
 
@@ -164,8 +166,9 @@ class Stream:
             return ModelImage.unpack(self.image).payload
         if self.header.image_hash:
             raise codec.CodecError(
-                f"the stream was coded for the model image {self.header.image_hash.hex()}, which does not ship; give "
-                "its folder or its file as `model`"
+                f"the stream was coded for the model image {self.header.image_hash.hex()}, which does not ship",
+                action="give its folder or its file as `model`",
+                parameter="model",
             )
         return None
 
@@ -260,7 +263,9 @@ class Stream:
         """
         if gain_db == 0:
             return self
-        beyond = codec.CodecError(f"`gain_db`={gain_db:g}: beyond any level of a stream; give a number nearer to 0")
+        beyond = codec.CodecError(
+            f"`gain_db`={gain_db:g}", "beyond any level of a stream", "give a number nearer to 0", parameter="gain_db"
+        )
         if not abs(gain_db) <= MAX_GAIN_DB:
             raise beyond
         factor = 10 ** (gain_db / 20)
@@ -384,7 +389,7 @@ def check_length(samples: int) -> None:
 def read_stream(path: Path, image: bytes | None = None) -> Stream:
     """Read a .vct file. `image`: its packed model image; None = the built-in tables, or an image that ships.
 
-    Raises InputFileError when it is no such file, StreamError when it is damaged, CodecError for another image or
+    Raises InputError when it is no such file, StreamError when it is damaged, CodecError for another image or
     codec, OSError when it cannot be read.
     """
     data = read_input(path, "coded stream (.vct file)", b"", MAX_FILE_BYTES)

@@ -96,8 +96,9 @@ def threshold_amplitude(rows: NDArray[np.float64], frequency_hz: NDArray[np.floa
         )
     if unit not in PHYSICAL_UNITS:
         raise CodecError(
-            "the detection threshold is a displacement, and this signal is relative to full scale; "
-            "give `unit` and `full_scale`, or a touch of 0"
+            "the detection threshold is a displacement, and this signal is relative to full scale",
+            action="give `unit` and `full_scale`, or a touch of 0",
+            parameter=("unit", "full_scale"),
         )
     nearest_hz = np.clip(frequency_hz, rows[0, 0], rows[-1, 0])
     displacement_um = 10 ** (np.interp(np.log(nearest_hz), np.log(rows[:, 0]), rows[:, 1]) / 20)

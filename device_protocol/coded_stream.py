@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from vibrocast.device_protocol.encoding import Reader, crc16, pack_varint
+from vibrocast.errors import InputError
 
 FORMAT = 3
 MAGIC = bytes((0xD0 | FORMAT,))
@@ -36,7 +37,7 @@ _FLAGS_AT = 2
 _CRC = struct.Struct("<H")
 
 
-class StreamError(ValueError):
+class StreamError(InputError):
     """A header, packet or .vct file that cannot be written or read; the message says why and what to do."""
 
 

@@ -5,6 +5,7 @@ import struct
 from cobs import cobs
 
 from vibrocast.device_protocol.encoding import crc16
+from vibrocast.errors import InputError
 
 MAX_PAYLOAD_BYTES = 4096
 DELIMITER = b"\x00"
@@ -14,17 +15,13 @@ _CRC = struct.Struct("<H")
 _MAX_ENCODED_BYTES = MAX_PAYLOAD_BYTES + _CRC.size + 1 + (MAX_PAYLOAD_BYTES + _CRC.size) // 254
 
 
-class FrameError(ValueError):
-    """A payload that does not fit a frame."""
-
-
 def write_frame(payload: bytes) -> bytes:
     """Return the frame of a payload: COBS(payload, CRC-16 little-endian), then the delimiter.
 
-    Raises FrameError for a payload that is empty or longer than MAX_PAYLOAD_BYTES.
+    Raises InputError for a payload that is empty or longer than MAX_PAYLOAD_BYTES.
     """
     if not 1 <= len(payload) <= MAX_PAYLOAD_BYTES:
-        raise FrameError(f"a frame carries 1 to {MAX_PAYLOAD_BYTES} bytes, not {len(payload)}; send less at a time")
+        raise InputError(f"a frame carries 1 to {MAX_PAYLOAD_BYTES} bytes, not {len(payload)}; send less at a time")
     encoded: bytes = cobs.encode(payload + _CRC.pack(crc16(payload)))
     return encoded + DELIMITER
 

@@ -20,11 +20,7 @@ TLV_HEAD = struct.Struct("<BH")
 """Tag, then the length of the value."""
 
 
-class LayoutError(ValueError):
-    """Values that a layout cannot hold, or bytes that do not fit it."""
-
-
-class BadValueError(LayoutError):
+class BadValueError(ValueError):
     """A value of the right size without meaning."""
 
 
@@ -37,7 +33,7 @@ def check_factor(factor: float) -> float:
 
 def _sha256(sha256: bytes) -> bytes:
     if len(sha256) != SHA256_BYTES:
-        raise LayoutError(f"a SHA-256 has {SHA256_BYTES} bytes, not {len(sha256)}")
+        raise ValueError(f"a SHA-256 has {SHA256_BYTES} bytes, not {len(sha256)}")
     return sha256
 
 
@@ -60,7 +56,7 @@ class Flag:
 @dataclass(frozen=True)
 class Part:
     """A field behind the fixed part. `pack`: returns the bytes of a value. `unpack`: returns the value at a position of
-    the data, and the position after it. Both raise LayoutError."""
+    the data, and the position after it. Both raise ValueError."""
 
     name: str
     pack: Callable[[Any], bytes]
@@ -87,15 +83,12 @@ class Tag:
 
 def _pack_varint(value: int) -> bytes:
     if not 0 <= value <= _MAX_VARINT:
-        raise LayoutError(f"{value} is not in 0 to {_MAX_VARINT}")
+        raise ValueError(f"{value} is not in 0 to {_MAX_VARINT}")
     return pack_varint(value)
 
 
 def _unpack_varint(data: bytes, position: int) -> tuple[int, int]:
-    try:
-        return unpack_varint(data, position, VARINT_BITS)
-    except ValueError as error:
-        raise LayoutError(str(error)) from error
+    return unpack_varint(data, position, VARINT_BITS)
 
 
 def _pack_counted(text: str) -> bytes:
@@ -117,15 +110,12 @@ def _pack_items(items: tuple[bytes, ...]) -> bytes:
 
 def _unpack_items(data: bytes, position: int) -> tuple[tuple[bytes, ...], int]:
     items, end = [], len(data)
-    try:
-        while position < end:
-            length, position = unpack_varint(data, position, VARINT_BITS)
-            items.append(data[position : position + length])
-            position += length
-    except ValueError as error:
-        raise LayoutError(str(error)) from error
+    while position < end:
+        length, position = unpack_varint(data, position, VARINT_BITS)
+        items.append(data[position : position + length])
+        position += length
     if position > end:
-        raise LayoutError(f"an item of {length} bytes, {len(items[-1])} are left")
+        raise ValueError(f"an item of {length} bytes, {len(items[-1])} are left")
     return tuple(items), position
 
 
@@ -226,7 +216,7 @@ class Layout:
     """The bytes of a class's objects: the fixed part, then the other fields.
 
     Unless a field reaches to the end, TLVs follow or, with `skipped`, additions of a later minor version. A method
-    `check` of the class raises LayoutError if fields contradict each other.
+    `check` of the class raises ValueError if fields contradict each other.
     """
 
     def __init__(self, owner: type, *, skipped: bool = False) -> None:
@@ -244,7 +234,7 @@ class Layout:
         self._has_one = len(self._names) == 1
 
     def pack(self, value: Any) -> bytes:
-        """Return the bytes of an object. Raises LayoutError for a value that its field cannot hold."""
+        """Return the bytes of an object. Raises ValueError for a value that its field cannot hold."""
         if self._check_all:
             self._check_all(value)
         fixed = self._get(value) if self._get else ()
@@ -261,14 +251,14 @@ class Layout:
                     encoded = _encode(field.item, item)
                     packed += TLV_HEAD.pack(tag.number, len(encoded)) + encoded
         except (struct.error, OverflowError) as error:
-            raise LayoutError(str(error)) from error
+            raise ValueError(str(error)) from error
         return packed
 
     def unpack(self, data: bytes, position: int = 0) -> Any:
-        """Return the object whose bytes begin at `position`. Raises LayoutError, for values BadValueError."""
+        """Return the object whose bytes begin at `position`. Raises ValueError, for values BadValueError."""
         end = position + self.fixed.size
         if len(data) < end:
-            raise LayoutError(f"{len(data) - position} bytes, at least {self.fixed.size} are needed")
+            raise ValueError(f"{len(data) - position} bytes, at least {self.fixed.size} are needed")
         fixed = [*self.fixed.unpack_from(data, position)]
         for index in self._flags:
             if fixed[index] > 1:
@@ -297,7 +287,7 @@ class Layout:
             elif found:
                 values[field.name] = _decode(field.item, found[-1])
             elif field.default is MISSING:
-                raise LayoutError(f"tag {tag.number} is missing: {tag.description}")
+                raise ValueError(f"tag {tag.number} is missing: {tag.description}")
         return values
 
 
@@ -321,17 +311,17 @@ def _decode(kind: Any, data: bytes) -> Any:
     try:
         return data.decode()
     except UnicodeDecodeError as error:
-        raise LayoutError("text that is not UTF-8") from error
+        raise ValueError("text that is not UTF-8") from error
 
 
 def _take(data: bytes, position: int, length: int) -> bytes:
     if length > len(data) - position:
-        raise LayoutError(f"a field of {length} bytes, {len(data) - position} are left")
+        raise ValueError(f"a field of {length} bytes, {len(data) - position} are left")
     return data[position : position + length]
 
 
 def _tlvs(data: bytes, position: int) -> Iterator[tuple[int, bytes]]:
-    """Yield (tag, value) of each TLV from `position` on. Raises LayoutError if a length does not fit."""
+    """Yield (tag, value) of each TLV from `position` on. Raises ValueError if a length does not fit."""
     while position < len(data):
         tag, length = TLV_HEAD.unpack(_take(data, position, TLV_HEAD.size))
         yield tag, _take(data, position + TLV_HEAD.size, length)

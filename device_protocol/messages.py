@@ -21,12 +21,12 @@ from vibrocast.device_protocol.layout import (
     VARINT,
     BadValueError,
     Layout,
-    LayoutError,
     Tag,
     rest,
     rest_items,
     rest_text,
 )
+from vibrocast.errors import VibrocastError
 
 PROTOCOL_MAJOR = 2
 PROTOCOL_MINOR = 1
@@ -110,7 +110,7 @@ class SlotState(IntEnum):
     CONFIRMED = 4
 
 
-class MessageError(ValueError):
+class MessageError(VibrocastError, ValueError):
     """A message that cannot be packed, or bytes that are no message.
 
     `sequence` is the sequence number to answer with (0: none could be read, or the type takes no answer) and `code`
@@ -147,7 +147,7 @@ class Message:
         return pack(self)[len(self.HEAD) or SEQUENCED_HEAD.size :]
 
 
-def _message_error(kind: type[Message], error: LayoutError, sequence: int = NOTIFICATION) -> MessageError:
+def _message_error(kind: type[Message], error: ValueError, sequence: int = NOTIFICATION) -> MessageError:
     code = ErrorCode.BAD_VALUE if isinstance(error, BadValueError) else ErrorCode.MALFORMED
     return MessageError(f"{kind.__name__}: {error}", code, sequence)
 
@@ -460,9 +460,9 @@ class HelloResponse(Message):
     serial_number: Annotated[str, Tag(0x08, "serial number (text); empty or absent: the board has none")] = ""
 
     def check(self) -> None:
-        """Raise LayoutError for a public key of another length."""
+        """Raise ValueError for a public key of another length."""
         if len(self.public_key) not in (0, KEY_BYTES):
-            raise LayoutError(f"a public key has {KEY_BYTES} bytes, not {len(self.public_key)}")
+            raise ValueError(f"a public key has {KEY_BYTES} bytes, not {len(self.public_key)}")
 
 
 @dataclass(frozen=True)
@@ -536,9 +536,9 @@ class CaptureData(Message):
     data: Annotated[bytes, rest("int16, channels interleaved")]
 
     def check(self) -> None:
-        """Raise LayoutError where the data are no whole number of samples of each channel."""
+        """Raise ValueError where the data are no whole number of samples of each channel."""
         if self.channels < 1 or len(self.data) % (2 * self.channels):
-            raise LayoutError(f"{len(self.data)} bytes are no int16 samples of {self.channels} channels")
+            raise ValueError(f"{len(self.data)} bytes are no int16 samples of {self.channels} channels")
 
 
 @dataclass
@@ -582,7 +582,7 @@ def pack(message: Message, sequence: int = NOTIFICATION) -> bytes:
         head = SEQUENCED_HEAD.pack(message.TYPE, sequence)
     try:
         return head + message.LAYOUT.pack(message)
-    except LayoutError as error:
+    except ValueError as error:
         raise _message_error(type(message), error) from error
 
 
@@ -605,5 +605,5 @@ def unpack(payload: bytes) -> tuple[int, Message]:
         raise MessageError(text, ErrorCode.UNKNOWN_MESSAGE, sequence)
     try:
         return sequence, kind.LAYOUT.unpack(payload, position)
-    except LayoutError as error:
+    except ValueError as error:
         raise _message_error(kind, error, sequence) from error

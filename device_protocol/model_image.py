@@ -6,6 +6,8 @@ import zlib
 from dataclasses import dataclass
 from typing import Self
 
+from vibrocast.errors import InputError
+
 MAGIC = b"VCMI"
 LAYOUT_VERSION = 1
 MAX_IMAGE_BYTES = 16 * 1024 * 1024
@@ -23,7 +25,7 @@ MAX_NUMBER = 0xFFFFFFFF
 _MAX_TEXT_BYTES = 255
 
 
-class ModelImageError(ValueError):
+class ModelError(InputError):
     """Values that no model image can hold, or bytes that are no model image; the message says why."""
 
 
@@ -47,39 +49,39 @@ class ModelImage:
     def pack(self) -> bytes:
         """Return the image's bytes: CRC-32 (as in zlib) last, then the number and signature of a signed image.
 
-        Raises ModelImageError for a value out of range.
+        Raises ModelError for a value out of range.
         """
         texts = [text.encode() for text in (self.name, self.version, self.hardware)]
         if max(map(len, texts)) > _MAX_TEXT_BYTES:
-            raise ModelImageError(f"name, version and hardware have at most {_MAX_TEXT_BYTES} bytes each; shorten them")
+            raise ModelError(f"name, version and hardware have at most {_MAX_TEXT_BYTES} bytes each; shorten them")
         if not 0 <= self.codec_identifier <= 0xFF:
-            raise ModelImageError(f"codec identifier {self.codec_identifier} is not in 0 to 255")
+            raise ModelError(f"codec identifier {self.codec_identifier} is not in 0 to 255")
         fixed = _FIXED.pack(MAGIC, LAYOUT_VERSION, self.codec_identifier, *map(len, texts), len(self.payload))
         checked = fixed + b"".join(texts) + self.payload
         signed = _SIGNED.pack(self.number, self.signature) if self.signature else b""
         packed = checked + zlib.crc32(checked).to_bytes(_CRC_BYTES, "little") + signed
         if len(packed) > MAX_IMAGE_BYTES:
-            raise ModelImageError(f"an image has at most {MAX_IMAGE_BYTES} bytes")
+            raise ModelError(f"an image has at most {MAX_IMAGE_BYTES} bytes")
         return packed
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
-        """Return the image in `data`. Raises ModelImageError unless all of it is one whole image."""
+        """Return the image in `data`. Raises ModelError unless all of it is one whole image."""
         trailer = data[len(unsigned(data)) :]
         signed = _SIGNED.unpack(trailer) if trailer else ()
         data = unsigned(data)
         if len(data) < _FIXED.size + _CRC_BYTES or data[: len(MAGIC)] != MAGIC:
-            raise ModelImageError("not a model image; give one that `vibrocast export` wrote")
+            raise ModelError("not a model image; give one that `vibrocast export` wrote")
         _, layout, codec_identifier, *text_bytes, payload_bytes = _FIXED.unpack_from(data)
         if layout != LAYOUT_VERSION:
-            raise ModelImageError(
+            raise ModelError(
                 f"model image of layout {layout}, and this version reads {LAYOUT_VERSION}; export the model again"
             )
         expected = _FIXED.size + sum(text_bytes) + payload_bytes + _CRC_BYTES
         if len(data) != expected:
-            raise ModelImageError(f"the model image has {len(data)} bytes instead of {expected}; get the file again")
+            raise ModelError(f"the model image has {len(data)} bytes instead of {expected}; get the file again")
         if zlib.crc32(data[:-_CRC_BYTES]) != int.from_bytes(data[-_CRC_BYTES:], "little"):
-            raise ModelImageError("the model image is damaged (CRC-32 differs); get the file again")
+            raise ModelError("the model image is damaged (CRC-32 differs); get the file again")
         position = _FIXED.size
         texts = []
         for length in text_bytes:
@@ -88,7 +90,7 @@ class ModelImage:
         try:
             name, version, hardware = (text.decode() for text in texts)
         except UnicodeDecodeError as error:
-            raise ModelImageError("the model image's texts are not UTF-8; get the file again") from error
+            raise ModelError("the model image's texts are not UTF-8; get the file again") from error
         return cls(codec_identifier, name, version, hardware, data[position:-_CRC_BYTES], *signed)
 
 

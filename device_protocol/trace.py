@@ -15,6 +15,7 @@ from typing import Any, BinaryIO, Protocol
 
 from vibrocast.device_protocol.frames import DELIMITER, payload_of
 from vibrocast.device_protocol.messages import Message, MessageError, unpack
+from vibrocast.errors import InputError
 
 LINK_TYPE = 147
 SUFFIXES = (".pcapng", ".jsonl")
@@ -28,10 +29,6 @@ _BLOCK = struct.Struct("<II")
 _PACKET_HEAD = struct.Struct("<IIIII")
 _MAX_BYTES = 1 << 30
 _MAX_BLOCK_BYTES = 1 << 20
-
-
-class TraceError(ValueError):
-    """A file that is no trace; the message says what to do."""
 
 
 @dataclass(frozen=True)
@@ -152,12 +149,12 @@ def writer(file: BinaryIO, suffix: str) -> Writer:
 def read_trace(path: Path) -> Iterator[TracedFrame]:
     """Yield the frames of a trace, in their order; a last block or line that was cut is left out.
 
-    Raises TraceError, with what to do, for any other file, and OSError.
+    Raises InputError, with what to do, for any other file, and OSError.
     """
     if path.exists() and not path.is_file():
-        raise TraceError(f"{path}: no file; give a trace, as `vibrocast --trace FILE` writes it")
+        raise InputError(f"{path}: no file; give a trace, as `vibrocast --trace FILE` writes it")
     if path.stat().st_size > _MAX_BYTES:
-        raise TraceError(f"{path}: longer than {_MAX_BYTES >> 30} GiB; trace a shorter run")
+        raise InputError(f"{path}: longer than {_MAX_BYTES >> 30} GiB; trace a shorter run")
     with path.open("rb") as file:
         begin = file.read(4)
         file.seek(0)
@@ -166,7 +163,7 @@ def read_trace(path: Path) -> Iterator[TracedFrame]:
         elif begin[:1] == b"{":
             yield from _read_lines(file, path)
         else:
-            raise TraceError(f"{path}: no trace; give one that `vibrocast --trace FILE` wrote")
+            raise InputError(f"{path}: no trace; give one that `vibrocast --trace FILE` wrote")
 
 
 def _read_pcapng(file: BinaryIO, path: Path) -> Iterator[TracedFrame]:
@@ -174,17 +171,17 @@ def _read_pcapng(file: BinaryIO, path: Path) -> Iterator[TracedFrame]:
     while len(head := file.read(_BLOCK.size)) == _BLOCK.size:
         kind, length = _BLOCK.unpack(head)
         if length < 12 or length % 4 or length > _MAX_BLOCK_BYTES:
-            raise TraceError(f"{path}: a block of {length} bytes; the file is damaged, trace again")
+            raise InputError(f"{path}: a block of {length} bytes; the file is damaged, trace again")
         body = file.read(length - _BLOCK.size)
         if len(body) < length - _BLOCK.size:
             return
         try:
             if kind == _SECTION and struct.unpack_from("<I", body) != (_BYTE_ORDER,):
-                raise TraceError(f"{path}: of another byte order; give a trace that vibrocast wrote")
+                raise InputError(f"{path}: of another byte order; give a trace that vibrocast wrote")
             if kind == _INTERFACE:
                 (link_type,) = struct.unpack_from("<H", body)
                 if link_type != LINK_TYPE:
-                    raise TraceError(f"{path}: link type {link_type}; give a trace that vibrocast wrote")
+                    raise InputError(f"{path}: link type {link_type}; give a trace that vibrocast wrote")
                 links.append(_options(body[8:-4]).get(_IF_NAME, b"").decode(errors="replace"))
             elif kind == _PACKET:
                 number, high, low, size, _ = _PACKET_HEAD.unpack_from(body)
@@ -193,7 +190,7 @@ def _read_pcapng(file: BinaryIO, path: Path) -> Iterator[TracedFrame]:
                 (flags,) = struct.unpack("<I", options.get(_FLAGS, bytes(4)))
                 yield TracedFrame(high << 32 | low, flags & 3 == _OUTBOUND, links[number], encoded)
         except (struct.error, IndexError) as error:
-            raise TraceError(f"{path}: a damaged block; trace again") from error
+            raise InputError(f"{path}: a damaged block; trace again") from error
 
 
 def _read_lines(file: BinaryIO, path: Path) -> Iterator[TracedFrame]:
@@ -209,7 +206,7 @@ def _read_lines(file: BinaryIO, path: Path) -> Iterator[TracedFrame]:
                 bytes.fromhex(frame["frame"]),
             )
         except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
-            raise TraceError(f"{path}: line {number} is no frame; trace again") from error
+            raise InputError(f"{path}: line {number} is no frame; trace again") from error
 
 
 def _padded(data: bytes) -> bytes:

@@ -17,6 +17,8 @@ import serial
 import usb.core
 import usb.util
 
+from vibrocast.errors import NO_DEVICE, VibrocastError
+
 # Of a port whose address names no other (8 data bits, no parity, 1 stop bit, no flow control).
 BAUD = 921_600
 MIN_BAUD, MAX_BAUD = 1200, 20_000_000
@@ -39,8 +41,10 @@ _MAX_UNSENT_BYTES = 8192
 _THREAD_READ_S = 0.05
 
 
-class TransportError(OSError):
+class TransportError(VibrocastError, OSError):
     """The transport cannot be opened, or failed; the message says what to do."""
+
+    exit_code = NO_DEVICE
 
 
 class DeviceGone(TransportError):

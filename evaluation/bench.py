@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import TypeAlias
 
 from vibrocast import textures
-from vibrocast.evaluation.cells import BenchError, Cell, Measured, Method
+from vibrocast.errors import InputError
+from vibrocast.evaluation.cells import Cell, Measured, Method
 from vibrocast.evaluation.comparison import TABLES, Measurements
-from vibrocast.evaluation.points import Failure, Point, PointsError, Timing, read_rows, write_rows
+from vibrocast.evaluation.points import Failure, Point, Timing, read_rows, write_rows
 from vibrocast.files import atomic_write
 from vibrocast.textures.dataset import DatasetEntry
 
@@ -139,13 +140,13 @@ def _cells(trace: DatasetEntry, recording: textures.Recording, chosen: Sequence[
 def results_folder(out: Path) -> Path:
     """Make the folder OUT/results of a run and return it; a run before may have left its results there.
 
-    Raises BenchError where files of other origin would be overwritten, OSError where it cannot be made.
+    Raises InputError where files of other origin would be overwritten, OSError where it cannot be made.
     """
     results = out / "results"
     if not (results / JOURNAL).exists() and not _is_ours(results / "points.csv"):
         for path in (out / PAGE, *(results / f"{name}.csv" for name in TABLES)):
             if path.exists():
-                raise BenchError(f"{path}: would be overwritten, but is not of a benchmark; choose another --out")
+                raise InputError(f"{path}: would be overwritten, but is not of a benchmark; choose another --out")
     results.mkdir(parents=True, exist_ok=True)
     return results
 
@@ -153,7 +154,7 @@ def results_folder(out: Path) -> Path:
 def _is_ours(points: Path) -> bool:
     try:
         read_rows(points, Point)
-    except (PointsError, FileNotFoundError):
+    except (InputError, FileNotFoundError):
         return False
     return True
 

@@ -16,6 +16,7 @@ from vibrocast.codec import Setting, Signal, metrics, plugins
 from vibrocast.codec.stream import Stream, as_stream
 from vibrocast.codec.timing import time_coding
 from vibrocast.device_protocol import coded_stream
+from vibrocast.errors import InputError
 from vibrocast.evaluation import cost, external, trained
 from vibrocast.evaluation.peers import measured_codecs
 from vibrocast.evaluation.points import MEASURED, PROGRAM, Point, Timing
@@ -27,10 +28,6 @@ DECIMALS = 6
 """Of a quality, so that the arithmetic of another machine gives the same file."""
 
 _OWN = {*codec.BUILT_IN, *codec.PEERS}
-
-
-class BenchError(ValueError):
-    """A method or a folder that cannot be used; the message says why and what to do."""
 
 
 @dataclass(frozen=True)
@@ -169,7 +166,7 @@ def methods(
 
     A name is that of a codec, which stands for all its sets of rate points and families, or of one of these; no name at
     all stands for all codecs. Some sets are measured only where their own name stands. A set of rate points that needs
-    a physical unit is left out of traces without one, unless it is named. Raises BenchError for unknown names, for
+    a physical unit is left out of traces without one, unless it is named. Raises InputError for unknown names, for
     those of codecs that need a model where there is none, and for programs or families that are called like a codec or
     set of rate points.
     """
@@ -190,17 +187,17 @@ def methods(
     for kind, own in (("family of models", every[len(of_codecs) :]), ("program", programs)):
         for each in own:
             if each.name in taken:
-                raise BenchError(
+                raise InputError(
                     f"a codec, set of rate points or family is called {each.name!r}; give the {kind} another name"
                 )
             taken.add(each.name)
     coders = {method.coder for method in every}
     for name in sorted(names):
         if name in measured_codecs() and name not in coders:
-            raise BenchError(f"the codec {name} needs a model, and there is none; give a folder of models: --models")
+            raise InputError(f"the codec {name} needs a model, and there is none; give a folder of models: --models")
         if name not in {*coders, *(method.name for method in every)}:
             known_names = sorted({*measured_codecs(), *(method.name for method in every)})
-            raise BenchError(f"there is no codec or set of rate points {name!r}; choose from {', '.join(known_names)}")
+            raise InputError(f"there is no codec or set of rate points {name!r}; choose from {', '.join(known_names)}")
     chosen = [method for method in every if not names or method.name in names or method.coder in names]
     return [*chosen, *(Method(program.name, program.settings, program) for program in programs)]
 

@@ -18,7 +18,8 @@ import soundfile
 from msgspec import Meta, structs
 from numpy.typing import NDArray
 
-from vibrocast.toml_tables import Table, check_programs, convert, located, read_toml
+from vibrocast.errors import InputError, located
+from vibrocast.toml_tables import Table, check_programs, convert, read_toml
 
 PEAK = 0.8
 """Peak of the WAV file that a program is given: many codecs clip or saturate nearer to full scale."""
@@ -31,10 +32,6 @@ _PLACEHOLDER = re.compile(r"\{(\w*)\}")
 _PLACEHOLDERS = ("input", "output", "input_folder", "output_folder", "scratch_folder", "setting", "rate_hz")
 
 Command = tuple[str, ...]
-
-
-class ProgramError(ValueError):
-    """A list of programs that is wrong, or a program that failed; the message says why and what to do."""
 
 
 _COMMANDS = "a list of a program and its arguments, or a list of such lists"
@@ -90,10 +87,10 @@ class Run(NamedTuple):
 def read_programs(path: Path, allow_programs: bool = False) -> list[Program]:
     """Read the list of programs: a table for each, named as its curve, with the fields of `Program` as keys.
 
-    `allow_programs`: whether they may be started. Raises ProgramError where they may not, and where it is no such
+    `allow_programs`: whether they may be started. Raises InputError where they may not, and where it is no such
     file; OSError where it cannot be read.
     """
-    with located(path, ProgramError):
+    with located(path):
         programs = [_program(path, name, table) for name, table in read_toml(path, "list of programs").items()]
         check_programs({f"[{each.name}]": each.encoder[0][0] for each in programs}, allow_programs)
         return programs
@@ -103,11 +100,11 @@ def run(program: Program, setting: str, samples: NDArray[np.float64], rate_hz: i
     """Code and decode samples (n, 1) of any unit by the program, in a folder of its own that is removed afterwards.
 
     The WAV file is of 16 bit and peaks at PEAK. Samples that the decoder leaves out at the end, up to a tenth, count as
-    silence. Raises ProgramError where a command is missing, fails, hangs, or leaves nothing usable; OSError where
+    silence. Raises InputError where a command is missing, fails, hangs, or leaves nothing usable; OSError where
     there is no room for the files.
     """
     if samples.ndim != 2 or samples.shape[1] != 1 or not len(samples) or not np.all(np.isfinite(samples)):
-        raise ProgramError(f"{program.name}: samples of shape {samples.shape}; it takes one channel of finite numbers")
+        raise InputError(f"{program.name}: samples of shape {samples.shape}; it takes one channel of finite numbers")
     scale = PEAK / (float(np.max(np.abs(samples))) or 1.0)
     label_hz = program.label_rate_hz or rate_hz
     with tempfile.TemporaryDirectory(prefix="vibrocast-") as folder:
@@ -121,7 +118,7 @@ def run(program: Program, setting: str, samples: NDArray[np.float64], rate_hz: i
         encode_s = _run_commands(program, program.encoder, original_file, coded_file, values)
         size_bytes = sum(file.stat().st_size for file in coded.rglob("*") if file.is_file())
         if not size_bytes:
-            raise ProgramError(f"{program.name}: the encoder wrote nothing; correct its arguments in {program.file}")
+            raise InputError(f"{program.name}: the encoder wrote nothing; correct its arguments in {program.file}")
         decode_s = _run_commands(program, program.decoder, coded_file, decoded_file, values)
         output = _read_output(program, decoded, len(samples), label_hz)
     aligned = _aligned(samples[:, 0], output / scale, program.delay_samples)
@@ -130,7 +127,7 @@ def run(program: Program, setting: str, samples: NDArray[np.float64], rate_hz: i
 
 def _program(path: Path, name: str, table: object) -> Program:
     """Return a program from its table. Raises ValueError."""
-    with located(f"[{name}]", ValueError):
+    with located(f"[{name}]"):
         if not isinstance(table, dict):
             raise ValueError(f"it must be a table of its own: begin it with [{name}]")
         read = convert(table, _ProgramTable)
@@ -154,7 +151,7 @@ def _commands(key: str, parts: tuple[str | Command, ...]) -> tuple[Command, ...]
 def _run_commands(
     program: Program, commands: Sequence[Command], source: Path, target: Path, values: dict[str, str]
 ) -> float:
-    """Run an encoder's or decoder's commands; return the seconds that they took. Raises ProgramError."""
+    """Run an encoder's or decoder's commands; return the seconds that they took. Raises InputError."""
     with tempfile.TemporaryDirectory(dir=source.parents[1]) as scratch:
         filled = {
             **values,
@@ -174,9 +171,7 @@ def _run_commands(
 def _run_command(program: Program, arguments: Sequence[str], folder: Path) -> None:
     executable = shutil.which(arguments[0])
     if executable is None:
-        raise ProgramError(
-            f"{program.name}: {arguments[0]} not found; install it or correct its path in {program.file}"
-        )
+        raise InputError(f"{program.name}: {arguments[0]} not found; install it or correct its path in {program.file}")
     with tempfile.TemporaryFile(dir=folder) as errors:
         try:
             process = subprocess.Popen(
@@ -188,11 +183,11 @@ def _run_command(program: Program, arguments: Sequence[str], folder: Path) -> No
                 start_new_session=True,
             )
         except OSError as error:
-            raise ProgramError(f"{program.name}: {arguments[0]} cannot be started: {error.strerror}") from error
+            raise InputError(f"{program.name}: {arguments[0]} cannot be started: {error.strerror}") from error
         try:
             code = process.wait(program.timeout_s)
         except subprocess.TimeoutExpired as error:
-            raise ProgramError(
+            raise InputError(
                 f"{program.name}: {arguments[0]} did not end within {program.timeout_s:g} s; "
                 f"raise timeout_s in {program.file} if it needs longer"
             ) from error
@@ -202,7 +197,7 @@ def _run_command(program: Program, arguments: Sequence[str], folder: Path) -> No
             errors.seek(0)
             said = _last_line(errors.read())
             how = f"was killed by signal {-code}" if code < 0 else f"ended with code {code}"
-            raise ProgramError(f"{program.name}: {arguments[0]} {how}{': ' * bool(said)}{said}")
+            raise InputError(f"{program.name}: {arguments[0]} {how}{': ' * bool(said)}{said}")
 
 
 def _kill_group(process: "subprocess.Popen[bytes]") -> None:
@@ -219,29 +214,29 @@ def _last_line(text: bytes) -> str:
 
 
 def _read_output(program: Program, folder: Path, samples: int, rate_hz: int) -> NDArray[np.float64]:
-    """Return the samples (m,) of the one file that the decoder left. Raises ProgramError unless they fit."""
+    """Return the samples (m,) of the one file that the decoder left. Raises InputError unless they fit."""
     files = [file for file in folder.rglob("*") if file.is_file()]
     if len(files) != 1:
-        raise ProgramError(f"{program.name}: the decoder wrote {len(files)} files; correct its arguments")
+        raise InputError(f"{program.name}: the decoder wrote {len(files)} files; correct its arguments")
     try:
         with soundfile.SoundFile(files[0]) as file:
             if file.channels != 1 or file.samplerate != rate_hz:
-                raise ProgramError(
+                raise InputError(
                     f"{program.name}: decoded to {file.channels} channels at {file.samplerate} Hz "
                     f"instead of one at {rate_hz} Hz; correct its arguments in {program.file}"
                 )
             if not samples * (1 - _MAX_SHORTFALL) <= file.frames <= samples + _MAX_EXCESS_SAMPLES:
-                raise ProgramError(
+                raise InputError(
                     f"{program.name}: decoded to {file.frames} samples instead of {samples}; correct its arguments "
                     f"in {program.file}"
                 )
             output: NDArray[np.float64] = file.read(dtype="float64")
     except soundfile.LibsndfileError as error:
-        raise ProgramError(
+        raise InputError(
             f"{program.name}: the decoder's output is no WAV file ({error.error_string}); correct its arguments"
         ) from error
     if not np.all(np.isfinite(output)):
-        raise ProgramError(f"{program.name}: the decoder's output holds NaN or infinity; correct its arguments")
+        raise InputError(f"{program.name}: the decoder's output holds NaN or infinity; correct its arguments")
     return output
 
 

@@ -29,7 +29,7 @@ class TraceKind:
 def kinds(everything: list[DatasetEntry], table: Path = TABLE) -> list[TraceKind]:
     """Return the kinds of the recordings that a CSV file with columns `file` and `kind` names; the first row counts.
 
-    Raises PointsError where it is no such file, OSError where it cannot be read.
+    Raises InputError where it is no such file, OSError where it cannot be read.
     """
     rows = [row for row in read_rows(table, FileKind) if row.file]
     found = ((trace, next((row.kind for row in rows if trace.path.match(row.file)), "")) for trace in everything)

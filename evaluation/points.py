@@ -8,6 +8,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, Self, TypeVar, get_type_hints
 
+from vibrocast.errors import InputError, located
 from vibrocast.textures import Recording, TextureError
 from vibrocast.textures.dataset import DatasetEntry, printable
 
@@ -17,10 +18,6 @@ MEASURED, PROGRAM, IMPORTED = "measured", "program", "imported"
 IMPORTED_COLUMNS = ("bits_per_sample", "bytes_payload", "encode_s", "decode_s")
 """Columns that a table of others' points may have in addition to those of Point."""
 _MAX_COUNT = 2**63
-
-
-class PointsError(ValueError):
-    """A file of measurements that cannot be used; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -49,9 +46,9 @@ class Point:
 
     def __post_init__(self) -> None:
         if not (0 < self.samples < _MAX_COUNT and 0 < self.bytes_total < _MAX_COUNT):
-            raise PointsError("samples and bytes must be positive")
+            raise InputError("samples and bytes must be positive")
         if not all(value is None or 0 <= value < math.inf for value in (self.rate_hz, self.delay_ms)):
-            raise PointsError("rate_hz and delay_ms must be finite and not negative")
+            raise InputError("rate_hz and delay_ms must be finite and not negative")
 
     @property
     def bits_per_sample(self) -> float:
@@ -80,7 +77,7 @@ class Timing:
 
     def __post_init__(self) -> None:
         if not (0 <= self.encode_s_per_megasample < math.inf and 0 <= self.decode_s_per_megasample < math.inf):
-            raise PointsError("times must be finite and not negative")
+            raise InputError("times must be finite and not negative")
 
 
 @dataclass(frozen=True)
@@ -115,7 +112,7 @@ Row = TypeVar("Row", bound=Record)
 def read_rows(path: Path, kind: type[Row]) -> list[Row]:
     """Read a CSV file into rows of a dataclass whose fields are text, whole numbers or numbers, some of them optional.
 
-    The file has at least a column for each field without a default; others it has are ignored. Raises PointsError
+    The file has at least a column for each field without a default; others it has are ignored. Raises InputError
     where it is no such file, OSError where it cannot be read.
     """
     kinds = get_type_hints(kind)
@@ -129,19 +126,17 @@ def read_rows(path: Path, kind: type[Row]) -> list[Row]:
                 try:
                     values[name] = _READERS[kinds[name]](filled.get(name, ""))
                 except ValueError as error:
-                    raise PointsError(f"{path}, row {line}, {name}: {error}") from error
-        try:
+                    raise InputError(f"{path}, row {line}, {name}: {error}") from error
+        with located(f"{path}, row {line}"):
             read.append(kind(**values))
-        except PointsError as error:
-            raise PointsError(f"{path}, row {line}: {error}") from error
     return read
 
 
 def read_row(path: Path, kind: type[Row]) -> Row:
-    """Read a CSV file that has one row. Raises as `read_rows`, and PointsError for another number of rows."""
+    """Read a CSV file that has one row. Raises as `read_rows`, and InputError for another number of rows."""
     rows = read_rows(path, kind)
     if len(rows) != 1:
-        raise PointsError(f"{path}: {len(rows)} rows in place of one; run the command again that wrote it")
+        raise InputError(f"{path}: {len(rows)} rows in place of one; run the command again that wrote it")
     return rows[0]
 
 
@@ -154,7 +149,7 @@ def read_imported(path: Path) -> tuple[list[Point], list[Timing]]:
     points, timings, texts = read_rows(path, Point), [], _texts(path, ())
     known = [*(field.name for field in fields(Point)), *IMPORTED_COLUMNS]
     if unknown := [name for name in next(iter(texts), ()) if name not in known]:
-        raise PointsError(f"{path}, row 1: no column is called {unknown[0]!r}; expected some of {', '.join(known)}")
+        raise InputError(f"{path}, row 1: no column is called {unknown[0]!r}; expected some of {', '.join(known)}")
     for line, row in enumerate(texts, 2):
         if row.get("encode_s") and row.get("decode_s"):
             try:
@@ -162,7 +157,7 @@ def read_imported(path: Path) -> tuple[list[Point], list[Timing]]:
                 times = float(row["encode_s"]) / megasamples, float(row["decode_s"]) / megasamples
                 timings.append(Timing(row["trace"], row["codec"], row["setting"], *times, IMPORTED))
             except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
-                raise PointsError(f"{path}, row {line}: encode_s or decode_s: {error}") from error
+                raise InputError(f"{path}, row {line}: encode_s or decode_s: {error}") from error
     return [replace(point, source=IMPORTED) for point in points], timings
 
 
@@ -172,7 +167,7 @@ def check_imported(
     """Check a table of others' points against the recordings that they are of.
 
     `everything`: the recordings of the data set; of those `wanted`, samples and rate are compared, after `load`. One
-    that cannot be loaded is not compared. Raises PointsError where a row differs, OSError where it cannot be read.
+    that cannot be loaded is not compared. Raises InputError where a row differs, OSError where it cannot be read.
     """
     by_name = {trace.name: trace for trace in everything}
     expected: dict[str, Recording | None] = {}
@@ -180,7 +175,7 @@ def check_imported(
         name = row["trace"]
         if name not in by_name:
             likely = get_close_matches(name, by_name, 1) or sorted(by_name)[:1]
-            raise PointsError(
+            raise InputError(
                 f"{path}, row {line}, trace: the data set has no {name!r}; expected one of {len(by_name)} names "
                 f"such as {likely[0]!r}"
             )
@@ -197,7 +192,7 @@ def check_imported(
         compared = (("samples", recording.samples.size), ("rate_hz", recording.rate_hz))
         for column, value in compared:
             if row.get(column) and float(row[column]) != value:
-                raise PointsError(
+                raise InputError(
                     f"{path}, row {line}, {column}: {row[column]}; expected {value:g}, as {name!r} has here: "
                     "correct the table, or code at its rate (--stream-rate-hz)"
                 )
@@ -224,15 +219,15 @@ def by_codec_and_trace(points: Iterable[Point]) -> dict[str, dict[str, list[Poin
 
 def _texts(path: Path, needed: Iterable[str]) -> list[dict[str, str]]:
     if path.exists() and not path.is_file():  # a pipe waits for its writer, a device may never end
-        raise PointsError(f"{path}: no file; give a CSV file")
+        raise InputError(f"{path}: no file; give a CSV file")
     with path.open(newline="", encoding="utf-8") as file:
         try:
             rows = csv.DictReader(file)
             if missing := [name for name in needed if name not in (rows.fieldnames or ())]:
-                raise PointsError(f"{path}: no column {', '.join(missing)}; it must have {', '.join(needed)}")
+                raise InputError(f"{path}: no column {', '.join(missing)}; it must have {', '.join(needed)}")
             return list(rows)
         except (csv.Error, UnicodeDecodeError) as error:
-            raise PointsError(f"{path}: not a CSV file: {error}") from error
+            raise InputError(f"{path}: not a CSV file: {error}") from error
 
 
 def _number(text: str) -> float:

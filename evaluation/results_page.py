@@ -10,11 +10,12 @@ import click
 import polars as pl
 
 from vibrocast import pages
+from vibrocast.errors import InputError
 from vibrocast.evaluation import bd_rate, charts, comparison, learned_page, speed
 from vibrocast.evaluation.bd_rate import PSNR, SCALES, SNR, SPQI, ST_SIM_2800, ST_SIM_8000, Scale
 from vibrocast.evaluation.comparison import LEARNED_SCALES, PAPER_SCALES, TABLES, TIMES, Measurements
 from vibrocast.evaluation.peers import measured_codecs, named, peers
-from vibrocast.evaluation.points import IMPORTED, MEASURED, PROGRAM, PointsError, read_row, read_rows, write_rows
+from vibrocast.evaluation.points import IMPORTED, MEASURED, PROGRAM, read_row, read_rows, write_rows
 from vibrocast.evaluation.tables import as_rows, by_codec, grouped, write_table
 from vibrocast.pages import listed
 
@@ -114,7 +115,7 @@ def write_results(
 
 
 def read_held_out(folder: Path) -> list[HeldOut]:
-    """Return the rows of HELD_OUT, none without that file. Raises PointsError, OSError."""
+    """Return the rows of HELD_OUT, none without that file. Raises InputError, OSError."""
     path = folder / HELD_OUT
     return read_rows(path, HeldOut) if path.exists() else []
 
@@ -302,7 +303,7 @@ def main(out: Path) -> None:
         write_results(out, Measurements(**tables), description, read_held_out(folder), redrawn=True)
     except OSError as error:
         raise click.ClickException(f"{error.filename}: {error.strerror}; give the --out of a benchmark") from error
-    except PointsError as error:
+    except InputError as error:
         raise click.ClickException(str(error)) from error
 
 

@@ -17,8 +17,8 @@ _FORMAT = SignalFormat(2800, "full scale", (1.0,), (0.5,))
 def known_models(folders: Iterable[Path]) -> list[Model]:
     """Return the models that ship, and those in your folders; none whose tables are built in anyway.
 
-    Raises ModelError or ModelImageError for a folder without a model, OSError for one that cannot be read, CodecError
-    for a model of a codec that this version does not have.
+    Raises ModelError for a folder without a model, OSError for one that cannot be read, CodecError for a model of a
+    codec that this version does not have.
     """
     every = [*models.shipped(), *map(models.load, folders)]
     return [model for model in every if not brings_built_in_tables(model)]

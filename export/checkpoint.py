@@ -10,19 +10,17 @@ from typing import Any
 import torch
 from torch import nn
 
+from vibrocast.errors import located
 from vibrocast.export.eva import Eva, EvaShape
 from vibrocast.export.priors import FactorisedPrior
 from vibrocast.files import atomic_write
+from vibrocast.models import ModelError
 
 FORMAT, VERSION = "vibrocast-eva", 2
 MAX_BYTES = 256 * 2**20
 MAX_SHAPE = EvaShape(width=128, latents=128)
 _REACHED = ("step", "seconds")
 _MEASURED = ("step", "seconds", "training_loss", "loss")
-
-
-class ModelError(ValueError):
-    """A model, or its file, that cannot be used; the message says why and what to do."""
 
 
 @dataclass
@@ -80,10 +78,8 @@ def load(path: Path) -> Checkpoint:
         raise ModelError(
             f"{path}: not a checkpoint that can be read; give one that `vibrocast train` wrote: OUT/checkpoint.pt"
         ) from error
-    try:
+    with located(path):
         return _parsed(content)
-    except ModelError as error:
-        raise ModelError(f"{path}: {error}") from error
 
 
 def _parsed(content: Any) -> Checkpoint:

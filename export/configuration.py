@@ -9,7 +9,8 @@ from msgspec import Meta
 from msgspec.structs import replace
 
 from vibrocast import textures
-from vibrocast.toml_tables import Table, convert, located, one_of, read_toml, within
+from vibrocast.errors import InputError, located
+from vibrocast.toml_tables import Table, convert, one_of, read_toml, within
 
 _HOP_SAMPLES = 16  # as export.eva, which needs torch
 
@@ -21,10 +22,6 @@ Share = Annotated[float, within(0, 1)]
 Dropped = Annotated[float, within(0, 1e3, "seconds to drop from the beginning")]
 HighPass = Annotated[float, within(0, 1e3, "corner of a high-pass in Hz")]
 About = Annotated[str, Meta(max_length=200)]
-
-
-class ConfigurationError(ValueError):
-    """A configuration that cannot be used; the message says where, why and what to do."""
 
 
 class ModelChoice(Table, frozen=True):
@@ -208,21 +205,18 @@ class Configuration(Table, frozen=True):
 
 
 def read(path: Path) -> Configuration:
-    """Read a configuration file. Raises ConfigurationError if it is invalid, OSError if it cannot be read."""
+    """Read a configuration file. Raises InputError if it is invalid, OSError if it cannot be read."""
     if not path.exists():
-        raise ConfigurationError(f"{path}: no such file; begin with a copy of examples/eva.toml")
-    with located(path, ConfigurationError):
+        raise InputError(f"{path}: no such file; begin with a copy of examples/eva.toml")
+    with located(path):
         return parsed(read_toml(path, "configuration"))
 
 
 def parsed(values: Mapping[str, Any]) -> Configuration:
-    """Return the configuration in plain tables, such as those of a TOML file. Raises ConfigurationError."""
-    try:
-        configuration = convert(values, Configuration)
-        for one in each_of(configuration):
-            convert(one.as_dict(), Configuration)  # checks the name of each
-    except ValueError as error:
-        raise ConfigurationError(str(error)) from error
+    """Return the configuration in plain tables, such as those of a TOML file. Raises InputError."""
+    configuration = convert(values, Configuration)
+    for one in each_of(configuration):
+        convert(one.as_dict(), Configuration)  # checks the name of each
     return configuration
 
 

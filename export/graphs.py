@@ -14,15 +14,12 @@ from torch import Tensor, nn
 from vibrocast.codec.graphs import LATENTS, SIGNAL, Transform
 from vibrocast.codec.onnx_check import OPSET
 from vibrocast.export.eva import HOP_SAMPLES, DeadZone, Eva, Gdn
+from vibrocast.models import ModelError
 
 PARITY = 1e-5
 """Largest difference between torch and ONNX Runtime, relative to the full scale of the compared values."""
 PARITY_LENGTHS = (1, 7, 15, 16, 17, 31, 100, 333, 1000, 2801, 4096, 9999, 10_000)
 """Lengths of the compared signals, in samples."""
-
-
-class GraphError(ValueError):
-    """A model whose graphs give other values than the model; the message states the difference."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +39,7 @@ class Graphs:
 def graphs_of(model: Eva, lengths: Sequence[int] = PARITY_LENGTHS) -> Graphs:
     """Return a model's graphs, compared with torch for signals of these lengths, in samples.
 
-    The same model gives the same bytes. Raises GraphError if they differ by more than PARITY.
+    The same model gives the same bytes. Raises ModelError if they differ by more than PARITY.
     """
     analysis = _exported(model.analysis, torch.zeros(1, 1, HOP_SAMPLES), SIGNAL, LATENTS)
     synthesis = _exported(model.synthesis, torch.zeros(1, model.shape.latents, 1), LATENTS, SIGNAL)
@@ -62,7 +59,7 @@ def graphs_of(model: Eva, lengths: Sequence[int] = PARITY_LENGTHS) -> Graphs:
         )
     largest = np.max(differences, axis=0)
     if not np.all(largest <= PARITY):
-        raise GraphError(
+        raise ModelError(
             f"ONNX Runtime and torch differ by {largest[0]:.1e} (analysis) and {largest[1]:.1e} (synthesis) of full "
             f"scale, {PARITY:g} is allowed: the model holds weights far out of proportion; train it again"
         )

@@ -61,7 +61,7 @@ def make(
     """Return the package of a checkpoint, of its living latents alone.
 
     `signals`: float64 (n,) of its training, as for `quantise`. `prior`: whether its probabilities adapt to a
-    stream. Raises GraphError, ModelError or ModelImageError for a model that cannot be used.
+    stream. Raises ModelError for a model that cannot be used.
     """
     dead_zone = parsed(checkpoint.training).training.dead_zone
     living = living_latents(checkpoint.model, dead_zone, signals)

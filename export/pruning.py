@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from torch import nn
 
 from vibrocast.codec.interface import Signal
-from vibrocast.export.checkpoint import ModelError
 from vibrocast.export.eva import HOP_SAMPLES, DeadZone, Eva, EvaShape
 from vibrocast.export.priors import FactorisedPrior
 from vibrocast.export.quantise import HOTTEST, excerpts, tones
+from vibrocast.models import ModelError
 from vibrocast.textures import Recording
 
 

@@ -17,9 +17,9 @@ from vibrocast.codec.eva_image import (
     PriorKind,
 )
 from vibrocast.codec.interface import Signal
-from vibrocast.export.checkpoint import ModelError
 from vibrocast.export.eva import Eva, Gdn
 from vibrocast.export.priors import FactorisedPrior, probabilities
+from vibrocast.models import ModelError
 
 HOTTEST = 4.0
 """Level of the calibration signals relative to an RMS value of 1, which leaves headroom for louder passages."""

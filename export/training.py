@@ -11,13 +11,15 @@ import torch
 from torch import Tensor, nn
 
 from vibrocast.codec.threshold import read_threshold, threshold_amplitude
+from vibrocast.errors import VibrocastError
 from vibrocast.export import training_data
-from vibrocast.export.checkpoint import Checkpoint, ModelError, load
+from vibrocast.export.checkpoint import Checkpoint, load
 from vibrocast.export.configuration import Augmentation, Configuration
 from vibrocast.export.eva import REACH_SAMPLES, DeadZone, Eva, EvaShape
 from vibrocast.export.lapped_start import start_lapped
 from vibrocast.export.priors import FactorisedPrior, adaptive_bits
 from vibrocast.export.training_data import Excerpts
+from vibrocast.models import ModelError
 
 CHECKPOINT = "checkpoint.pt"
 LOGGED = ("training_loss", "loss", "bits_per_sample", "snr_db")
@@ -28,7 +30,7 @@ _LAST_LEARNING_RATE = 0.02
 _UNVARIED = Augmentation(gain_db=0, rate_octaves=0, polarity=False, tilt_db_per_octave=0, filter_share=0, noise_share=0)
 
 
-class TrainingError(RuntimeError):
+class TrainingError(VibrocastError):
     """A training that cannot begin or resume; the message says why and what to do."""
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast import textures
+from vibrocast.errors import InputError
 from vibrocast.export.configuration import ArchiveSource, Augmentation, FolderSource, GeneratorSource, HeldBack, Source
 from vibrocast.textures import Recording, TextureError, arrays, dataset
 from vibrocast.textures.recording import Signal
@@ -114,20 +115,15 @@ def _recordings(source: Source, folder: Path, rate_hz: int) -> Iterator[tuple[st
 
 def _of_folder(source: FolderSource, folder: Path, rate_hz: int) -> Iterator[tuple[str, Signal, bool]]:
     options = {name: value for name, value in source.options.items() if value is not None}
-    try:
-        entries = dataset.entries(folder)
-        chosen = dataset.split(entries, source.part, source.seed, source.split_by)
-        by_trace = source.part == "all" and source.split_by == "recording"
-        test = (
-            {entry.name for entry in dataset.split(entries, "test", source.seed, source.split_by)} if by_trace else ()
-        )
-    except dataset.DatasetError as error:
-        raise TextureError(str(error)) from error
+    entries = dataset.entries(folder)
+    chosen = dataset.split(entries, source.part, source.seed, source.split_by)
+    by_trace = source.part == "all" and source.split_by == "recording"
+    test = {entry.name for entry in dataset.split(entries, "test", source.seed, source.split_by)} if by_trace else ()
     for trace in chosen:
         recording = dataset.load_highpassed(trace, textures.HIGHPASS_HZ, rate_hz, **options).recording
         try:
             material = trace.material
-        except dataset.DatasetError:  # then each recording is its own material
+        except InputError:  # then each recording is its own material
             material = trace.name
         steady = recording.samples[int(source.drop_s * rate_hz) :]
         for channel in _high_passed(steady.T, rate_hz, source.high_pass_hz):

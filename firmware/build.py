@@ -16,11 +16,11 @@ from pathlib import Path
 import click
 
 from vibrocast import extras
-from vibrocast.files import InputFileError
+from vibrocast.errors import VibrocastError
 from vibrocast.firmware import rp2040
 from vibrocast.firmware.declarations import cffi_declarations
 from vibrocast.firmware.keys import read_public_key
-from vibrocast.firmware.native_core import CoreError
+from vibrocast.firmware.native_core import BuildError
 
 ROOT = Path(__file__).parent
 SHARED = ("include/vibrocast", "src/core", "src/controller")
@@ -52,10 +52,6 @@ M0_PLUS = "cortex_m0plus"
 """And of one with neither."""
 _IN_RAM = (".stack", ".core", ".data", ".bss")
 _LIBRARY_SUFFIX = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
-
-
-class BuildError(Exception):
-    """A failed build; the message says why, and what to do."""
 
 
 @dataclass(frozen=True)
@@ -400,7 +396,7 @@ def main(
                 click.echo(f"{name}: {build(name, public_key=public_key, verifier=verifier)}")
             return
         sizes = {name: asdict(size(name)) for name in wanted if TARGETS[name].suffix == ".elf"}
-    except (BuildError, CoreError, InputFileError, OSError, extras.MissingExtraError) as error:
+    except (VibrocastError, OSError) as error:
         sys.exit(f"error: {error}")
     click.echo(f"{'image':<24}{'flash':>10}{'RAM':>10}{'of it stack':>13}")
     for name, of in sizes.items():

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vibrocast import extras
-from vibrocast.files import InputFileError, atomic_write, read_input
+from vibrocast.errors import InputError
+from vibrocast.files import atomic_write, read_input
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
@@ -82,22 +83,22 @@ def write_public_key(path: Path, public_key: bytes) -> None:
 
 
 def read_private_key(path: Path) -> bytes:
-    """Return the key in a file of a private key. Raises InputFileError for another file, OSError."""
+    """Return the key in a file of a private key. Raises InputError for another file, OSError."""
     kind, key = _read(path)
     if kind != "PRIVATE":
-        raise InputFileError(f"{path}: a public key, which signs nothing; give the private key")
+        raise InputError(f"{path}: a public key, which signs nothing; give the private key")
     return key
 
 
 def read_public_key(path: Path) -> bytes:
-    """Return the public key in a file of a public or of a private key. Raises InputFileError for another file, OSError.
+    """Return the public key in a file of a public or of a private key. Raises InputError for another file, OSError.
 
     Rejects the few keys for which anyone can sign, such as zeros. Raises MissingExtraError for a private key.
     """
     kind, key = _read(path)
     found = public_key(key) if kind == "PRIVATE" else key
     if int.from_bytes(found, "little") % 2**255 % _PRIME in _SMALL_ORDER_Y:
-        raise InputFileError(f"{path}: anyone can sign for this key; make another with `vibrocast keys new`")
+        raise InputError(f"{path}: anyone can sign for this key; make another with `vibrocast keys new`")
     return found
 
 
@@ -117,4 +118,4 @@ def _read(path: Path) -> tuple[str, bytes]:
             der = b""
         if der.startswith(_DER[kind]) and len(der) == len(_DER[kind]) + KEY_BYTES:
             return kind, der[-KEY_BYTES:]
-    raise InputFileError(f"{path}: no key of Ed25519 without a password; make one with `vibrocast keys new`")
+    raise InputError(f"{path}: no key of Ed25519 without a password; make one with `vibrocast keys new`")

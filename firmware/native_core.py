@@ -9,6 +9,8 @@ from typing import Any
 
 from cffi import FFI
 
+from vibrocast.errors import BAD_INPUT, VibrocastError
+
 ffi = FFI()
 _LOCK = Lock()
 
@@ -16,8 +18,10 @@ CORE_VARIABLE = "VIBROCAST_CORE"
 """Environment variable that names the compiled core to load, for tests and debugging."""
 
 
-class CoreError(RuntimeError):
-    """There is no compiled core that this machine can run; the message says what to do."""
+class BuildError(VibrocastError):
+    """A failed build, or no compiled core that this machine can run; the message says why, and what to do."""
+
+    exit_code = BAD_INPUT
 
 
 @cache
@@ -25,7 +29,7 @@ def library() -> Any:
     """Load core and controller, once for all threads. Headers of both folders declare the functions.
 
     A machine with an x86-64 processor has two cores, "baseline" and "x86_64_v3", which produce the same bits. The
-    processor decides which is loaded. Raises CoreError if the core has not been compiled, or if the environment
+    processor decides which is loaded. Raises BuildError if the core has not been compiled, or if the environment
     variable VIBROCAST_CORE names a core that this machine cannot run.
     """
     with _LOCK:  # the function's cache avoids the lock in later calls
@@ -38,7 +42,7 @@ def _loaded() -> Any:
     suffix = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
     baseline, faster = (folder / f"vibrocast_core.{name}{suffix}" for name in ("baseline", "x86_64_v3"))
     if not baseline.exists():
-        raise CoreError("the C core is not compiled; install vibrocast with pip, or run `make install`")
+        raise BuildError("the C core is not compiled; install vibrocast with pip, or run `make install`")
     ffi.cdef((folder / "vibrocast_core.cdef").read_text(encoding="utf-8"), override=True)
     # Every processor can run the baseline core, so this one asks the processor.
     cores: dict[str, Any] = {"baseline": ffi.dlopen(str(baseline))}
@@ -46,7 +50,7 @@ def _loaded() -> Any:
         cores["x86_64_v3"] = ffi.dlopen(str(faster))
     name = os.environ.get(CORE_VARIABLE) or list(cores)[-1]
     if name not in cores:
-        raise CoreError(f"{CORE_VARIABLE} is {name!r}, which this machine cannot run; set it to {' or '.join(cores)}")
+        raise BuildError(f"{CORE_VARIABLE} is {name!r}, which this machine cannot run; set it to {' or '.join(cores)}")
     return cores[name]
 
 

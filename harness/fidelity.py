@@ -1,15 +1,13 @@
 """Compares the played texture with the sent one: DAC codes bit by bit, and the skin, recorded or modelled."""
 
-import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, encode_recording
-from vibrocast.harness.latency import AROUND_S
-from vibrocast.harness.sensors import Recorder
-from vibrocast.host import playback as end_to_end
+from vibrocast.codec.encoding import encode_recording
+from vibrocast.harness.sensors import Recorder, recorded
+from vibrocast.host import playback
 from vibrocast.host.controller import Controller
 from vibrocast.host.picture import third_octave_levels
 from vibrocast.host.skin_quality import compare_skin, displacement_above_20_hz, high_passed
@@ -68,20 +66,17 @@ def measure_fidelity(
     skin_model: Actuator,
     recorder: Recorder | None = None,
     sensor_name: str = "",
-    stream_rate_hz: int = DEFAULT_STREAM_RATE_HZ,
     progress: Callable[[float], None] | None = None,
 ) -> Fidelity:
     """Play the first channel of a texture and compare the skin with the sent signal.
 
     `actuator`: the one that the controller works with. `recorder`: the sensor on that channel; None = the DAC's codes
-    through `skin_model`. Raises SensorError, AlignmentError, and whatever `host.end_to_end.play` raises.
+    through `skin_model`. Raises SensorError, AlignmentError, and whatever `host.playback.play` raises.
     """
     one = Recording(np.ascontiguousarray(texture.samples[:, :1]), texture.rate_hz, texture.unit, texture.name)
-    encoding = encode_recording(one, stream_rate_hz, live=True)
-    with contextlib.nullcontext() if recorder is None else recorder(one.seconds + 2 * AROUND_S) as finish:
-        if finish is not None:
-            controller.sleep(AROUND_S)
-        outcome = end_to_end.play(
+    encoding = encode_recording(one, live=True)
+    with recorded(recorder, controller, one.seconds) as finish:
+        outcome = playback.play(
             controller,
             address,
             texture.name,
@@ -93,13 +88,13 @@ def measure_fidelity(
         )
         sent, decoded, skin = outcome.traces
         if finish is None:
-            recorded, source = Recording(skin.values, skin.rate_hz, "um", "skin"), "the DAC's codes and a model"
+            moved, source = Recording(skin.values, skin.rate_hz, "um", "skin"), "the DAC's codes and a model"
         else:
-            recorded, source = finish(), sensor_name
+            moved, source = finish(), sensor_name
     rate_hz = round(sent.rate_hz)
-    recorded_um = displacement_above_20_hz(recorded, rate_hz)
+    moved_um = displacement_above_20_hz(moved, rate_hz)
     sent_um, decoded_um = (high_passed(signal.displacement_um[:, 0], rate_hz) for signal in (sent, decoded))
-    quality, laid, aligned_um = compare_skin(sent_um, decoded_um, recorded_um, rate_hz, drifts=finish is not None)
+    quality, laid, aligned_um = compare_skin(sent_um, decoded_um, moved_um, rate_hz, drifts=finish is not None)
     frequencies_hz, sent_db = third_octave_levels(sent_um, rate_hz)
     _, residual_db = third_octave_levels(sent_um - aligned_um, rate_hz)
     return Fidelity(

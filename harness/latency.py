@@ -1,16 +1,14 @@
 """Measures the delay from a block's last sample at the host to the DAC, by part; searches the lowest that is stable."""
 
-import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from vibrocast import codec, textures
-from vibrocast.codec.live_format import live_format
+from vibrocast.codec.live_format import recording_format
 from vibrocast.device_protocol.messages import State, Tap
-from vibrocast.harness.sensors import Recorder, TimedRecording
+from vibrocast.harness.sensors import Recorder, TimedRecording, recorded
 from vibrocast.host import live
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.device_clock import ClockFit, DeviceClock
@@ -36,8 +34,6 @@ PARTS = {
 TRIAL_S = 1.5
 PLAYOUT_DELAYS_S = (0.064, 0.032, 0.016, 0.008, 0.004, 0.002, 0.001, 0.0005)
 HOPS = ("16", "32")
-AROUND_S = 1.0
-"""Recorded before and after what is played: how late the controller starts, and the ends that filters need."""
 MOST_LATE = 0.1
 """Late packets and underruns, as a share of the measured packets, beyond which medians do not describe a stream."""
 
@@ -82,6 +78,11 @@ class Latency:
     def stable(self) -> bool:
         """Whether every packet came in time."""
         return not self.underruns and not self.lost_packets
+
+    @property
+    def holds(self) -> bool:
+        """Whether every packet came in time, and the delay is what it seems to be."""
+        return self.stable and self.flaw is None
 
     @property
     def flaw(self) -> str | None:
@@ -129,22 +130,16 @@ def measure_latency(
     time; the answers also tell when those packets were there. Raises SensorError, AlignmentError, and as
     `live.LiveStream`.
     """
-    samples = looped(texture, seconds, rate_hz)
-    rms = np.sqrt(np.mean(np.square(samples), axis=0))
-    signal_format = live_format(rate_hz, texture.unit, list(np.max(np.abs(samples), axis=0)), list(rms))
+    source = looped(texture, seconds, rate_hz)
+    samples = source.samples
     stream = live.LiveStream(
-        controller, signal_format, coding=live.LiveCoding(setting=setting), playout_delay_s=playout_delay_s
+        controller, recording_format(source), coding=live.LiveCoding(setting=setting), playout_delay_s=playout_delay_s
     )
     clock = DeviceClock(controller)
     packets: list[bytes] = []
     times_s: list[tuple[float, float, float, float]] = []  # due, awake, coded, sent
     recording: Recording | None = None
-    with contextlib.ExitStack() as stack:
-        finish = None
-        if recorder is not None:
-            finish = stack.enter_context(recorder(seconds + 2 * AROUND_S))
-            controller.sleep(AROUND_S)
-        stack.enter_context(stopped_on_error(controller))
+    with recorded(recorder, controller, seconds) as finish, stopped_on_error(controller):
         for due_s, block in live.paced(stream, samples, stream.packet_samples, clock.sleep):
             awake_s = controller.clock()
             coded = stream.code(block)
@@ -205,26 +200,20 @@ def measure_latency(
         as_sent=bool(np.array_equal(decoded[: len(expected) - first], expected[first:])),
         clock=fit,
         to_sensor_ms=(
-            1e3 * _to_sensor_s(samples, texture.unit, rate_hz, actuator, recording, times_s[0][0] - stream.packet_s)
+            1e3 * _to_sensor_s(source, actuator, recording, times_s[0][0] - stream.packet_s)
             if isinstance(recording, TimedRecording)
             else None
         ),
     )
 
 
-def _to_sensor_s(
-    samples: codec.Signal,
-    unit: str,
-    rate_hz: int,
-    actuator: Actuator,
-    recording: TimedRecording,
-    began_s: float,
-) -> float:
-    """Return the time from when samples (n, 1) were taken, from `began_s` on, until a sensor's reached this computer.
+def _to_sensor_s(source: Recording, actuator: Actuator, recording: TimedRecording, began_s: float) -> float:
+    """Return the time from when samples were taken, from `began_s` on, until a sensor's reached this computer.
 
     Raises AlignmentError where the recording does not contain them.
     """
-    sent_um = high_passed(displacement_um(samples, unit, rate_hz, actuator)[:, 0], rate_hz)
+    rate_hz = round(source.rate_hz)
+    sent_um = high_passed(displacement_um(source.samples, source.unit, rate_hz, actuator)[:, 0], rate_hz)
     lag_s = align(sent_um, displacement_above_20_hz(recording, rate_hz), rate_hz, drifts=True).lag_s
     return float(recording.began_s + lag_s - began_s - 1 / rate_hz)
 
@@ -234,13 +223,12 @@ def measure_credible_latency(
     actuator: Actuator,
     texture: Recording,
     *,
-    seconds: float = 4.0,
     recorder: Recorder | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Latency:
     """Measure the latency, once more if it has a flaw. Raises ControllerError if it has one then too, and as before."""
     for _ in range(2):
-        measured = measure_latency(controller, actuator, texture, seconds=seconds, recorder=recorder, progress=progress)
+        measured = measure_latency(controller, actuator, texture, recorder=recorder, progress=progress)
         if measured.flaw is None:
             return measured
     raise ControllerError(f"{measured.flaw}; use a less busy machine or a faster link")
@@ -252,7 +240,6 @@ def find_min_latency(
     texture: Recording,
     *,
     seconds: float = 4.0,
-    rate_hz: int = 2800,
     progress: Callable[[float], None] | None = None,
 ) -> MinLatency:
     """Search the lowest delay that is stable: for each length of a block, the margin down until it fails twice.
@@ -262,45 +249,35 @@ def find_min_latency(
     """
     trials: list[Trial] = []
     stable: list[tuple[float, str, float]] = []
-    for hop in HOPS:
-        for playout_delay_s in PLAYOUT_DELAYS_S:
-            arguments: dict[str, Any] = {
-                "rate_hz": rate_hz,
-                "setting": {"hop": hop},
-                "playout_delay_s": playout_delay_s,
-            }
-            once = measure_latency(controller, actuator, texture, seconds=TRIAL_S, **arguments)
-            if not (once.stable and once.flaw is None):  # the computer may have been busy with something else
-                once = measure_latency(controller, actuator, texture, seconds=TRIAL_S, **arguments)
-            trials.append(
-                Trial(hop, 1e3 * playout_delay_s, once.total_ms if once.stable and once.flaw is None else None)
-            )
+
+    def measured(hop: str, playout_delay_s: float, lasts_s: float) -> Latency:
+        setting = {"hop": hop}
+        return measure_latency(
+            controller, actuator, texture, seconds=lasts_s, setting=setting, playout_delay_s=playout_delay_s
+        )
+
+    for number, hop in enumerate(HOPS):
+        for place, playout_delay_s in enumerate(PLAYOUT_DELAYS_S):
+            once = measured(hop, playout_delay_s, TRIAL_S)
+            if not once.holds:  # the computer may have been busy with something else
+                once = measured(hop, playout_delay_s, TRIAL_S)
+            trials.append(Trial(hop, 1e3 * playout_delay_s, once.total_ms if once.holds else None))
             if progress is not None:
-                progress(
-                    (HOPS.index(hop) + PLAYOUT_DELAYS_S.index(playout_delay_s) / len(PLAYOUT_DELAYS_S)) / len(HOPS)
-                )
-            if trials[-1].total_ms is None:
+                progress((number + place / len(PLAYOUT_DELAYS_S)) / len(HOPS))
+            if not once.holds:
                 break
             stable.append((once.total_ms, hop, playout_delay_s))
     for _, hop, playout_delay_s in sorted(stable):
-        found = measure_latency(
-            controller,
-            actuator,
-            texture,
-            seconds=seconds,
-            rate_hz=rate_hz,
-            setting={"hop": hop},
-            playout_delay_s=playout_delay_s,
-        )
-        if found.stable and found.flaw is None:
+        found = measured(hop, playout_delay_s, seconds)
+        if found.holds:
             return MinLatency(found, tuple(trials))
     return MinLatency(None, tuple(trials))
 
 
-def looped(texture: Recording, seconds: float, rate_hz: int) -> codec.Signal:
-    """Return the first channel of a texture at another rate, (n, 1), again and again until `seconds` are full."""
+def looped(texture: Recording, seconds: float, rate_hz: int) -> Recording:
+    """Return the first channel of a texture at another rate, again and again until `seconds` are full."""
     samples = textures.resample(texture, rate_hz).samples[:, :1]
-    return np.resize(samples, (round(seconds * rate_hz), 1))
+    return Recording(np.resize(samples, (round(seconds * rate_hz), 1)), rate_hz, texture.unit, texture.name)
 
 
 def _spread(values_s: Sequence[float]) -> Spread:

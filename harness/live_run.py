@@ -3,9 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
-from vibrocast.codec.live_format import live_format
+from vibrocast.codec.live_format import recording_format
 from vibrocast.device_protocol.messages import Status
 from vibrocast.harness.latency import looped
 from vibrocast.host import live
@@ -40,10 +38,8 @@ def run_live(
     `live.LiveStream`, and as `CodedSignal.quality`.
     """
     controller = member.controller
-    samples = looped(texture, seconds, rate_hz)
-    rms = float(np.sqrt(np.mean(np.square(samples))))
-    signal_format = live_format(rate_hz, texture.unit, [float(np.max(np.abs(samples)))], [rms])
-    stream = live.LiveStream(controller, signal_format, playout_delay_s=playout_delay_s)
+    source = looped(texture, seconds, rate_hz)
+    stream = live.LiveStream(controller, recording_format(source), playout_delay_s=playout_delay_s)
     watch, coded = Watch(stream), CodedSignal(stream)
 
     def note(status: Status) -> None:
@@ -51,7 +47,7 @@ def run_live(
         if progress is not None:
             progress(stream.seconds)
 
-    result = live.play(stream, coded.blocks(watch.blocks(samples)), progress=note)
+    result = live.play(stream, coded.blocks(watch.blocks(source.samples)), progress=note)
     watch.close()
     quality = coded.quality(member, None, result)
     return LiveRun(result, 1e3 * stream.playout_delay_s, tuple(watch.minutes), quality, watch.timing(member))

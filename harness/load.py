@@ -68,12 +68,12 @@ class Gap:
     ended_by: str | None
 
 
-def throughput(controller: Controller, texture: Recording, *, rate_hz: int = 2800) -> Throughput:
+def throughput(controller: Controller, texture: Recording) -> Throughput:
     """Measure how many bytes a second cross the link in each direction. Raises as `live.LiveStream`.
 
     To the controller goes data of a stream that it does not play, which it receives and drops; back come captures.
     """
-    _play(controller, texture, 1, rate_hz, 1.0)
+    _play(controller, texture, 1, RATES_HZ[0], 1.0)
     before = controller.request_status()
     packet = bytes(controller.description.limits.max_payload_bytes - PACKET_OVERHEAD_BYTES)
     data = StreamData(next_number(before.stream), 0, (packet,))
@@ -122,14 +122,13 @@ def max_gap(
     texture: Recording,
     buffer_s: float = BUFFER_S,
     *,
-    rate_hz: int = 2800,
     progress: Callable[[float], None] | None = None,
 ) -> Gap:
     """Search the longest silence of the host that a stream survives which was `buffer_s` ahead.
 
     Beyond the watchdog no buffer helps, so a longer one is not filled. Raises as `live.LiveStream`.
     """
-    limits = controller.description.limits
+    limits, rate_hz = controller.description.limits, RATES_HZ[0]
     buffer_s = min(buffer_s, limits.watchdog_ms / 1000 + _AFTER_GAP_S, 0.9 * limits.buffer_samples / rate_hz)
     survived_s, max_s = 0.0, min(buffer_s, limits.watchdog_ms / 1000) * (1 + 2.0**-_GAP_STEPS)
     step_s, ended_by = max_s, None
@@ -149,7 +148,7 @@ def max_gap(
 
 def _silence(controller: Controller, texture: Recording, buffer_s: float, gap_s: float, rate_hz: int) -> str | None:
     """Send ahead, be silent, and send the rest; return the cause if the stream ended early."""
-    samples = looped(texture, max(buffer_s, gap_s) + 2 * _AFTER_GAP_S, rate_hz)
+    samples = looped(texture, max(buffer_s, gap_s) + 2 * _AFTER_GAP_S, rate_hz).samples
     stream = live.LiveStream(controller, _format(texture, samples, rate_hz), playout_delay_s=_START_S)
     packets = stream.code(samples)
     ahead = round((buffer_s - _START_S) * rate_hz / stream.packet_samples)
@@ -172,7 +171,7 @@ def _listen(controller: Controller, seconds: float) -> None:
 
 
 def _play(controller: Controller, texture: Recording, channels: int, rate_hz: int, seconds: float) -> live.LiveResult:
-    samples = np.repeat(looped(texture, seconds, rate_hz), channels, axis=1)
+    samples = np.repeat(looped(texture, seconds, rate_hz).samples, channels, axis=1)
     stream = live.LiveStream(controller, _format(texture, samples, rate_hz))
     return live.play(stream, (block for _, block in live.paced(stream, samples, stream.packet_samples)))
 

@@ -58,7 +58,7 @@ class Together:
 
 
 def subject(bench: Bench, controller: Controller) -> Subject:
-    """Return what a run measures on a session with the first controller of the bench. Raises BenchFileError."""
+    """Return what a run measures on a session with the first controller of the bench. Raises InputError."""
     sensors = [each for each in bench.sensors if each.controller == bench.first.name and each.channel == 1]
     return Subject(
         bench,
@@ -91,79 +91,60 @@ def _processor() -> str:
     return names[0] if names else platform.processor() or platform.machine()
 
 
-def _latency(measured: Subject, progress: Progress) -> Any:
-    recorder = measured.recorder if measured.sensor_is_timed else None
-    return latency.measure_credible_latency(
-        measured.controller, measured.actuator, measured.scene[0], recorder=recorder, progress=progress
-    )
-
-
-def _smallest(measured: Subject, progress: Progress) -> Any:
-    return latency.find_min_latency(measured.controller, measured.actuator, measured.scene[0], progress=progress)
-
-
-def _throughput(measured: Subject, _: Progress) -> Any:
-    return load.throughput(measured.controller, measured.scene[0])
-
-
-def _load(measured: Subject, progress: Progress) -> Any:
-    return load.underruns(measured.controller, measured.scene[0], progress)
-
-
-def _gap(measured: Subject, progress: Progress) -> Any:
+def _gap(on: Subject, progress: Progress) -> list[load.Gap]:
+    buffers_s = player.BUFFER_S, _FULL_BUFFER_S
     return [
-        load.max_gap(
-            measured.controller,
-            measured.scene[0],
-            buffer_s,
-            progress=lambda part, done=done: progress((done + part) / 2),  # type: ignore[misc]
-        )
-        for done, buffer_s in enumerate((player.BUFFER_S, _FULL_BUFFER_S))
+        load.max_gap(on.controller, on.scene[0], buffer_s, progress=_part(progress, number, len(buffers_s)))
+        for number, buffer_s in enumerate(buffers_s)
     ]
 
 
-def _fidelity(measured: Subject, progress: Progress) -> Any:
-    count = len(measured.scene)
+def _fidelity(on: Subject, progress: Progress) -> list[fidelity.Fidelity]:
     return [
         fidelity.measure_fidelity(
-            measured.controller,
-            measured.address,
+            on.controller,
+            on.address,
             texture,
-            actuator=measured.actuator,
-            skin_model=measured.skin_model,
-            recorder=measured.recorder,
-            sensor_name=measured.sensor_name,
-            progress=lambda part, number=number: progress((number + part) / count),  # type: ignore[misc]
+            actuator=on.actuator,
+            skin_model=on.skin_model,
+            recorder=on.recorder,
+            sensor_name=on.sensor_name,
+            progress=_part(progress, number, len(on.scene)),
         )
-        for number, texture in enumerate(measured.scene)
+        for number, texture in enumerate(on.scene)
     ]
 
 
-def _response(measured: Subject, progress: Progress) -> Any:
-    return response.measure_response(
-        measured.controller,
-        measured.skin_model,
-        recorder=measured.recorder,
-        sensor_name=measured.sensor_name,
-        progress=progress,
-    )
+def _part(progress: Progress, number: int, count: int) -> Progress:
+    """Return the progress of one of several measurements that take about as long."""
+    return lambda part: progress((number + part) / count)
 
 
 MEASUREMENTS: Mapping[str, Callable[[Subject, Progress], Any]] = {
-    "latency": _latency,
-    "smallest": _smallest,
-    "throughput": _throughput,
-    "load": _load,
+    "latency": lambda on, progress: latency.measure_credible_latency(
+        on.controller,
+        on.actuator,
+        on.scene[0],
+        recorder=on.recorder if on.sensor_is_timed else None,
+        progress=progress,
+    ),
+    "smallest": lambda on, progress: latency.find_min_latency(
+        on.controller, on.actuator, on.scene[0], progress=progress
+    ),
+    "throughput": lambda on, _: load.throughput(on.controller, on.scene[0]),
+    "load": lambda on, progress: load.underruns(on.controller, on.scene[0], progress),
     "gap": _gap,
     "fidelity": _fidelity,
-    "response": _response,
+    "response": lambda on, progress: response.measure_response(
+        on.controller, on.skin_model, recorder=on.recorder, sensor_name=on.sensor_name, progress=progress
+    ),
 }
 
 
 def together(bench: Bench) -> list[Together]:
     """Play the bench's first texture on all its controllers at once, and compare each one's codes with those computed.
 
-    A controller that fails does so alone. Raises BenchFileError, CodecError.
+    A controller that fails does so alone. Raises InputError, CodecError.
     """
     stream = encode_recording(bench.scene()[0], live=True).stream
     offline, decoder = stream.decode_integers(), stream.decoder()

@@ -15,7 +15,7 @@ from vibrocast import pages
 from vibrocast.files import atomic_write
 from vibrocast.harness import response
 from vibrocast.harness.latency import PARTS
-from vibrocast.harness.results import Change
+from vibrocast.harness.results import NAMES, Change
 from vibrocast.host.picture import STYLES
 
 # From dark to light, with hatches: distinct in grey print.
@@ -23,7 +23,6 @@ _SHADES = ("#20123a", "#2a7fb8", "#7fb8d8", "#f0a030", "#d0d0d0", "#707070", "#f
 _HATCHES = ("", "//", "", "..", "", "xx", "\\\\", "")
 
 _OF_DEVICE = ("build", "hardware", "serial_number", "protocol")
-_MEASURED = ("latency", "smallest", "throughput", "load", "gap", "fidelity", "response", "together")
 
 
 def write(path: Path, document: dict[str, Any], changes: Sequence[Change], actuator_table: str) -> None:
@@ -31,7 +30,7 @@ def write(path: Path, document: dict[str, Any], changes: Sequence[Change], actua
 
     `actuator_table`: the fitted actuator as a table of a bench file, empty where none was fitted.
     """
-    device, measured = document["device"], {name: document["measured"].get(name) for name in _MEASURED}
+    device, measured = document["device"], {name: document["measured"].get(name) for name in NAMES}
     latency, fidelity, fitted = (measured[name] for name in ("latency", "fidelity", "response"))
     plots = {
         "latency": latency and _latency(latency),

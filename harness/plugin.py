@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from vibrocast.errors import InputError
+
 if TYPE_CHECKING:
     from vibrocast.device_protocol.messages import ImageDescription
     from vibrocast.harness.faulty_transport import TimedTransport
@@ -89,12 +91,11 @@ def _read(config: pytest.Config) -> Bench | None:
     path = config.getoption("vibrocast_bench")
     if path is None:
         return None
-    from vibrocast.files import InputFileError
     from vibrocast.host.bench_file import read_bench
 
     try:
         return read_bench(Path(path), config.getoption("vibrocast_allow_programs"))
-    except (InputFileError, OSError) as error:
+    except (InputError, OSError) as error:
         raise pytest.UsageError(str(error).replace("--allow-programs", "--vibrocast-allow-programs")) from error
 
 
@@ -112,13 +113,13 @@ def _devices(config: pytest.Config) -> list[str]:
 @pytest.fixture(scope="session")
 def vibrocast_bench(request: pytest.FixtureRequest, pytestconfig: pytest.Config) -> Bench:
     """The bench of --vibrocast-bench; without it, the controller of --vibrocast-device."""
-    from vibrocast.host.bench_file import BenchFileError, choose_controller
+    from vibrocast.host.bench_file import choose_controller
 
     names = _devices(pytestconfig)
     device = getattr(request, "param", names[0] if names else None)
     try:
         return choose_controller(_read(pytestconfig), device)
-    except BenchFileError as error:
+    except InputError as error:
         raise pytest.UsageError(str(error)) from error
 
 
@@ -285,13 +286,13 @@ def vibrocast_play(vibrocast_bench: Bench, _vibrocast_member: Member, _vibrocast
     than was sent though nothing was lost.
     """
     from vibrocast.codec.encoding import encode_recording
-    from vibrocast.host import playback as end_to_end
+    from vibrocast.host import playback
 
     member = _vibrocast_member
 
     def play_texture(texture: Recording, **options: Any) -> Outcome:
         encoding = encode_recording(texture, live=True, **options)
-        outcome = end_to_end.play(
+        outcome = playback.play(
             member.controller,
             member.address,
             texture.name,
@@ -382,7 +383,7 @@ def vibrocast_stroke(vibrocast_bench: Bench, _vibrocast_member: Member) -> Calla
     playback misses limits of the bench file.
     """
     from vibrocast.codec import profiles
-    from vibrocast.host import hand_playback as position_playback
+    from vibrocast.host import hand_playback
 
     def stroke(
         profile: Recording,
@@ -392,8 +393,8 @@ def vibrocast_stroke(vibrocast_bench: Bench, _vibrocast_member: Member) -> Calla
         **options: Any,
     ) -> Stroke:
         encoding = profiles.encode(profile, **options)
-        movement = position_playback.back_and_forth(stroke_mm, hand_speed_mm_s, strokes)
-        played = position_playback.play_and_compare(
+        movement = hand_playback.back_and_forth(stroke_mm, hand_speed_mm_s, strokes)
+        played = hand_playback.play_and_compare(
             _vibrocast_member, profile.name, encoding.stream, movement, encoding.recording, vibrocast_bench.sha256
         )
         _judge(vibrocast_bench, played.report.judged())

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,31 +37,6 @@ _SIDECAR_BYTES = 1 << 16
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
-class Source(Protocol):
-    """A sensor whose samples are read in `unit`, on a uniform grid; as `SerialSensor`."""
-
-    name: str
-    rate_hz: int
-    channels: int
-    unit: str
-    axes: str
-    full_scale: float | None
-    sensitivity: str | None
-
-    @property
-    def losses(self) -> Losses:
-        """The samples that were lost."""
-
-    def read(self, timeout_s: float) -> Signal:
-        """Return the samples (n, channels) since the last call; none after `timeout_s`. Raises TransportError."""
-
-    def warnings(self) -> list[str]:
-        """Return remarks for people."""
-
-    def facts(self) -> dict[str, object]:
-        """Return what else the sidecar should state."""
-
-
 class Card(Protocol):
     """A sound card that records; as `output.sound_card.Capture`."""
 
@@ -73,7 +48,7 @@ class Card(Protocol):
 
 
 class AnalogueSensor:
-    """A sensor whose volts a sound card records; as `Source`.
+    """A sensor whose volts a sound card records; it reads as `SerialSensor` does.
 
     Lost samples are cut out: how many there were is not known.
     """
@@ -89,7 +64,7 @@ class AnalogueSensor:
         self._frames = 0
 
     def read(self, timeout_s: float) -> Signal:
-        """As `Source.read`."""
+        """Return the samples (n, channels) since the last call; none after `timeout_s`. Raises TransportError."""
         samples = self._card.read(timeout_s)
         for _ in range(self._card.overruns - self.losses.gaps):
             self.losses.add(self._frames / self.rate_hz, None)
@@ -97,12 +72,15 @@ class AnalogueSensor:
         return samples[:, self._columns].astype(np.float64) * (self.full_scale or 1.0)
 
     def warnings(self) -> list[str]:
-        """As `Source.warnings`."""
+        """Return remarks for people: none."""
         return []
 
     def facts(self) -> dict[str, object]:
-        """As `Source.facts`."""
+        """Return what is known of the card, for the sidecar."""
         return {"volts_full_scale": self._volts}
+
+
+Source: TypeAlias = SerialSensor | AnalogueSensor
 
 
 @contextmanager
@@ -122,17 +100,26 @@ def open_source(
     """
     if address.startswith("serial:"):
         if volts_full_scale is not None:
-            raise TextureError(f"{address} sends numbers; leave out `volts_full_scale`, which is for a sound card")
+            raise TextureError(
+                f"{address} sends numbers",
+                action="leave out `volts_full_scale`, which is for a sound card",
+                parameter="volts_full_scale",
+            )
         port, baud = serial_port(address)
         with SerialSensor(port, baud=baud, rate_hz=rate_hz, sensitivity=sensitivity, axes=axes) as sensor:
             yield sensor
         return
     if sensitivity is None or not sensitivity.in_volts:
-        raise TextureError(f"{address} records volts; give the sensor's `sensitivity` in volts, such as {EXAMPLES}")
+        raise TextureError(
+            f"{address} records volts",
+            action=f"give the sensor's `sensitivity` in volts, such as {EXAMPLES}",
+            parameter="sensitivity",
+        )
     if volts_full_scale is None:
         raise TextureError(
-            f"{address}: how many volts digital full scale is cannot be known; give `volts_full_scale` "
-            "(docs/how-to/record.md says how to find it)"
+            f"{address}: how many volts digital full scale is cannot be known",
+            action="give `volts_full_scale` (docs/how-to/record.md says how to find it)",
+            parameter="volts_full_scale",
         )
     from vibrocast.output import sound_card
 
@@ -279,10 +266,6 @@ class Recorded:
     warnings: tuple[str, ...]
 
 
-class RecordingStopped(TransportError):
-    """A recording that ended early; the message says why, and where the saved part is."""
-
-
 def record(
     source: Source,
     path: Path,
@@ -294,7 +277,7 @@ def record(
     """Record a source into a WAV file of 32-bit floats with a sidecar, until `seconds` are over or Ctrl-C.
 
     Writes as it goes. `highpass_hz`: corner of the high-pass, `textures.LiveHighPass`; None keeps offset and drift.
-    `progress` gets the part that is done, or None, and the levels as text. Raises RecordingStopped after a lost sensor
+    `progress` gets the part that is done, or None, and the levels as text. Raises TransportError after a lost sensor
     or a full disk, with the file saved so far, OSError and TextureError.
     """
     highpass = None if highpass_hz is None else LiveHighPass(source.rate_hz, highpass_hz)
@@ -322,7 +305,7 @@ def record(
     except OSError as error:
         stopped = stopped or error
     if stopped is not None:
-        raise RecordingStopped(f"{stopped}; the first {recorded.seconds:.3f} s are saved in {path}") from stopped
+        raise TransportError(f"{stopped}; the first {recorded.seconds:.3f} s are saved in {path}") from stopped
     return recorded
 
 

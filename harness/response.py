@@ -1,6 +1,5 @@
 """Measures the frequency response from drive to displacement by a sweep, and fits the actuator's parameters to it."""
 
-import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -9,7 +8,7 @@ from numpy.typing import NDArray
 
 from vibrocast import codec, textures
 from vibrocast.codec.stream import as_stream
-from vibrocast.harness.sensors import Recorder
+from vibrocast.harness.sensors import Recorder, recorded
 from vibrocast.host import player
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.skin_quality import AlignmentError
@@ -24,7 +23,6 @@ MIN_HZ, MAX_HZ = 10.0, 1000.0
 AMPLITUDE = 0.1
 SWEEP_S = 8.0
 
-_AROUND_S = 1.0
 _FADE_S = 0.02
 _MAX_RATE_HZ = 8000
 # Steps relative to the RMS value: so fine that the codec's noise is 40 dB below the sweep. The DAC's codes, from which
@@ -138,9 +136,7 @@ def play_sweep(
     chirp = AMPLITUDE * np.sin(phase * (np.exp(time_s / seconds * np.log(highest_hz / MIN_HZ)) - 1))
     chirp *= np.clip(np.minimum(time_s, seconds - time_s) / _FADE_S, 0.0, 1.0)
     stream = as_stream(codec.encode(chirp[:, None], rate_hz, {"step": _STEP}, live=True), "full scale")
-    with contextlib.nullcontext() if recorder is None else recorder(seconds + 2 * _AROUND_S) as finish:
-        if finish is not None:
-            controller.sleep(_AROUND_S)
+    with recorded(recorder, controller, seconds) as finish:
         settings = player.PlaybackSettings(
             compensation=compensation,
             capture=True,

@@ -7,7 +7,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from vibrocast.files import InputFileError, atomic_write
+from vibrocast.errors import InputError
+from vibrocast.files import atomic_write
 from vibrocast.host.bench_limits import Judged, lost_percent
 from vibrocast.host.report import Provenance
 
@@ -86,32 +87,73 @@ class Change:
         return self.name.rpartition(": ")[2] in (DECODED, COMPUTED, "underruns", "lost packets", "damaged frames")
 
 
-# A computer that does other work as well measures times again within these.
-TOLERANCES = {
-    "latency, ms": Tolerance(1, 2.0, 0.1),
-    "latency to the sensor, ms": Tolerance(1, 5.0, 0.1),
-    "jitter, ms": Tolerance(1, 2.0, 0.5),
-    "smallest stable latency, ms": Tolerance(1, 4.0, 0.2),
-    "throughput to the controller, bytes/s": Tolerance(-1, 0.0, 0.3),
-    "throughput to the host, bytes/s": Tolerance(-1, 0.0, 0.3),
-    "largest load, samples/s": Tolerance(-1, 0.0, 0.5),
-    "longest gap, ms": Tolerance(-1, 20.0, 0.1),
-    "longest gap with a full buffer, ms": Tolerance(-1, 20.0, 0.1),
-    DECODED: Tolerance(-1, 0.0),
-    COMPUTED: Tolerance(-1, 0.0),
-    "SNR, dB": Tolerance(-1, 1.0),
-    "SNR without the codec, dB": Tolerance(-1, 1.0),
-    "ST-SIM": Tolerance(-1, 0.02),
-    "gain": Tolerance(0, 0.0, 0.05),
-    "corner, Hz": Tolerance(0, 1.0, 0.03),
-    "quality": Tolerance(0, 0.05, 0.1),
-    "stroke, um": Tolerance(0, 0.5, 0.03),
-    "controllers that played as computed": Tolerance(-1, 0.0),
-    "underruns": Tolerance(1, 0.0),
-    "lost packets": Tolerance(1, 0.0),
-    "lag, ms": Tolerance(0, 50.0),
-    "drift, ppm": Tolerance(0, 50.0),
-    "damaged frames": Tolerance(1, 0.0),
+@dataclass(frozen=True)
+class Figure:
+    """A figure of a measurement.
+
+    Attributes:
+        name: For people and comparisons: a place if any, the title, and the unit. Empty where only a limit needs it.
+        key: Its place in the measurement, such as "clock.drift_ppm".
+        tolerance: Of a comparison with an earlier run.
+        limit: Key of the bench's limits that judge it, without min_ or max_; empty where none does.
+    """
+
+    name: str
+    key: str
+    tolerance: Tolerance
+    limit: str = ""
+
+
+_KEPT, _NO_MORE = Tolerance(-1, 0.0), Tolerance(1, 0.0)
+# A computer that does other work as well measures times again within these tolerances.
+FIGURES = {
+    "latency": (
+        Figure("latency, ms", "total_ms", Tolerance(1, 2.0, 0.1), "latency_ms"),
+        Figure("latency to the sensor, ms", "to_sensor_ms", Tolerance(1, 5.0, 0.1), "sensor_latency_ms"),
+        Figure("jitter, ms", "jitter_ms", Tolerance(1, 2.0, 0.5), "jitter_ms"),
+        Figure("clock: drift, ppm", "clock.drift_ppm", Tolerance(0, 50.0), "drift_ppm"),
+        Figure(f"live: {DECODED}", "as_sent", _KEPT),
+        Figure("live: underruns", "underruns", _NO_MORE, "underruns"),
+        Figure("live: lost packets", "lost_packets", _NO_MORE),
+        Figure("", "lost_percent", _NO_MORE, "lost_percent"),
+    ),
+    "smallest": (Figure("smallest stable latency, ms", "found.total_ms", Tolerance(1, 4.0, 0.2)),),
+    "throughput": (
+        Figure("throughput to the controller, bytes/s", "to_controller_bytes_per_s", Tolerance(-1, 0.0, 0.3)),
+        Figure("throughput to the host, bytes/s", "to_host_bytes_per_s", Tolerance(-1, 0.0, 0.3)),
+    ),
+    "load": (Figure("largest load, samples/s", "held", Tolerance(-1, 0.0, 0.5), "load_samples_per_s"),),
+    "gap": (
+        Figure("longest gap, ms", "usual.survived_ms", Tolerance(-1, 20.0, 0.1)),
+        Figure("longest gap with a full buffer, ms", "full.survived_ms", Tolerance(-1, 20.0, 0.1)),
+    ),
+    "fidelity": (
+        Figure(DECODED, "as_decoded", _KEPT),
+        Figure(COMPUTED, "as_computed", _KEPT),
+        Figure("underruns", "underruns", _NO_MORE, "underruns"),
+        Figure("lost packets", "lost_packets", _NO_MORE),
+        Figure("", "lost_percent", _NO_MORE, "lost_percent"),
+        Figure("SNR, dB", "snr_db", Tolerance(-1, 1.0), "snr_db"),
+        Figure("SNR without the codec, dB", "playing_snr_db", Tolerance(-1, 1.0)),
+        Figure("ST-SIM", "st_sim", Tolerance(-1, 0.02), "st_sim"),
+        Figure("gain", "gain", Tolerance(0, 0.0, 0.05), "gain"),
+        Figure("lag, ms", "lag_ms", Tolerance(0, 50.0)),
+    ),
+    "response": (
+        Figure("corner, Hz", "fit.corner_hz", Tolerance(0, 1.0, 0.03)),
+        Figure("stroke, um", "fit.stroke_um", Tolerance(0, 0.5, 0.03)),
+        Figure("quality", "fit.quality", Tolerance(0, 0.05, 0.1)),
+    ),
+    "together": (Figure("controllers that played as computed", "as_computed", _KEPT),),
+    LINK: (
+        Figure("to the controller: damaged frames", "bad_frames_at_controller", _NO_MORE),
+        Figure("to the host: damaged frames", "bad_frames_at_host", _NO_MORE),
+        Figure("", "bad_frames", _NO_MORE, "bad_frames"),
+    ),
+}
+"""The figures of each measurement; those of fidelity stand behind the name of their texture, as in "oak: gain"."""
+_TOLERANCES = {
+    each.name.rpartition(": ")[2]: each.tolerance for group in FIGURES.values() for each in group if each.name
 }
 _ALWAYS_KNOWN = ("smallest stable latency, ms",)
 """Figures that every working device has; others need a sensor, a capture or an unequal copy."""
@@ -119,11 +161,11 @@ _WHAT_A_DEVICE_IS = ("hardware", "serial_number", "actuator")
 
 
 def read_results(path: Path) -> dict[str, Any]:
-    """Read the JSON of an earlier run. Raises InputFileError for anything else, OSError where it cannot be read."""
+    """Read the JSON of an earlier run. Raises InputError for anything else, OSError where it cannot be read."""
     if path.exists() and not path.is_file():
-        raise InputFileError(f"{path}: no file; give the JSON of an earlier `vibrocast measure`")
+        raise InputError(f"{path}: no file; give the JSON of an earlier `vibrocast measure`")
     if path.stat().st_size > _MAX_BYTES:
-        raise InputFileError(f"{path}: longer than any run's JSON; give that of an earlier `vibrocast measure`")
+        raise InputError(f"{path}: longer than any run's JSON; give that of an earlier `vibrocast measure`")
     try:
         document = json.loads(path.read_text(encoding="utf-8"), parse_float=_finite, parse_constant=_finite)
         if (document["format"], document["schema"]) != (FORMAT, SCHEMA):
@@ -131,7 +173,7 @@ def read_results(path: Path) -> dict[str, Any]:
         dict(figures(document))
         compare(document, document)
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-        raise InputFileError(f"{path}: not the JSON of an earlier `vibrocast measure`; give that ({error})") from error
+        raise InputError(f"{path}: not the JSON of an earlier `vibrocast measure`; give that ({error})") from error
     return dict(document)
 
 
@@ -144,7 +186,7 @@ def _finite(text: str) -> float:
 
 
 def figures(document: dict[str, Any]) -> Iterator[tuple[str, float]]:
-    """Yield the known figures of a run: name, as in TOLERANCES behind any "place: ", and value."""
+    """Yield the known figures of a run: name, as in FIGURES behind any texture's name, and value."""
     for measurement in (*NAMES, LINK):
         for name, value in figures_of(document, measurement):
             if value is not None:
@@ -154,124 +196,77 @@ def figures(document: dict[str, Any]) -> Iterator[tuple[str, float]]:
 def figures_of(document: dict[str, Any], measurement: str) -> Iterator[tuple[str, float | None]]:
     """Yield the figures of one measurement, or of LINK; None where the run took it and does not know the figure."""
     measured = document[LINK] if measurement == LINK else document["measured"].get(measurement)
-    if measured:
-        for name, value in _FIGURES[measurement](measured):
+    for place, figure, value in _values(measurement, measured):
+        if figure.name:
+            name = f"{place}: {figure.name}" if measurement == "fidelity" else figure.name
             yield name, None if value is None else float(value)
-
-
-def _of_latency(latency: Any) -> Iterator[tuple[str, Any]]:
-    yield "latency, ms", latency["total_ms"]
-    yield "latency to the sensor, ms", latency.get("to_sensor_ms")
-    yield "jitter, ms", latency["jitter_ms"]
-    yield f"live: {DECODED}", latency["as_sent"]
-    yield "live: underruns", latency["underruns"]
-    yield "live: lost packets", latency["lost_packets"]
-    yield "clock: drift, ppm", latency["clock"]["drift_ppm"]
-
-
-def _of_smallest(smallest: Any) -> Iterator[tuple[str, Any]]:
-    yield "smallest stable latency, ms", (smallest["found"] or {}).get("total_ms")
-
-
-def _of_throughput(throughput: Any) -> Iterator[tuple[str, Any]]:
-    yield "throughput to the controller, bytes/s", throughput["to_controller_bytes_per_s"]
-    yield "throughput to the host, bytes/s", throughput["to_host_bytes_per_s"]
-
-
-def _of_load(loads: Any) -> Iterator[tuple[str, Any]]:
-    held = [load["channels"] * load["rate_hz"] for load in loads if not load["underruns"] + load["lost_packets"]]
-    yield "largest load, samples/s", max(held, default=0)
-
-
-def _of_gap(gaps: Any) -> Iterator[tuple[str, Any]]:
-    yield "longest gap, ms", gaps[0]["survived_ms"]
-    yield "longest gap with a full buffer, ms", gaps[-1]["survived_ms"]
-
-
-def _of_fidelity(textures: Any) -> Iterator[tuple[str, Any]]:
-    keys = {
-        DECODED: "as_decoded",
-        COMPUTED: "as_computed",
-        "underruns": "underruns",
-        "lost packets": "lost_packets",
-        "SNR, dB": "snr_db",
-        "SNR without the codec, dB": "playing_snr_db",
-        "ST-SIM": "st_sim",
-        "gain": "gain",
-        "lag, ms": "lag_ms",
-    }
-    for texture in textures:
-        for name, key in keys.items():
-            yield f"{texture['texture']}: {name}", texture[key]
-
-
-def _of_response(response: Any) -> Iterator[tuple[str, Any]]:
-    fit = response["fit"]
-    yield "corner, Hz", fit["corner_hz"]
-    yield "stroke, um", fit["stroke_um"]
-    yield "quality", fit["quality"]
-
-
-def _of_together(together: Any) -> Iterator[tuple[str, Any]]:
-    yield "controllers that played as computed", sum(each["as_computed"] is True for each in together)
-
-
-def _of_link(link: Any) -> Iterator[tuple[str, Any]]:
-    yield "to the controller: damaged frames", link.get("bad_frames_at_controller")
-    yield "to the host: damaged frames", link.get("bad_frames_at_host")
-
-
-_FIGURES = {
-    "latency": _of_latency,
-    "smallest": _of_smallest,
-    "throughput": _of_throughput,
-    "load": _of_load,
-    "gap": _of_gap,
-    "fidelity": _of_fidelity,
-    "response": _of_response,
-    "together": _of_together,
-    LINK: _of_link,
-}
 
 
 def judged(document: dict[str, Any]) -> Iterator[Judged]:
     """Yield the figures of a run that limits of a bench file judge."""
-    measured, link = document["measured"], document[LINK]
-    if latency := measured.get("latency"):
-        yield from judged_latency(latency)
-    for texture in measured.get("fidelity") or ():
-        place = texture["texture"]
-        for key in ("snr_db", "gain", "st_sim", "underruns"):
-            yield Judged(key, place, texture[key])
-        yield Judged("lost_percent", place, lost_percent(texture["lost_packets"], texture["packets"]))
-    if measured.get("load"):
-        ((_, load),) = _of_load(measured["load"])
-        yield Judged("load_samples_per_s", "load", load)
-    if link:
-        yield Judged("bad_frames", "link", sum(link.values()))
+    for measurement in NAMES:
+        yield from _judged(measurement, document["measured"].get(measurement))
+    yield from _judged(LINK, document[LINK])
 
 
 def judged_latency(latency: dict[str, Any]) -> Iterator[Judged]:
     """Yield the figures of a measured latency that limits judge."""
-    yield Judged("latency_ms", "live", latency["total_ms"])
-    yield Judged("sensor_latency_ms", "live", latency["to_sensor_ms"])
-    yield Judged("jitter_ms", "live", latency["jitter_ms"])
-    yield Judged("drift_ppm", "clock", latency["clock"]["drift_ppm"])
-    yield Judged("underruns", "live", latency["underruns"])
-    yield Judged("lost_percent", "live", lost_percent(latency["lost_packets"], latency["packets"]))
+    return _judged("latency", latency)
+
+
+def _judged(measurement: str, measured: Any) -> Iterator[Judged]:
+    for place, figure, value in _values(measurement, measured):
+        if figure.limit:
+            yield Judged(figure.limit, figure.name.rpartition(": ")[0] or place, value)
+
+
+def _values(measurement: str, measured: Any) -> Iterator[tuple[str, Figure, Any]]:
+    """Yield the place, the figure and the value of all figures of a measurement; none if it was not taken."""
+    for place, part in _parts(measurement, measured) if measured else ():
+        for figure in FIGURES[measurement]:
+            value = part
+            for key in figure.key.split("."):
+                value = None if value is None else value[key]
+            yield place, figure, value
+
+
+def _parts(measurement: str, measured: Any) -> list[tuple[str, Any]]:
+    """Return the parts of a measurement with their places; those of lists get the keys that FIGURES names."""
+    match measurement:
+        case "latency":
+            return [("live", _with_share(measured))]
+        case "load":
+            held = [each["channels"] * each["rate_hz"] for each in measured if not _lost(each)]
+            return [("load", {"held": max(held, default=0)})]
+        case "gap":
+            return [("gap", {"usual": measured[0], "full": measured[-1]})]
+        case "fidelity":
+            return [(each["texture"], _with_share(each)) for each in measured]
+        case "together":
+            return [("together", {"as_computed": sum(each["as_computed"] is True for each in measured)})]
+        case "link":  # a controller that was lost has no counts
+            return [(LINK, {"bad_frames_at_controller": None} | measured | {"bad_frames": sum(measured.values())})]
+    return [(measurement, measured)]
+
+
+def _with_share(measured: dict[str, Any]) -> dict[str, Any]:
+    return measured | {"lost_percent": lost_percent(measured["lost_packets"], measured["packets"])}
+
+
+def _lost(measured: dict[str, Any]) -> bool:
+    """Return whether packets of a stream came too late, or its output ran empty."""
+    return bool(measured["lost_packets"] or measured["underruns"])
 
 
 def deviations(document: dict[str, Any]) -> Iterator[str]:
     """Yield in words where the controller played something else than was sent, though it lost nothing."""
     measured = document["measured"]
     latency = measured.get("latency")
-    if latency and latency["as_sent"] is False and not (latency["lost_packets"] or latency["underruns"]):
+    if latency and latency["as_sent"] is False and not _lost(latency):
         yield f"live: {DECODED}"
     for texture in measured.get("fidelity") or ():
-        if texture["lost_packets"] or texture["underruns"]:
-            continue
         for name, key in ((DECODED, "as_decoded"), (COMPUTED, "as_computed")):
-            if texture[key] is False:
+            if texture[key] is False and not _lost(texture):
                 yield f"{texture['texture']}: {name}"
     for each in measured.get("together") or ():
         if each["as_computed"] is False and not each["underruns"]:
@@ -281,7 +276,7 @@ def deviations(document: dict[str, Any]) -> Iterator[str]:
 def warnings(document: dict[str, Any]) -> Iterator[str]:
     """Yield in words what makes a figure of `figures` uncertain."""
     latency = document["measured"].get("latency")
-    if latency and (latency["lost_packets"] or latency["underruns"]):
+    if latency and _lost(latency):
         yield (
             f"{latency['lost_packets']} packets came too late while the latency was measured, with "
             f"{latency['underruns']} underruns; use a less busy machine"
@@ -329,7 +324,7 @@ def _change(name: str, before: float | None, now: float | None, was_taken: bool,
     elif before is None and name in _ALWAYS_KNOWN:
         problem = "known in neither run"
     elif before is not None and now is not None:
-        tolerance = TOLERANCES[name.rpartition(": ")[2]]
+        tolerance = _TOLERANCES[name.rpartition(": ")[2]]
         problem = None if tolerance.allows(before, now) else "worse"
     return Change(name, before, now, problem)
 

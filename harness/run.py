@@ -35,7 +35,7 @@ def measure_bench(
 
     `names`: some of NAMES. `earlier`: the document of an earlier run to compare with (`read_results`). A measurement
     that fails leaves the others; after a lost controller, or Ctrl-C, what was measured before is written. Raises
-    BenchFileError, ControllerError, TransportError, OSError.
+    InputError, ControllerError, TransportError, OSError.
     """
     results = Results({}, {}, asked=_possible(bench, names), run=Provenance(bench.sha256))
     folder.mkdir(parents=True, exist_ok=True)

@@ -17,10 +17,11 @@ from typing import BinaryIO, TypeAlias
 
 import numpy as np
 
-from vibrocast import extras, textures
-from vibrocast.device_protocol.transports import TransportError
+from vibrocast import textures
+from vibrocast.errors import VibrocastError
 from vibrocast.harness.recorder import Levels, Source, open_source, pieces
 from vibrocast.host.bench_file import Sensor
+from vibrocast.host.controller import Controller
 from vibrocast.textures import Recording
 from vibrocast.textures.recording import Signal
 from vibrocast.textures.sensitivity import parse
@@ -36,13 +37,15 @@ class TimedRecording(Recording):
 Recorder: TypeAlias = Callable[[float], AbstractContextManager[Callable[[], Recording]]]
 """Records for so many seconds; what it yields waits for the end and gives the recording, m/s^2 or um."""
 
+AROUND_S = 1.0
+"""Recorded before and after what is played: how late the controller starts, and the ends that filters need."""
 # A program may take so long to start, and to end after its time.
 _STARTS_WITHIN_S = 1.0
 _ENDS_WITHIN_S = 15.0
 _MAX_COMPLAINT_BYTES = 500
 
 
-class SensorError(RuntimeError):
+class SensorError(VibrocastError):
     """A sensor's program that failed, or a recording that cannot be used; the message says what to do."""
 
 
@@ -76,6 +79,20 @@ def recorder(sensor: Sensor) -> Recorder:
 
 
 @contextlib.contextmanager
+def recorded(
+    recorder: Recorder | None, controller: Controller, seconds: float
+) -> Iterator[Callable[[], Recording] | None]:
+    """Record what is played in the block, for so many seconds, with AROUND_S before and after it.
+
+    Yields what waits for the recording; None without a recorder. Raises SensorError.
+    """
+    with contextlib.nullcontext() if recorder is None else recorder(seconds + 2 * AROUND_S) as finish:
+        if finish is not None:
+            controller.sleep(AROUND_S)
+        yield finish
+
+
+@contextlib.contextmanager
 def _at_input(sensor: Sensor, seconds: float) -> Iterator[Callable[[], Recording]]:
     """Record these seconds at a sensor's input, from now on. Raises SensorError."""
     assert sensor.input is not None, "required"
@@ -90,7 +107,7 @@ def _at_input(sensor: Sensor, seconds: float) -> Iterator[Callable[[], Recording
                     rate_hz=None if sensor.rate_hz is None else int(sensor.rate_hz),
                 )
             )
-        except (TransportError, textures.TextureError, extras.MissingExtraError) as error:
+        except VibrocastError as error:
             raise SensorError(f"sensor {sensor.name}: {error}") from error
         if source.channels != 1:
             raise SensorError(

@@ -6,7 +6,6 @@ import struct
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -46,10 +45,6 @@ _LINE = re.compile(rf"\s*(\d{{1,16}})((?:\s*,\s*{_NUMBER}){{1,{MAX_CHANNELS}}})\
 _FACT = re.compile(r"(\w+)\s*=\s*(\S+)")
 
 
-class SensorStreamError(TransportError):
-    """A serial sensor that sends nothing, or something else than samples; the message says what to do."""
-
-
 @dataclass(frozen=True)
 class Description:
     """The facts that a sensor states of its samples; None = not stated.
@@ -71,7 +66,7 @@ class Description:
     def with_facts(self, text: str) -> "Description":
         """Return this description with those of a text such as `rate_hz=3200 unit=g axes=xyz`.
 
-        Words without a known name are comments. Raises SensorStreamError for wrong values, and for changed ones.
+        Words without a known name are comments. Raises TransportError for wrong values, and for changed ones.
         """
         given: dict[str, int | float | str] = {}
         known = [each.name for each in fields(self)]
@@ -80,7 +75,7 @@ class Description:
                 given[name] = _fact(name, value)
         for name, fact in given.items():
             if getattr(self, name) not in (None, fact):
-                raise SensorStreamError(
+                raise TransportError(
                     f"the sensor states {name}={getattr(self, name)}, and then {name}={fact}; correct its program"
                 )
         return replace(self, **given)  # type: ignore[arg-type]
@@ -103,7 +98,7 @@ def _fact(name: str, text: str) -> int | float | str:
         if not 1 / _MAX_VALUE < number < _MAX_VALUE:
             raise ValueError
     except (ValueError, OverflowError):
-        raise SensorStreamError(
+        raise TransportError(
             f"the sensor states {name}={plain(text[:40])}, which cannot be; correct its program"
         ) from None
     return int(number) if name == "rate_hz" else number
@@ -143,7 +138,7 @@ class Lines:
     def feed(self, data: bytes) -> list[tuple[int, tuple[float, ...]]]:
         """Take bytes that arrived; return the times in us and values of the lines that they complete.
 
-        Raises SensorStreamError for a comment that states wrong facts.
+        Raises TransportError for a comment that states wrong facts.
         """
         samples = []
         *closed, rest = data.split(b"\n")
@@ -200,7 +195,7 @@ class Frames:
     def feed(self, data: bytes) -> list[tuple[int, Signal]]:
         """Take bytes that arrived; return the number of the first sample and the samples (n, channels) of each frame.
 
-        Frames before a description with axes are left out. Raises SensorStreamError for a description with wrong facts.
+        Frames before a description with axes are left out. Raises TransportError for a description with wrong facts.
         """
         pieces = []
         for payload in self._reader.feed(data):
@@ -222,20 +217,11 @@ class Frames:
         return pieces
 
 
-class Placing(Protocol):
-    """Puts what a sensor sent on a uniform grid, and counts what is lost."""
-
-    losses: Losses
-
-    def warnings(self) -> list[str]:
-        """Return remarks on the stream, for people."""
-
-    def feed(self, data: bytes) -> Signal:
-        """Take bytes that arrived; return the samples (n, channels) that are now known. Raises SensorStreamError."""
-
-
 class NumberedSamples:
-    """Samples of binary frames, whose numbers count them: a gap is interpolated from its two ends."""
+    """Puts samples of binary frames, whose numbers count them, on a uniform grid.
+
+    A gap is interpolated from its two ends. `losses`: the samples that were lost.
+    """
 
     def __init__(self, frames: Frames, rate_hz: int) -> None:
         self.losses = Losses()
@@ -246,16 +232,16 @@ class NumberedSamples:
         self._bad_before = frames.bad
 
     def feed(self, data: bytes) -> Signal:
-        """As `Placing.feed`."""
+        """Take bytes that arrived; return the samples (n, channels) that are now known. Raises TransportError."""
         return self.place(self._frames.feed(data))
 
     def place(self, pieces: list[tuple[int, Signal]]) -> Signal:
-        """Return the samples of frames in a row, those of gaps between them filled in. Raises SensorStreamError."""
+        """Return the samples of frames in a row, those of gaps between them filled in. Raises TransportError."""
         placed = [np.zeros((0, len(self._frames.description.axes or "")))]
         for number, samples in pieces:
             missing = 0 if self._expected is None else (number - self._expected) % 2**32
             if missing > MAX_FILLED_S * self._rate_hz:
-                raise SensorStreamError(
+                raise TransportError(
                     f"the sensor's count of samples jumps from {self._expected} to {number}, which is more than "
                     f"{MAX_FILLED_S:g} s; check its cable and that it does not restart"
                 )
@@ -270,13 +256,13 @@ class NumberedSamples:
         return np.concatenate(placed)
 
     def warnings(self) -> list[str]:
-        """As `Placing.warnings`."""
+        """Return remarks on the stream, for people."""
         damaged = self._frames.bad - self._bad_before
         return [f"{damaged} damaged frame(s)"] if damaged else []
 
 
 class TimedSamples:
-    """Samples of lines, interpolated from their times to a uniform grid.
+    """Puts samples of lines on a uniform grid, interpolated from their times. `losses`: the samples that were lost.
 
     Between samples by the cubic polynomial with the parabolic slope at either end (C. de Boor, A Practical Guide to
     Splines, 1978, chapter IV: Bessel interpolation), over gaps by a line.
@@ -299,17 +285,17 @@ class TimedSamples:
         self._second: list[float] = []
 
     def feed(self, data: bytes) -> Signal:
-        """As `Placing.feed`."""
+        """Take bytes that arrived; return the samples (n, channels) that are now known. Raises TransportError."""
         found = self._lines.feed(data)
         if self._lines.bad_in_a_row > _MAX_BAD_LINES:
-            raise SensorStreamError(
+            raise TransportError(
                 f"the sensor has sent {self._lines.bad_in_a_row} lines in a row that hold no sample; check its "
                 "program, its cable and the @BAUD of its address"
             )
         return self.place(found)
 
     def place(self, found: list[tuple[int, tuple[float, ...]]]) -> Signal:
-        """Return the samples on the grid that further lines determine. Raises SensorStreamError."""
+        """Return the samples on the grid that further lines determine. Raises TransportError."""
         times_us, samples = [], []
         for time_us, values in found:
             if self._first_us is None:
@@ -320,14 +306,14 @@ class TimedSamples:
                     self._first_us -= _WRAP_US
                     step_us += _WRAP_US
                 if step_us > 1e6 * MAX_FILLED_S:
-                    raise SensorStreamError(
+                    raise TransportError(
                         f"the sensor's time jumps by {step_us / 1e6:g} s; check its cable and that it does not restart"
                     )
                 if step_us <= 0:
                     self._late += 1
                     self._all_late += 1
                     if self._late > _MAX_BAD_LINES:
-                        raise SensorStreamError(
+                        raise TransportError(
                             "the sensor's time runs back; check that it does not restart, and that its time is in us"
                         )
                     continue
@@ -389,7 +375,7 @@ class TimedSamples:
         return result
 
     def warnings(self) -> list[str]:
-        """As `Placing.warnings`."""
+        """Return remarks on the stream, for people."""
         remarks = []
         if damaged := self._lines.bad - self._bad_before:
             remarks.append(f"{damaged} line(s) without a sample")
@@ -409,8 +395,7 @@ class SerialSensor(Closing):
     """A serial sensor that sends samples.
 
     `rate_hz`, `sensitivity` and `axes`: needed where the sensor does not state them. `axes` may also choose some of
-    those that it states. Raises TransportError, SensorStreamError, and TextureError for options that are missing or
-    contradict the sensor.
+    those that it states. Raises TransportError, and TextureError for options that are missing or contradict the sensor.
 
     Attributes:
         rate_hz: Of the samples that `read` returns.
@@ -479,7 +464,7 @@ class SerialSensor(Closing):
     def read(self, timeout_s: float) -> Signal:
         """Return the samples (n, channels) since the last call; none after `timeout_s`.
 
-        Raises TransportError if the port breaks off, and SensorStreamError if the sensor sends no samples any more.
+        Raises TransportError if the port breaks off, and if the sensor sends no samples any more.
         """
         first, self._first = self._first, self._first[:0]
         if len(first):
@@ -495,7 +480,7 @@ class SerialSensor(Closing):
         if data:
             self._heard_s = now_s
         elif now_s - self._heard_s > _SILENT_S:
-            raise SensorStreamError(f"{self.name} sends nothing; check that the sensor runs, and that this is its port")
+            raise TransportError(f"{self.name} sends nothing; check that the sensor runs, and that this is its port")
         return data
 
     def _recognised(self) -> Lines | Frames:
@@ -523,23 +508,29 @@ class SerialSensor(Closing):
                     else "sends neither lines of samples nor frames; check the @BAUD of its address, and that this is "
                     "the sensor's port"
                 )
-                raise SensorStreamError(f"{self.name} {problem}")
+                raise TransportError(f"{self.name} {problem}")
 
     def _scaled(self, sensitivity: Sensitivity | None) -> tuple[float, str]:
         """Return the value of one count, and its unit. Raises TextureError."""
         stated = self.description
         if stated.unit is not None:
             if sensitivity is not None:
-                raise TextureError(f"{self.name} states its unit, {stated.unit}; leave out `sensitivity`")
+                raise TextureError(
+                    f"{self.name} states its unit, {stated.unit}; leave out `sensitivity`", parameter="sensitivity"
+                )
             unit, factor = INPUT_UNITS[stated.unit]
             return factor / (stated.counts_per_unit or 1.0), unit
         if sensitivity is None:
             raise TextureError(
-                f"{self.name} does not state its unit; give `sensitivity`, such as 256/g where 256 is one g"
+                f"{self.name} does not state its unit",
+                action="give `sensitivity`, such as 256/g where 256 is one g",
+                parameter="sensitivity",
             )
         if sensitivity.in_volts:
             raise TextureError(
-                f"{self.name} sends numbers, not volts; give `sensitivity` in counts, such as 256/g where 256 is one g"
+                f"{self.name} sends numbers, not volts",
+                action="give `sensitivity` in counts, such as 256/g where 256 is one g",
+                parameter="sensitivity",
             )
         return 1 / sensitivity.per_unit, sensitivity.unit
 
@@ -548,39 +539,49 @@ class SerialSensor(Closing):
         width = reader.channels if isinstance(reader, Lines) else len(reader.description.axes or "")
         stated = self.description.axes or (axes if axes else "xyz" if width == MAX_CHANNELS else "")
         if stated and len(stated) != width:
-            raise TextureError(f"{self.name} sends {width} channels, and {len(stated)} axes are named: `axes`={stated}")
+            raise TextureError(
+                f"{self.name} sends {width} channels, and {len(stated)} axes are named",
+                f"`axes`={stated}",
+                parameter="axes",
+            )
         if missing := [axis for axis in axes if axis not in stated]:
-            raise TextureError(f"{self.name} has the axes {stated}; leave {missing[0]} out of `axes`")
+            raise TextureError(
+                f"{self.name} has the axes {stated}", action=f"leave {missing[0]} out of `axes`", parameter="axes"
+            )
         chosen = "".join(sorted(axes or stated))
         return ([stated.index(axis) for axis in chosen] if chosen else list(range(width))), chosen
 
-    def _placed(self, reader: Lines | Frames, rate_hz: int | None) -> tuple[Placing, Signal]:
-        """Return what places the samples, and the first ones. Raises TextureError and SensorStreamError."""
+    def _placed(self, reader: Lines | Frames, rate_hz: int | None) -> tuple[NumberedSamples | TimedSamples, Signal]:
+        """Return what places the samples, and the first ones. Raises TextureError and TransportError."""
         stated_hz = self.description.rate_hz
         if rate_hz is not None and stated_hz not in (None, rate_hz):
-            raise TextureError(f"{self.name} states {stated_hz} Hz; leave out `rate_hz`={rate_hz}")
+            raise TextureError(
+                f"{self.name} states {stated_hz} Hz", action=f"leave out `rate_hz`={rate_hz}", parameter="rate_hz"
+            )
         wanted_hz = rate_hz or stated_hz
         if isinstance(reader, Frames):
             if wanted_hz is None:
-                raise TextureError(f"{self.name} does not state its sample rate; give `rate_hz`")
+                raise TextureError(
+                    f"{self.name} does not state its sample rate", action="give `rate_hz`", parameter="rate_hz"
+                )
             self.rate_hz = wanted_hz
             numbered = NumberedSamples(reader, wanted_hz)
             return numbered, np.zeros((0, len(reader.description.axes or "")))
         found: list[tuple[int, tuple[float, ...]]] = []
         while len(found) < _MEASURED_LINES or found[-1][0] - found[0][0] < 1e6 * _MEASURED_S:
             if reader.bad_in_a_row > _MAX_BAD_LINES or len(found) > _MAX_MEASURED_LINES:
-                raise SensorStreamError(
+                raise TransportError(
                     f"{self.name}: its times do not rise in us, or its lines change; correct its program"
                 )
             found += reader.feed(self._bytes(0.1))
         steps_us = np.diff([float(time_us) for time_us, _ in found])
         median_us = float(np.median(steps_us))
         if not median_us >= 1e6 / MAX_RATE_HZ:
-            raise SensorStreamError(f"{self.name}: its times do not rise in us; correct its program")
+            raise TransportError(f"{self.name}: its times do not rise in us; correct its program")
         period_us = float(np.mean(steps_us[(steps_us > 0) & (steps_us <= _GAP_STEPS * median_us)]))
         measured_hz = 1e6 / period_us
         if wanted_hz is not None and abs(measured_hz - wanted_hz) > _RATE_TOLERANCE * wanted_hz:
-            raise SensorStreamError(
+            raise TransportError(
                 f"{self.name} gives its rate as {wanted_hz} Hz, and its times say {measured_hz:.1f} Hz; correct one of "
                 "them, or raise the @BAUD of its address if it loses lines"
             )

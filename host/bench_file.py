@@ -15,7 +15,7 @@ from msgspec import Meta, structs
 from vibrocast import textures
 from vibrocast.device_protocol.messages import ActuatorDescription
 from vibrocast.device_protocol.transports import SERIAL_FORM, TransportError, serial_port
-from vibrocast.files import InputFileError
+from vibrocast.errors import InputError, located
 from vibrocast.host import devices
 from vibrocast.host.bench_limits import BenchLimits
 from vibrocast.host.controller import Controller
@@ -29,7 +29,6 @@ from vibrocast.toml_tables import (
     check_names,
     check_programs,
     convert,
-    located,
     one_of,
     read_each,
     read_toml,
@@ -47,10 +46,6 @@ Reduction = Annotated[str, one_of(textures.REDUCTIONS)]
 DEFAULT_TEXTURE = "wood"
 MAX_DIFFERENCE = 0.25
 """Of an actuator's frequency and stroke from its data sheet; more is another actuator, or a broken one."""
-
-
-class BenchFileError(InputFileError):
-    """A bench file that is wrong; the message names file, table and key, and says what to do."""
 
 
 _ADDRESS = rf"\A({'|'.join(map(re.escape, devices.SIMULATED))}|{devices.ADDRESS.pattern})\Z"
@@ -224,7 +219,7 @@ class Bench:
         return models.get(channel, models.get(None))
 
     def scene(self) -> tuple[Recording, ...]:
-        """Return the textures, loaded or made; a generated one where the bench names none. Raises BenchFileError."""
+        """Return the textures, loaded or made; a generated one where the bench names none. Raises InputError."""
         if not self.textures:
             return (textures.GENERATORS[DEFAULT_TEXTURE](),)
         return tuple(load() for load in self.textures)
@@ -233,9 +228,9 @@ class Bench:
 def read_bench(path: Path, allow_programs: bool = False) -> Bench:
     """Read a bench file. `allow_programs`: whether its sensors may be programs.
 
-    Raises BenchFileError, and OSError where it cannot be read.
+    Raises InputError, and OSError where it cannot be read.
     """
-    with located(path, BenchFileError):
+    with located(path):
         file = convert(read_toml(path, "bench file"), _BenchFile)
         names = [each.name for each in file.controllers]
         check_names("controllers", names)
@@ -296,7 +291,7 @@ def check_places(kind: str, entries: Sequence[BenchActuator | Sensor]) -> None:
 def choose_controller(bench: Bench | None, device: str | None) -> Bench:
     """Return the bench with the controller that `device` names, by name or address, as the first; None = as it is.
 
-    Without a bench, one with that controller alone. Raises BenchFileError for any other text.
+    Without a bench, one with that controller alone. Raises InputError for any other text.
     """
     if bench is None:
         bench = Bench((BenchController("controller", "sim"),))
@@ -308,7 +303,7 @@ def choose_controller(bench: Bench | None, device: str | None) -> Bench:
         if device in (each.name, each.address):
             return replace(bench, controllers=(each, *(other for other in bench.controllers if other is not each)))
     if not re.search(_ADDRESS, device):
-        raise BenchFileError(f"{device!r} is no controller: give a name in the bench file, or {_ADDRESSES}")
+        raise InputError(f"{device!r} is no controller: give a name in the bench file, or {_ADDRESSES}")
     return replace(bench, controllers=(BenchController(bench.first.name, device), *bench.controllers[1:]))
 
 
@@ -324,7 +319,7 @@ def connect(bench: Bench, controller: BenchController) -> Iterator[Controller]:
 
 
 def check_actuator(bench: Bench, controller: BenchController, description: ActuatorDescription) -> None:
-    """Raise BenchFileError where a controller drives another actuator than the bench has there.
+    """Raise InputError where a controller drives another actuator than the bench has there.
 
     `description`: the controller's. A part differs from its data sheet by less than MAX_DIFFERENCE.
     """
@@ -333,7 +328,7 @@ def check_actuator(bench: Bench, controller: BenchController, description: Actua
         return
     differences = actuator_differences(expected, actuator_model(description))
     if differences:
-        raise BenchFileError(
+        raise InputError(
             f"{controller.name} drives {description.name}, and the bench has {expected.name} there: "
             f"{'; '.join(differences)}; correct the actuator of the bench, or connect the right controller"
         )
@@ -385,7 +380,7 @@ def _loader(folder: Path, table: _BenchTexture) -> Callable[[], Recording]:
 
 
 def _loaded(place: object, load: Callable[[], Recording]) -> Recording:
-    with located(place, BenchFileError):
+    with located(place):
         return load()
 
 

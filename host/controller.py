@@ -31,6 +31,7 @@ from vibrocast.device_protocol.messages import (
     unpack,
 )
 from vibrocast.device_protocol.transports import Closing, DeviceGone, Transport, TransportError, selectable
+from vibrocast.errors import NO_DEVICE, VibrocastError
 from vibrocast.host import event_loop
 from vibrocast.host.event_loop import Steps
 from vibrocast.host.tracing import TappedTransport
@@ -56,19 +57,21 @@ _Answer = TypeVar("_Answer", bound=Message)
 _Result = TypeVar("_Result")
 
 
-class ControllerError(RuntimeError):
+class ControllerError(VibrocastError):
     """A controller that rejected a request, or that does not do what the protocol says.
 
     `code`: the ErrorCode it answered (or a later one); None if it rejected nothing.
     """
 
-    def __init__(self, text: str, code: int | None = None) -> None:
-        super().__init__(text)
+    def __init__(self, problem: str, code: int | None = None, parameter: str | tuple[str, ...] = ()) -> None:
+        super().__init__(problem, parameter=parameter)
         self.code = code
 
 
 class ConnectionLost(ControllerError):
     """A controller that no longer answers, has restarted or has given the host up: `Controller.reconnect` may help."""
+
+    exit_code = NO_DEVICE
 
 
 @dataclass

@@ -242,8 +242,9 @@ def sound_card_of(address: str, actuator: "Actuator | None") -> "tuple[Card, tup
 
     if actuator is None:
         raise TransportError(
-            f"{address}: nothing says which actuator is behind the sound card; name one by `actuator`, or by "
-            "[[actuators]] in the bench file"
+            f"{address}: nothing says which actuator is behind the sound card",
+            action="name one by `actuator`, or by [[actuators]] in the bench file",
+            parameter="actuator",
         )
     match = _parsed(address)
     volts = _volts(address, actuator)
@@ -276,14 +277,16 @@ def decoding_runtime(address: str, runtime: str | None) -> str | None:
     if address not in FIRMWARE:
         return runtime
     if runtime == "onnx":
-        raise TransportError(f"{address} decodes by the integer core alone; leave out `runtime`, or play on sim")
+        raise TransportError(
+            f"{address} decodes by the integer core alone; leave out `runtime`, or play on sim", parameter="runtime"
+        )
     return "core"
 
 
 @contextlib.contextmanager
 def _firmware(address: str) -> Iterator[str]:
     """Run one of FIRMWARE and yield its serial port. Raises TransportError and MissingExtraError."""
-    from vibrocast.firmware.build import BuildError
+    from vibrocast.firmware.native_core import BuildError
     from vibrocast.simulated_device.serial_port import has_pseudo_terminals, serial_port
 
     device = firmware_device(address)
@@ -307,7 +310,7 @@ def is_emulated(address: str) -> bool:
 
 def emulated(address: str) -> EmulatedBoard:
     """Return the board at an address that `is_emulated`. Raises TransportError and MissingExtraError."""
-    from vibrocast.firmware.build import BuildError
+    from vibrocast.firmware.native_core import BuildError
 
     start = firmware_device(address).board
     assert start is not None

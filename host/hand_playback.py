@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import Position, State, Status, Tap
-from vibrocast.files import InputFileError
-from vibrocast.host import playback as end_to_end
+from vibrocast.errors import InputError
+from vibrocast.host import playback
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.limits import playable
 from vibrocast.host.picture import Trace
@@ -64,51 +64,49 @@ def back_and_forth(stroke_mm: float, speed_mm_s: float, strokes: int) -> Movemen
     """Return a hand that strokes there and back along a cosine, this many `strokes`, at most at this speed."""
     seconds = strokes * math.pi * stroke_mm / speed_mm_s
     if not seconds <= _MAX_S:
-        raise InputFileError(
-            f"a movement of {seconds:.0f} s is too long; shorten it, by --loop, --hand or a faster hand"
-        )
+        raise InputError(f"a movement of {seconds:.0f} s is too long; shorten it, by --loop, --hand or a faster hand")
     times_s = np.arange(math.ceil(seconds * _POSITION_RATE_HZ) + 2) / _POSITION_RATE_HZ
     phase = np.minimum(2 * speed_mm_s / stroke_mm * times_s, 2 * math.pi * strokes)
     return Movement(times_s, stroke_mm / 2 * (1 - np.cos(phase)))
 
 
 def read_movement(path: Path) -> Movement:
-    """Read a CSV file with the columns time_s and position_mm. Raises InputFileError, OSError."""
+    """Read a CSV file with the columns time_s and position_mm. Raises InputError, OSError."""
     if path.exists() and not path.is_file():
-        raise InputFileError(f"{path}: no file; give a CSV file of time_s,position_mm")
+        raise InputError(f"{path}: no file; give a CSV file of time_s,position_mm")
     rows: list[tuple[float, float]] = []
     with path.open(newline="", encoding="utf-8", errors="replace") as file:
         lines = csv.reader(file)
         if [name.strip() for name in next(lines, [])] != ["time_s", "position_mm"]:
-            raise InputFileError(f"{path}: its first line must be time_s,position_mm")
+            raise InputError(f"{path}: its first line must be time_s,position_mm")
         for number, row in enumerate(lines, 2):
             try:
                 time_s, position_mm = map(float, row)
             except ValueError as error:
-                raise InputFileError(f"{path}: line {number} is not two numbers, time_s,position_mm") from error
+                raise InputError(f"{path}: line {number} is not two numbers, time_s,position_mm") from error
             if not (math.isfinite(time_s) and abs(position_mm) <= _MAX_MM):
-                raise InputFileError(f"{path}: line {number}: a position is within {_MAX_MM:g} mm, at a finite time")
+                raise InputError(f"{path}: line {number}: a position is within {_MAX_MM:g} mm, at a finite time")
             if rows and time_s <= rows[-1][0]:
-                raise InputFileError(f"{path}: line {number}: times must rise; sort the lines and drop copies")
+                raise InputError(f"{path}: line {number}: times must rise; sort the lines and drop copies")
             if len(rows) == _MAX_POSITIONS:
-                raise InputFileError(f"{path}: more than {_MAX_POSITIONS} positions; cut it into parts")
+                raise InputError(f"{path}: more than {_MAX_POSITIONS} positions; cut it into parts")
             rows.append((time_s, position_mm))
     if len(rows) < 2:
-        raise InputFileError(f"{path}: a movement has at least two positions; add some")
+        raise InputError(f"{path}: a movement has at least two positions; add some")
     times_s, positions_mm = np.array(rows).T
     if not times_s[-1] - times_s[0] <= _MAX_S:
-        raise InputFileError(f"{path}: a movement of more than {_MAX_S:.0f} s; cut it into parts")
+        raise InputError(f"{path}: a movement of more than {_MAX_S:.0f} s; cut it into parts")
     return Movement(times_s - times_s[0], positions_mm)
 
 
 def chosen_movement(hand: float | Path, speed_mm_s: float | None, strokes: int) -> Movement:
-    """Return strokes of a length in mm, or the movement in a file. Raises InputFileError and OSError."""
+    """Return strokes of a length in mm, or the movement in a file. Raises InputError and OSError."""
     if isinstance(hand, Path):
         if speed_mm_s or strokes != 1:
-            raise InputFileError(f"{hand} is a whole movement; drop --hand-speed-mm-s and --loop")
+            raise InputError(f"{hand} is a whole movement; drop --hand-speed-mm-s and --loop")
         return read_movement(hand)
     if speed_mm_s is None:
-        raise InputFileError("missing --hand-speed-mm-s; give the speed of the stroke")
+        raise InputError("missing --hand-speed-mm-s; give the speed of the stroke")
     return back_and_forth(hand, speed_mm_s, strokes)
 
 
@@ -276,7 +274,7 @@ def play_and_compare(
     controller, hello = member.controller, member.controller.description
     sent = playable(stream)
     played = play(controller, sent, movement, progress)
-    actuator = member.actuator or end_to_end.actuator_model(hello.actuator)
+    actuator = member.actuator or playback.actuator_model(hello.actuator)
     skin_model = member.skin_model or actuator
     expected = computed(sent, played, actuator)
     length_mm = 1e3 * stream.samples / stream.header.rate_hz
@@ -298,9 +296,9 @@ def play_and_compare(
         bad_frames=played.damaged,
         bad_frames_back=played.damaged_back,
         skin=_skin_quality(sent, texture, played, expected, actuator, skin_model),
-        device=end_to_end.device_description(member.address, hello),
+        device=playback.device_description(member.address, hello),
         sound_card=controller.sound_card,
-        actuator=end_to_end.actuator_use(actuator, skin_model, played.status),
+        actuator=playback.actuator_use(actuator, skin_model, played.status),
         dac_equals_offline=as_computed(played, expected, actuator),
     )
     return Stroke(played, expected, skin_model, report)

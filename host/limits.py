@@ -32,14 +32,16 @@ def check_limits(controller: Controller, channels: int, rate_hz: int) -> None:
     limits = controller.description.limits
     if channels > limits.channels:
         raise StreamError(
-            f"{channels} channels, the controller has {limits.channels}; take one with `axis`, combine three with "
-            "`reduce`, or play on another controller"
+            f"{channels} channels, the controller has {limits.channels}",
+            action="take one with `axis`, combine three with `reduce`, or play on another controller",
+            parameter=("axis", "reduce"),
         )
     if not limits.min_rate_hz <= rate_hz <= limits.max_rate_hz:
         nearest_hz = min(max(rate_hz, limits.min_rate_hz), limits.max_rate_hz)
         raise StreamError(
-            f"a stream of {rate_hz} Hz, the controller takes {limits.min_rate_hz} to {limits.max_rate_hz} Hz; "
-            f"encode the recording with `stream_rate_hz` {nearest_hz}"
+            f"a stream of {rate_hz} Hz, the controller takes {limits.min_rate_hz} to {limits.max_rate_hz} Hz",
+            action=f"encode the recording with `stream_rate_hz` {nearest_hz}",
+            parameter="stream_rate_hz",
         )
 
 

@@ -15,6 +15,7 @@ from vibrocast.codec.stream import image_hash
 from vibrocast.device_protocol.coded_stream import StreamHeader, renumbered
 from vibrocast.device_protocol.messages import EndStream, Start, State, Status
 from vibrocast.device_protocol.transports import DeviceGone, TransportError
+from vibrocast.errors import InputError
 from vibrocast.host.controller import ANSWER_TIMEOUT_S, ConnectionLost, Controller, ControllerError
 from vibrocast.host.limits import check_limits, check_packet
 from vibrocast.host.link import STATUS_INTERVAL_S, Link, frame_bytes
@@ -50,10 +51,6 @@ _AMPLE = 8
 _DRAINED = 0.25
 # How much earlier than it is needed a rate-controlled packet has to come.
 _GUARD_S = 0.005
-
-
-class LiveError(ValueError):
-    """A source that is not live; the message says what to do."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +124,8 @@ class LiveStream:
     `header`, `stream`, `packets_sent` (dropped ones included), `status`: of the stream under way. `begun`: streams so
     far; `earlier`: the last status of each of those before this one. `on_packets`: is called with packets before they
     are sent.
-    Raises CodecError, LiveError, StreamError for a stream that the controller rejects, ControllerError, TransportError.
+    Raises CodecError, InputError, ControllerError, TransportError, and StreamError for a stream that the controller
+    rejects.
     """
 
     def __init__(
@@ -387,12 +385,12 @@ class LiveStream:
             self._begin_encoder(self.packets_sent)
 
     def _reject_floods(self) -> None:
-        """Raise LiveError for a source that does not keep its own rate: what is ahead of time would be lost."""
+        """Raise InputError for a source that does not keep its own rate: what is ahead of time would be lost."""
         sent_s = self.packets_sent * self.packet_samples / self.format.rate_hz
         took_s = self.controller.clock() - self._began_s
         self._floods = self._floods + 1 if sent_s > _FLOOD_FACTOR * took_s else 0
         if self._floods == _MAX_FLOODS:
-            raise LiveError(
+            raise InputError(
                 f"the source is not live: it gave {sent_s:.1f} s of signal in {took_s:.1f} s; play a recording with "
                 "`vibrocast play`"
             )

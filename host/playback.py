@@ -399,8 +399,10 @@ def check_unit(stream_unit: str, unit: str | None) -> None:
     """
     if stream_unit == "full scale" and unit != "drive":
         raise CodecError(
-            "the signal does not state its unit, so how far it moves the actuator is unknown; encode it with its unit "
-            "and full scale, or pass `unit` drive to play it as the actuator's drive signal"
+            "the signal does not state its unit, so how far it moves the actuator is unknown",
+            action="encode it with its unit and full scale, or pass `unit` drive to play it as the actuator's drive "
+            "signal",
+            parameter="unit",
         )
 
 

@@ -46,7 +46,7 @@ def flash(
 
     `slot`: None = one that is not running. `progress` is called with the bytes that the slot has and the image's size.
     A cut connection is opened again for `reconnect_s`, and the transfer resumed; a later call resumes it as well.
-    An image that runs already is left alone. Raises ModelImageError, also for an image without the signature that the
+    An image that runs already is left alone. Raises ModelError, also for an image without the signature that the
     controller needs, ControllerError, TransportError, MessageError.
     """
     public_key = controller.description.public_key

@@ -8,16 +8,14 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from vibrocast.device_protocol.model_image import MAX_IMAGE_BYTES, ModelImage, ModelImageError, sha256
+from vibrocast.device_protocol.model_image import MAX_IMAGE_BYTES, ModelImage, sha256
+from vibrocast.device_protocol.model_image import ModelError as ModelError
+from vibrocast.errors import located
 
 CARD = "card.json"
 ANALYSIS = "analysis.onnx"
 IMAGE_SUFFIX = ".vcmi"
 _FOLDER = Path(__file__).parent
-
-
-class ModelError(ValueError):
-    """There is no such model, or its files are damaged; the message says what to do."""
 
 
 @dataclass(frozen=True)
@@ -97,8 +95,7 @@ def find(text: str) -> Model:
 def load(path: Path) -> Model:
     """Return the model in a folder that `vibrocast export` wrote, or that of a lone image file.
 
-    Raises ModelError for any other or a damaged file, ModelImageError for a damaged image, OSError for a file that
-    cannot be read.
+    Raises ModelError for any other or a damaged file or image, OSError for a file that cannot be read.
     """
     if not path.is_dir():
         return _of_image(path, _read(path))
@@ -120,10 +117,8 @@ def load(path: Path) -> Model:
 
 
 def _of_image(path: Path, image: bytes) -> Model:
-    try:
+    with located(path):
         return Model(ModelImage.unpack(image).name, path, image)
-    except ModelImageError as error:
-        raise ModelImageError(f"{path}: {error}") from error
 
 
 def _checked(path: Path, expected: str) -> bytes:

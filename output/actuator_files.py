@@ -4,14 +4,10 @@ from dataclasses import MISSING, asdict, fields
 from pathlib import Path
 from typing import Annotated
 
-from vibrocast.files import InputFileError
+from vibrocast.errors import InputError, located
 from vibrocast.output.actuator import ACTUATORS, Actuator
 from vibrocast.output.actuator_constants import constants
-from vibrocast.toml_tables import Table, Text, convert, located, one_of, read_toml, within
-
-
-class ActuatorFileError(InputFileError):
-    """A file that describes no actuator; the message says what to correct."""
+from vibrocast.toml_tables import Table, Text, convert, one_of, read_toml, within
 
 
 class ActuatorTable(Table, frozen=True, kw_only=True):
@@ -50,16 +46,16 @@ def find(name_or_path: str | Path) -> Actuator:
     """Return the actuator of a name in ACTUATORS, or of a TOML file (docs/reference/toml_files.md).
 
     The file has the keys of an entry of `[[actuators]]` at its top, or one such entry, as `vibrocast measure` writes
-    it. Raises ActuatorFileError, and OSError if the file cannot be read.
+    it. Raises InputError, and OSError if the file cannot be read.
     """
     if str(name_or_path) in ACTUATORS:
         return ACTUATORS[str(name_or_path)]
     path = Path(name_or_path)
     if not path.exists():
-        raise ActuatorFileError(
+        raise InputError(
             f"{name_or_path}: no actuator of that name and no file; give one of {', '.join(ACTUATORS)}, or a TOML file"
         )
-    with located(path, ActuatorFileError):
+    with located(path):
         document = read_toml(path, "description of an actuator")
         entries = document.get("actuators", [document])
         if not (isinstance(entries, list) and len(entries) == 1):

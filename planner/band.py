@@ -10,6 +10,7 @@ from vibrocast import textures
 from vibrocast.codec.stream import Stream
 from vibrocast.codec.threshold import MAX_HZ, over_threshold_db, threshold_amplitude
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
+from vibrocast.errors import InputError
 from vibrocast.host.playback import displacement_um
 from vibrocast.output.actuator import SKIN_OVERSAMPLING, Actuator, Codes, followed_gain
 from vibrocast.output.rendering import Drive, render
@@ -31,10 +32,6 @@ SPEEDS = 5
 """Number of hand speeds, from the lowest to the highest, whose bands a profile over position joins."""
 SLOWEST_MM_S = 10.0
 """A slower hand explores no texture: the finest parts of a profile are not coded for it."""
-
-
-class BandError(ValueError):
-    """A texture without a band worth coding. The message says why, and what to do."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +72,7 @@ def band_of(
     hand_speed_mm_s: tuple[float, float],
     over_position: bool,
 ) -> Band:
-    """Return the band worth coding. `threshold`: rows as of codec.threshold.read_threshold. Raises BandError."""
+    """Return the band worth coding. `threshold`: rows as of codec.threshold.read_threshold. Raises InputError."""
     if not isinstance(loaded, Profile):
         _check_recorded(loaded.rate_hz, loaded.name)
         levels = levels_of(loaded, actuator, threshold)
@@ -115,7 +112,7 @@ def levels_of(recording: Recording, actuator: Actuator, threshold: Samples) -> t
 def at_the_skin(recording: Recording, actuator: Actuator) -> Samples:
     """Return the displacement at the skin, um (n, channels), without a delay and without limits.
 
-    It is the recording's displacement (host.end_to_end.displacement_um), times the gain of compensation, DAC, whose
+    It is the recording's displacement (host.playback.displacement_um), times the gain of compensation, DAC, whose
     output is constant over a sample, and actuator.
     """
     displacement = displacement_um(recording.samples, recording.unit, recording.rate_hz, actuator)
@@ -213,10 +210,10 @@ def _edges(levels: tuple[Level, ...], name: str) -> tuple[float, float]:
     return round(lowest, 2), round(worth[-1] * edge, 2)
 
 
-def _nothing(levels: tuple[Level, ...], name: str) -> BandError:
+def _nothing(levels: tuple[Level, ...], name: str) -> InputError:
     best = max(levels, key=lambda level: min(level.level_db, level.reach_db))
     source = "the actuator's reach" if best.reach_db < best.level_db else "the texture"
-    return BandError(
+    return InputError(
         f"{name}: no part of it can be felt: at best, {source} lies {-min(best.level_db, best.reach_db):.0f} dB below "
         f"the detection threshold, at {best.frequency_hz:.0f} Hz; check unit and full_scale, or give another actuator"
     )
@@ -224,7 +221,7 @@ def _nothing(levels: tuple[Level, ...], name: str) -> BandError:
 
 def _check_recorded(recorded: float, name: str) -> None:
     if recorded < MIN_RATE_HZ:
-        raise BandError(
+        raise InputError(
             f"{name}: recorded at {recorded:g} Hz, but controllers play at least {MIN_RATE_HZ} Hz; record faster"
         )
 

@@ -15,13 +15,13 @@ from vibrocast.codec.shaping import DEFAULT_TOUCH, FLAT
 from vibrocast.codec.target_search import settings
 from vibrocast.codec.threshold import read_threshold
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT, StreamHeader
+from vibrocast.errors import InputError, located
 from vibrocast.firmware.native_core import library
 from vibrocast.output.profile import HAND_DELAY_US, HAND_SMOOTHING_US, min_samples
 from vibrocast.output.rendering import Drive
 from vibrocast.planner import costs
 from vibrocast.planner.band import (
     MARGIN_DB,
-    BandError,
     band_of,
     error_over_threshold_db,
     played_codes,
@@ -30,7 +30,7 @@ from vibrocast.planner.band import (
 )
 from vibrocast.planner.costs import MAX_LOAD_PERCENT
 from vibrocast.planner.plan_file import Forecast, encode, prepared
-from vibrocast.planner.scene import Asked, Scene, SceneTexture, Weights
+from vibrocast.planner.scene import MEASURES, Asked, Scene, SceneTexture, Weights
 from vibrocast.textures import Profile, Recording
 
 PACKET_BLOCKS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
@@ -111,7 +111,6 @@ class MeasuredCoding:
     peak_bps: float
     max_frame_bytes: int
     delay_samples: int
-    size_bytes: int
     snr_db: float | None
     spqi: float | None
     third_octave_distance_db: float | None
@@ -178,8 +177,7 @@ class Candidate:
 class Evaluator:
     """One texture of a scene, ready to be coded by every option; each coding is measured once.
 
-    `band`: the band worth coding. `whole`: the texture in it, at the stream's rate. Raises TextureError, CodecError,
-    BandError.
+    `band`: the band worth coding. `whole`: the texture in it, at the stream's rate. Raises InputError.
     """
 
     def __init__(self, scene: Scene, texture: SceneTexture) -> None:
@@ -197,7 +195,7 @@ class Evaluator:
         if self.over_position:
             least = min_samples(self.band.rate, self.actuator.dac_rate_hz)
             if not 0 < least <= len(self.whole.samples):
-                raise BandError(
+                raise InputError(
                     f"{texture.name}: its {1e3 * len(self.whole.samples) / self.band.rate:.3g} mm are too short to "
                     f"render by position, which needs {1e3 * least / self.band.rate:.3g} mm; measure a longer profile"
                 )
@@ -223,10 +221,8 @@ class Evaluator:
         """
         rate_hz = self.actuator.dac_rate_hz if self.over_position else self.band.rate
         header = StreamHeader(1, rate_hz, None, self.whole.unit, (1.0,) * self.texture.channels, b"")
-        try:
+        with located(self.texture.name):
             output: float = Drive(header, self.actuator, compensation=True).delay_seconds
-        except ValueError as error:
-            raise BandError(f"{self.texture.name}: {error}") from error
         hand_us = HAND_DELAY_US + 2 * HAND_SMOOTHING_US if self.over_position else 0
         return output + 1 / self.actuator.dac_rate_hz + hand_us / 1e6
 
@@ -361,7 +357,6 @@ class Evaluator:
             peak_bps=_peak_bps(frames, packet_s),
             max_frame_bytes=max(frames),
             delay_samples=decoder.delay_samples,
-            size_bytes=encoding.stream.size_bytes,
             snr_db=encoding.quality.snr_db,
             spqi=spqi(felt[0], decoded) if every or self._measure == "spqi" else None,
             third_octave_distance_db=(
@@ -442,30 +437,41 @@ class Evaluator:
             Limit("controllers", "flash_bytes", flash_bytes or 0, controller.flash_bytes),
             Limit("controllers", "ram_bytes", ram_bytes or 0, controller.ram_bytes),
         )
-        return Candidate(measured, forecast, buffer_ms, quality, shortfall, limits, weighted(forecast, scene.weights))
+        cost = sum(each.weight * each.amount / each.per for each in costs_of(forecast, scene.weights))
+        return Candidate(measured, forecast, buffer_ms, quality, shortfall, limits, cost)
+
+
+def wanted(asked: Asked) -> float:
+    """Return the target quality in its measure."""
+    return MARGIN_DB if asked.measure == "imperceptible" else float(getattr(asked, asked.measure))
 
 
 def quality_of(measured: MeasuredCoding, asked: Asked) -> tuple[float | None, float]:
     """Return the quality in the required measure, and its shortfall: at most 0 if it is reached."""
-    if asked.snr_db is not None:
-        return measured.snr_db, 0.0 if measured.snr_db is None else asked.snr_db - measured.snr_db
-    if asked.spqi is not None:
-        return measured.spqi, 0.0 if measured.spqi is None else asked.spqi - measured.spqi
-    if asked.third_octave_distance_db is not None:
-        distance_db = measured.third_octave_distance_db
-        return distance_db, 0.0 if distance_db is None else distance_db - asked.third_octave_distance_db
-    assert measured.error_db is not None, "the required quality is always measured"
-    return measured.error_db, measured.error_db - MARGIN_DB
+    quality = measured.error_db if asked.measure == "imperceptible" else getattr(measured, asked.measure)
+    return quality, 0.0 if quality is None else MEASURES[asked.measure].sign * (wanted(asked) - quality)
 
 
-def weighted(forecast: Forecast, weights: Weights) -> float:
-    """Return the weighted cost; figures that are None count nothing."""
+@dataclass(frozen=True)
+class Cost:
+    """One cost of a candidate: its `amount` over `per` counts `weight`. `more`: unit of a difference, in words."""
+
+    name: str
+    more: str
+    amount: float
+    per: float
+    weight: float
+
+
+def costs_of(forecast: Forecast, weights: Weights) -> tuple[Cost, ...]:
+    """Return all costs; figures that are None count nothing."""
+    instructions, its_weight = forecast.instructions_per_second or 0.0, weights.per_million_instructions_per_second
     memory_bytes = (forecast.flash_bytes or 0) + (forecast.ram_bytes or 0)
     return (
-        weights.per_kilobit_per_second * forecast.wire_bps / 1e3
-        + weights.per_million_instructions_per_second * (forecast.instructions_per_second or 0.0) / 1e6
-        + weights.per_kilobyte * memory_bytes / 1e3
-        + weights.per_millisecond * forecast.delay_ms
+        Cost("bits", "kbit/s more", forecast.wire_bps, 1e3, weights.per_kilobit_per_second),
+        Cost("instructions", "million instructions/s more", instructions, 1e6, its_weight),
+        Cost("memory", "kB more memory", memory_bytes, 1e3, weights.per_kilobyte),
+        Cost("delay", "ms more delay", forecast.delay_ms, 1.0, weights.per_millisecond),
     )
 
 

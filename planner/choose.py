@@ -5,12 +5,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 from vibrocast.codec.rate_controlled import RateTarget
-from vibrocast.files import InputFileError
+from vibrocast.errors import InputError, located
 from vibrocast.pages import listed
-from vibrocast.planner.band import MARGIN_DB, BandError
-from vibrocast.planner.candidates import BUFFERS_MS, Candidate, CodingOption, Evaluator
+from vibrocast.planner.candidates import BUFFERS_MS, Candidate, CodingOption, Evaluator, costs_of, wanted
 from vibrocast.planner.plan_file import CAPPED_MODE, SETTING_MODE, Plan, PlannedController, PlannedTexture
-from vibrocast.planner.scene import Asked, Scene, Weights
+from vibrocast.planner.scene import MEASURES, Asked, Scene, Weights
 
 Progress = Callable[[float, str], None]
 FIRST_PACKET_BLOCKS = 4
@@ -19,18 +18,8 @@ _FINER, _FINER_ON_THE_WHOLE = 3, 16
 """Finer settings that the search tries after the one found, in other packets, and on the whole of a long texture."""
 NEAREST = 3
 """Alternatives in the answer; candidates.csv has all candidates."""
-QUALITIES = {
-    "snr_db": ("SNR", " dB"),
-    "spqi": ("SPQI", ""),
-    "third_octave_distance_db": ("third-octave distance", " dB"),
-}
-"""Name and unit of each measure in the answer."""
 _RATE_LIMITS = {"rate_limit_bps", "bytes_per_second"}
 """Keys of the limits that a capped rate may keep if no setting does."""
-
-
-class PlanningError(InputFileError):
-    """A scene whose requirements no codec meets. The message names the requirement, the best result and the action."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +59,7 @@ class TextureChoice:
 
 
 def plan(scene: Scene, progress: Progress = lambda part, details: None) -> tuple[Plan, tuple[TextureChoice, ...]]:
-    """Plan every texture of a scene. Raises PlanningError, also for a texture that nobody can feel.
+    """Plan every texture of a scene. Raises InputError, also for a texture that nobody can feel.
 
     `progress`: called with the share that is done, 0 to 1, and a text.
     """
@@ -80,10 +69,8 @@ def plan(scene: Scene, progress: Progress = lambda part, details: None) -> tuple
         def tell(part: float, details: str, place: int = place, name: str = texture.name) -> None:
             progress((place + part) / len(scene.textures), f"{name}: {details}")
 
-        try:
+        with located(scene.path):
             evaluator = Evaluator(scene, texture)
-        except BandError as error:
-            raise PlanningError(f"{scene.path}: {error}") from error
         choices.append(choose(evaluator, scene, tell))
     planned = tuple(map(_planned, choices))
     controllers = tuple(PlannedController(each.name, each.address, each.clock_hz) for each in scene.controllers)
@@ -91,7 +78,7 @@ def plan(scene: Scene, progress: Progress = lambda part, details: None) -> tuple
 
 
 def choose(evaluator: Evaluator, scene: Scene, progress: Progress = lambda part, details: None) -> TextureChoice:
-    """Choose for one texture. Raises PlanningError.
+    """Choose for one texture. Raises InputError.
 
     It caps the rate only if no setting keeps the limits, because a capped rate takes more bits on average.
     """
@@ -169,7 +156,7 @@ class _Search:
         if not best.meets:
             return f"{cost} {'and' if is_higher else 'but'} misses the target: {self._missing(best)}"
         extra = _dominant_extra(best, compared, self._scene.weights)
-        return cost if extra is None else f"{cost}: {extra.text}"
+        return cost if extra is None else f"{cost}: {extra[1]}"
 
     def why(self, compared: Candidate) -> str:
         """Return in a sentence why an option was chosen, and how much more the next one costs."""
@@ -186,14 +173,14 @@ class _Search:
             return f"{first}the same"
         percent = 100 * (following.cost / compared.cost - 1) if compared.cost else math.inf
         more = "more" if percent == math.inf else f"{percent:.0f} % more" if percent >= 1 else "less than 1 % more"
-        return f"{first}{more}, mainly {extra.name}"
+        return f"{first}{more}, mainly {extra[0]}"
 
-    def error(self) -> PlanningError:
+    def error(self) -> InputError:
         """Return the error: the requirement that cannot be met, the best that can be reached, and what to change."""
         texture, candidates, asked = self._evaluator.texture, self.candidates(), self._scene.asked
         where = f"{self._scene.path}: {texture.name}"
         if not candidates:
-            return PlanningError(
+            return InputError(
                 f"{where}: no codec that {texture.controller} decodes takes this signal; choose another controller"
             )
         within = [each for each in candidates if not each.broken and each.quality is not None]
@@ -202,7 +189,7 @@ class _Search:
         if not enough:
             place = "the best is" if best is None else "the best within all limits is"
             best = best or min(candidates, key=lambda each: each.shortfall)
-            return PlanningError(
+            return InputError(
                 f"{where}: no codec reaches {target(asked)}; {place} {reached(best, asked)} "
                 f"({best.measured.option.name}); {_lowered(best, asked) or 'choose another measure of quality'}"
             )
@@ -218,7 +205,7 @@ class _Search:
         )
         limits = "the limit to this value" if len(nearest.broken) == 1 else "the limits to these values"
         lower = None if best is None else _lowered(best, asked)
-        return PlanningError(
+        return InputError(
             f"{where}: no codec reaches {target(asked)} with {exceeded}; {nearest.measured.option.name} comes nearest "
             f"and needs {needed}; {within_limits}; raise {limits}{'' if lower is None else f', or {lower}'}"
         )
@@ -306,32 +293,14 @@ def _octaves_over(candidate: Candidate) -> float:
     return sum(math.log2(limit.needed / limit.available) for limit in candidate.broken if limit.available)
 
 
-@dataclass(frozen=True)
-class _Extra:
-    """A cost of which one candidate has more than another: its name, and how much more, with its unit."""
-
-    name: str
-    text: str
-
-
-def _dominant_extra(best: Candidate, compared: Candidate, weights: Weights) -> _Extra | None:
-    """Return the cost that adds most to the weighted cost of `best`; None if none adds to it."""
-    a, b = best.forecast, compared.forecast
-    memory = [((each.flash_bytes or 0) + (each.ram_bytes or 0)) / 1e3 for each in (a, b)]
-    instructions = [(each.instructions_per_second or 0) / 1e6 for each in (a, b)]
-    weight, difference, name, unit = max(
-        (weights.per_kilobit_per_second, (a.wire_bps - b.wire_bps) / 1e3, "bits", "kbit/s more"),
-        (
-            weights.per_million_instructions_per_second,
-            instructions[0] - instructions[1],
-            "instructions",
-            "million instructions/s more",
-        ),
-        (weights.per_kilobyte, memory[0] - memory[1], "memory", "kB more memory"),
-        (weights.per_millisecond, a.delay_ms - b.delay_ms, "delay", "ms more delay"),
-        key=lambda part: part[0] * part[1],
-    )
-    return _Extra(name, f"{difference:.{2 if difference < 10 else 3}g} {unit}") if weight * difference > 0 else None
+def _dominant_extra(best: Candidate, compared: Candidate, weights: Weights) -> tuple[str, str] | None:
+    """Return the name of the cost that adds most to that of `best`, and by how much; None if none adds to it."""
+    pairs = zip(costs_of(best.forecast, weights), costs_of(compared.forecast, weights), strict=True)
+    extras = [((cost.amount - other.amount) / cost.per, cost) for cost, other in pairs]
+    difference, cost = max(extras, key=lambda pair: pair[1].weight * pair[0])
+    if cost.weight * difference <= 0:
+        return None
+    return cost.name, f"{difference:.{2 if difference < 10 else 3}g} {cost.more}"
 
 
 def _apart(a: float, b: float) -> str:
@@ -350,9 +319,10 @@ def _lowered(best: Candidate, asked: Asked) -> str | None:
     """Return how to require no more than the quality of `best`, rounded to the safe side; None if that cannot be."""
     if best.quality is None or asked.measure == "imperceptible":
         return None
-    if asked.measure == "third_octave_distance_db":
-        return f"raise {asked.measure} to {math.ceil(10 * best.quality) / 10:g}"
-    scale = 100 if asked.measure == "spqi" else 10
+    measure = MEASURES[asked.measure]
+    scale = 10**measure.digits
+    if measure.sign < 0:
+        return f"raise {asked.measure} to {math.ceil(scale * best.quality) / scale:g}"
     lower = math.floor(scale * best.quality) / scale
     return f"lower {asked.measure} to {lower:g}" if lower > 0 else None
 
@@ -369,20 +339,19 @@ def requirements(asked: Asked) -> str:
 
 def reached(candidate: Candidate, asked: Asked) -> str:
     """Return the quality of a candidate in words."""
-    if candidate.quality is None:
-        return "silence"
-    if asked.measure == "imperceptible":
-        return f"an error of {candidate.quality:+.1f} dB re the felt level"
-    name, unit = QUALITIES[asked.measure]
-    return f"{name} {candidate.quality:.3g}{unit}"
+    return "silence" if candidate.quality is None else _quality(candidate.quality, asked, "+.1f")
 
 
 def target(asked: Asked) -> str:
     """Return the required quality in words."""
+    return _quality(wanted(asked), asked, "g")
+
+
+def _quality(value: float, asked: Asked, error_form: str) -> str:
     if asked.measure == "imperceptible":
-        return f"an error of {MARGIN_DB:g} dB re the felt level"
-    name, unit = QUALITIES[asked.measure]
-    return f"{name} {getattr(asked, asked.measure):.3g}{unit}"
+        return f"an error of {value:{error_form}} dB re the felt level"
+    measure = MEASURES[asked.measure]
+    return f"{measure.name} {value:.3g}{measure.unit}"
 
 
 def _planned(choice: TextureChoice) -> PlannedTexture:

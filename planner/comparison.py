@@ -1,15 +1,14 @@
 """Compares forecasts of a plan with measurements of its playback: a table, and the failures."""
 
-import csv
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from msgspec import structs
 
-from vibrocast.files import atomic_write
+from vibrocast.planner.page import write_table
 from vibrocast.planner.playing import Played
 
 TOLERANCE = 0.1
@@ -126,12 +125,8 @@ def lines(compared: Sequence[Row]) -> list[str]:
 
 def write_csv(path: Path, compared: Sequence[Row]) -> None:
     """Write the figures as CSV, a line each. Raises OSError."""
-    with atomic_write(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(("texture", "quantity", "forecast", "measured", "deviation", "within"))
-        for row in compared:
-            fields = (row.texture, row.quantity.name, row.forecast, row.measured, row.deviation, row.within)
-            writer.writerow(["" if field is None else field for field in fields])
+    columns = [each.name for each in fields(Row)]
+    write_table(path, columns, ({**vars(row), "quantity": row.quantity.name} for row in compared))
 
 
 def document(played: Played) -> dict[str, Any]:

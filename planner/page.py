@@ -1,9 +1,9 @@
 """Shows a plan: the answer as text or JSON, the picture of the candidates, and their tables."""
 
+import csv
 import json
 import textwrap
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,13 +11,11 @@ from msgspec import structs
 
 from vibrocast import pages
 from vibrocast.codec.rate_controlled import RateTarget
-from vibrocast.evaluation.points import write_rows
 from vibrocast.files import atomic_write, plain
-from vibrocast.planner.band import MARGIN_DB
-from vibrocast.planner.candidates import Candidate
+from vibrocast.planner.candidates import Candidate, wanted
 from vibrocast.planner.choose import TextureChoice
 from vibrocast.planner.plan_file import PlannedTexture
-from vibrocast.planner.scene import Asked, Scene
+from vibrocast.planner.scene import MEASURES, Asked, Scene
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,105 +24,63 @@ CANDIDATES, BANDS, PICTURE, PLAN = "candidates.csv", "bands.csv", "plan.png", "p
 MAX_PANELS = 6
 WIDTH, INDENT = 80, 14
 """Columns of the answer, and of its labels."""
-FAR = {"snr_db": 6.0, "spqi": 0.3, "third_octave_distance_db": 4.0, "imperceptible": 12.0}
-"""Difference from the target, in the unit of each measure, up to which the picture shows candidates."""
 FAR_COST = 2.0
 """Multiple of the choice's cost up to which the picture shows candidates."""
 _LABEL, _LEGEND = 0.075, 0.74
 """Height of a line of a label, and lower end of the legend, as parts of a panel."""
-LABELS = {
-    "snr_db": "SNR, dB",
-    "spqi": "SPQI",
-    "third_octave_distance_db": "third-octave distance, dB (less is better)",
-    "imperceptible": "error re felt level, dB (less is better)",
-}
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*", "p", "h")
 # Dark to light, so that grey print keeps them apart; markers differ as well.
 _COLOURS = ("#20123a", "#0072b2", "#009e73", "#d55e00", "#cc79a7", "#56b4e9", "#e69f00")
 
 
-@dataclass(frozen=True)
-class CandidateRow:
-    """A line of candidates.csv; costs and qualities as in plan_file.Forecast.
+def write_tables(folder: Path, choices: Sequence[TextureChoice]) -> None:
+    """Write candidates.csv and bands.csv: all candidates, and the third octaves of each texture. Raises OSError."""
+    for name, rows_of in ((CANDIDATES, _candidate_rows), (BANDS, _band_rows)):
+        rows = [row for choice in choices for row in rows_of(choice)]
+        write_table(folder / name, list(rows[0]), rows)
+
+
+def write_table(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, object]]) -> None:
+    """Write rows as CSV; None is an empty field. Raises OSError."""
+    with atomic_write(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
+        table = csv.DictWriter(file, columns, lineterminator="\n")
+        table.writeheader()
+        table.writerows(rows)
+
+
+def _candidate_rows(choice: TextureChoice) -> Iterator[dict[str, object]]:
+    """Yield a row for each candidate; costs and qualities as in plan_file.Forecast.
 
     `short_of`: the requirements that it misses: "quality", or keys of limits. `packet_snr_db`, `capped_rate_bps`: of a
     capped rate, as in plan_file.PlannedTexture.
     """
-
-    texture: str
-    codec: str
-    model: str | None
-    setting: str
-    packet_snr_db: float | None
-    capped_rate_bps: float | None
-    packet_samples: int
-    refresh_packets: int
-    buffer_ms: float
-    cost: float
-    quality: float | None
-    meets: bool
-    chosen: bool
-    short_of: str
-    payload_bps: float
-    wire_bps: float
-    instructions_per_second: float | None
-    load_percent: float | None
-    flash_bytes: int | None
-    ram_bytes: int | None
-    snr_db: float | None
-    spqi: float | None
-    third_octave_distance_db: float | None
-    error_over_threshold_db: float | None
-    delay_ms: float
-
-
-@dataclass(frozen=True)
-class BandRow:
-    """A line of bands.csv: a third octave of a texture at the skin, levels in dB re the detection threshold."""
-
-    texture: str
-    frequency_hz: float
-    level_db: float
-    reach_db: float
-    worth_coding: bool
-
-
-def write_tables(folder: Path, choices: Sequence[TextureChoice]) -> None:
-    """Write candidates.csv and bands.csv. Raises OSError."""
-    with atomic_write(folder / CANDIDATES) as path:
-        write_rows(path, [row for choice in choices for row in _candidate_rows(choice)], CandidateRow)
-    with atomic_write(folder / BANDS) as path:
-        rows = [
-            BandRow(
-                choice.name, round(each.frequency_hz, 2), round(each.level_db, 2), round(each.reach_db, 2), each.worth
-            )
-            for choice in choices
-            for each in choice.evaluator.band.levels
-        ]
-        write_rows(path, rows, BandRow)
-
-
-def _candidate_rows(choice: TextureChoice) -> Iterator[CandidateRow]:
     for candidate in choice.candidates:
         measured = candidate.measured
         target = measured.target or RateTarget()
-        yield CandidateRow(
-            choice.name,
-            measured.option.codec,
-            measured.model,
-            json.dumps(measured.setting),
-            target.snr_db,
-            target.capped_rate_bps,
-            measured.packet_samples,
-            measured.refresh_packets,
-            candidate.buffer_ms,
-            round(candidate.cost, 4),
-            candidate.quality,
-            candidate.meets,
-            candidate == choice.chosen,
-            "; ".join(["quality"] * (candidate.shortfall > 0) + [limit.key for limit in candidate.broken]),
+        yield {
+            "texture": choice.name,
+            "codec": measured.option.codec,
+            "model": measured.model,
+            "setting": json.dumps(measured.setting),
+            "packet_snr_db": target.snr_db,
+            "capped_rate_bps": target.capped_rate_bps,
+            "packet_samples": measured.packet_samples,
+            "refresh_packets": measured.refresh_packets,
+            "buffer_ms": candidate.buffer_ms,
+            "cost": round(candidate.cost, 4),
+            "quality": candidate.quality,
+            "meets": candidate.meets,
+            "chosen": candidate == choice.chosen,
+            "short_of": "; ".join(["quality"] * (candidate.shortfall > 0) + [limit.key for limit in candidate.broken]),
             **structs.asdict(candidate.forecast),
-        )
+        }
+
+
+def _band_rows(choice: TextureChoice) -> Iterator[dict[str, object]]:
+    """Yield a row for each third octave of a texture at the skin; levels are in dB re the detection threshold."""
+    for each in choice.evaluator.band.levels:
+        levels = {name: round(getattr(each, name), 2) for name in ("frequency_hz", "level_db", "reach_db")}
+        yield {"texture": choice.name, **levels, "worth_coding": each.worth}
 
 
 def draw(path: Path, scene: Scene, choices: Sequence[TextureChoice]) -> None:
@@ -169,7 +125,7 @@ def _draw_panel(axes: "Axes", asked: Asked, choice: TextureChoice, codecs: Seque
     labels = [(chosen, choice.compared), *((option.name, best) for option, best in alternatives)]
     _label(axes, [(text, each) for text, each in labels if each in near])
     axes.axvline(wanted(asked), color="0.5", linestyle=(0, (5, 2)), linewidth=1)
-    axes.set_xlabel(f"{LABELS[asked.measure]}; dashed: the target")
+    axes.set_xlabel(f"{MEASURES[asked.measure].label}; dashed: the target")
     axes.set_ylabel("weighted cost")
     outside = len(choice.candidates) - len(near)
     note = f"; {outside} further candidates outside, see {CANDIDATES}" if outside else ""
@@ -232,13 +188,8 @@ def is_near(asked: Asked, choice: TextureChoice, candidate: Candidate) -> bool:
         return False
     factor = 2 if candidate in [each.best for each in choice.alternatives] else 1
     is_cheap = candidate.cost <= factor * FAR_COST * choice.compared.cost
-    is_close = abs(candidate.quality - wanted(asked)) <= factor * FAR[asked.measure]
+    is_close = abs(candidate.quality - wanted(asked)) <= factor * MEASURES[asked.measure].far
     return candidate == choice.compared or (is_cheap and is_close)
-
-
-def wanted(asked: Asked) -> float:
-    """Return the target quality in its measure."""
-    return MARGIN_DB if asked.measure == "imperceptible" else float(getattr(asked, asked.measure))
 
 
 def summary(asked: Asked, choice: TextureChoice, planned: PlannedTexture) -> str:
@@ -276,11 +227,7 @@ def document(choice: TextureChoice, planned: PlannedTexture) -> dict[str, object
         "texture": planned.name,
         "choice": {
             "option": choice.chosen.measured.option.name,
-            "codec": planned.codec,
-            "model": planned.model,
-            "setting": dict(planned.setting),
-            "rate": planned.rate,
-            "packet_samples": planned.packet_samples,
+            **{key: getattr(planned, key) for key in ("codec", "model", "setting", "rate", "packet_samples")},
             "controller": planned.controller,
             "cost": choice.compared.cost,
             "forecast": structs.asdict(planned.forecast),

@@ -20,7 +20,8 @@ from vibrocast.codec.rate_controlled import RateTarget
 from vibrocast.codec.stream import as_stream
 from vibrocast.codec.threshold import DETECTION_THRESHOLD, sites, threshold_file
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
-from vibrocast.files import InputFileError, atomic_write
+from vibrocast.errors import InputError, located
+from vibrocast.files import atomic_write
 from vibrocast.host.bench_file import (
     Bench,
     BenchActuator,
@@ -33,7 +34,7 @@ from vibrocast.host.bench_file import (
 from vibrocast.output.actuator_files import ActuatorTable
 from vibrocast.planner.scene import Source
 from vibrocast.textures import Profile, Recording
-from vibrocast.toml_tables import Table, Text, check_names, convert, located, one_of, read_each, read_toml, within
+from vibrocast.toml_tables import Table, Text, check_names, convert, one_of, read_each, read_toml, within
 
 FORMAT = 1
 MAX_RATE = 10_000_000
@@ -42,10 +43,6 @@ LOW_CUT_ORDER = 4
 SETTING_MODE = "setting"
 CAPPED_MODE = "capped"
 RATE_MODES = (SETTING_MODE, CAPPED_MODE)
-
-
-class PlanError(InputFileError):
-    """A mistake in a plan, or one that does not fit files or controllers. The message says what to do."""
 
 
 Figure = Annotated[float, within(-1e300, 1e300)]
@@ -125,25 +122,25 @@ class PlannedTexture(Table, frozen=True, kw_only=True):
         return RateTarget(capped_rate_bps=self.capped_rate_bps, snr_db=self.packet_snr_db)
 
     def recording(self) -> Recording:
-        """Load the texture and bring it to the stream's rate and band. Raises TextureError, PlanError."""
+        """Load the texture and bring it to the stream's rate and band. Raises TextureError, InputError."""
         self._check_files()
         return prepared(
             self.source.load(self.hand_speed_mm_s), self.hand_speed_mm_s, self.over_position, self.rate, self.lowest
         )
 
     def _check_files(self) -> None:
-        """Raise PlanError if the texture's files are missing, or have changed since they were planned."""
+        """Raise InputError if the texture's files are missing, or have changed since they were planned."""
         for file in self.source.files:
             if not file.is_file():
-                raise PlanError(f"{self.name}: {file} does not exist; restore it, or plan the scene again")
+                raise InputError(f"{self.name}: {file} does not exist; restore it, or plan the scene again")
         if self.sha256 is not None and self.sha256 != self.source.sha256():
             files = ", ".join(map(str, self.source.files))
-            raise PlanError(f"{self.name}: {files} changed since the plan was made; plan the scene again")
+            raise InputError(f"{self.name}: {files} changed since the plan was made; plan the scene again")
 
     def encode(self, recording: Recording | None = None) -> Encoding:
         """Code the texture as planned; `recording`: as `recording` returns it, where that has been done.
 
-        Raises CodecError, ModelError, PlanError, TextureError.
+        Raises InputError.
         """
         prepared_recording = recording or self.recording()
         model = None if self.model is None else models.find(self.model)
@@ -171,20 +168,17 @@ class Plan:
     threshold_path: Path = DETECTION_THRESHOLD
 
     def texture(self, name: str) -> PlannedTexture:
-        """Return the texture of that name. Raises PlanError."""
+        """Return the texture of that name. Raises InputError."""
         for texture in self.textures:
             if texture.name == name:
                 return texture
-        raise PlanError(
+        raise InputError(
             f"the plan has no texture {name!r}; choose from {', '.join(each.name for each in self.textures)}"
         )
 
     def bench(self) -> Bench:
-        """Return controllers, actuators and the textures over time as a bench; a texture raises as its `recording`."""
-        controllers = tuple(BenchController(each.name, each.address) for each in self.controllers)
-        over_time = tuple(each.recording for each in self.textures if not each.over_position)
-        names = tuple(each.name for each in self.textures if not each.over_position)
-        return Bench(controllers, self.actuators, textures=over_time, texture_names=names)
+        """Return controllers and actuators as a bench."""
+        return Bench(self.controllers, self.actuators)
 
 
 def prepared(
@@ -318,15 +312,15 @@ class _PlanFile(Table, frozen=True, kw_only=True):
 
 
 def is_plan(path: Path) -> bool:
-    """Return whether a TOML file is a plan rather than a scene. Raises PlanError, and OSError if it cannot be read."""
-    with located(path, PlanError):
+    """Return whether a TOML file is a plan rather than a scene. Raises InputError, and OSError if it cannot be read."""
+    with located(path):
         return "format" in read_toml(path, "scene or plan")
 
 
 def read_plan(path: Path) -> Plan:
-    """Read a plan file. Raises PlanError, and OSError if it cannot be read."""
+    """Read a plan file. Raises InputError, and OSError if it cannot be read."""
     folder = path.parent
-    with located(path, PlanError):
+    with located(path):
         file = convert(read_toml(path, "plan"), _PlanFile)
         names = [controller.name for controller in file.controllers]
         check_names("controllers", names)
@@ -351,7 +345,7 @@ def _texture(folder: Path, controllers: list[str], table: dict[str, Any]) -> Pla
     """Return a texture of a plan. Raises ValueError."""
     own = {key: table.pop(key) for key in _Source.__struct_fields__ if key in table}
     read = convert(own, _Source)
-    with located("[options]", ValueError):
+    with located("[options]"):
         options = structs.replace(convert(read.options, TextureTable), file=read.file, generate=read.generate).options()
     source = Source(tuple(folder / file for file in read.file or ()), read.generate, options)
     texture = convert({"source": source, **table}, PlannedTexture)

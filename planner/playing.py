@@ -3,7 +3,6 @@
 import contextlib
 import math
 import time
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -18,8 +17,8 @@ from vibrocast.codec.stream import Stream
 from vibrocast.codec.threshold import read_threshold
 from vibrocast.device_protocol.messages import PacketMessage, Position, State, Tap
 from vibrocast.device_protocol.transports import Transport, TransportError
-from vibrocast.host import devices, live, uploader
-from vibrocast.host import hand_playback as position_playback
+from vibrocast.errors import InputError
+from vibrocast.host import devices, hand_playback, live, uploader
 from vibrocast.host.bench_file import Bench, actuator_of, check_actuator, choose_controller, driven_actuator
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.device_clock import DeviceClock
@@ -28,7 +27,7 @@ from vibrocast.host.tracing import TappedTransport
 from vibrocast.output.actuator import Actuator, Codes
 from vibrocast.planner import band
 from vibrocast.planner.candidates import spqi
-from vibrocast.planner.plan_file import Plan, PlanError, PlannedController, PlannedTexture
+from vibrocast.planner.plan_file import Plan, PlannedController, PlannedTexture
 from vibrocast.textures import Recording
 
 RETAKES = 2
@@ -39,7 +38,7 @@ _ASKED_EVERY_S = 0.1
 
 
 class CountingController(Controller):
-    """A session that keeps what is sent of each stream, by its number: the packets, and the bytes of their frames.
+    """A session that keeps what is sent of a stream: the `packets`, and the bytes of their frames.
 
     `instructions`: returns how many the controller's processor has carried out; None where nothing counts them.
     """
@@ -52,17 +51,35 @@ class CountingController(Controller):
         instructions: Callable[[], int] | None = None,
     ) -> None:
         self.instructions = instructions
-        self.packets: defaultdict[int, list[bytes]] = defaultdict(list)
-        self.frame_bytes: defaultdict[int, int] = defaultdict(int)
+        self.forget()
         super().__init__(transport, clock, sleep)
+
+    def forget(self) -> None:
+        """Forget what was sent and noted so far, such as packets that probed the link."""
+        self.packets: list[bytes] = []
+        self.frame_bytes = 0
+        self._loads: list[tuple[float, int]] = []
+
+    def note_load(self) -> None:
+        """Note what the processor has done so far, if a stream plays."""
+        if self.instructions is not None and self.status is not None and self.status.state == State.PLAYING:
+            self._loads[1:] = [(self.clock(), self.instructions())]  # the first one, and the last
+
+    @property
+    def instructions_per_second(self) -> float | None:
+        """From the first note to the last; None where nothing counts, or nothing has played for any time."""
+        if len(self._loads) < 2:
+            return None
+        (first_s, first), (last_s, last) = self._loads
+        return (last - first) / (last_s - first_s)
 
     def send(self, data: PacketMessage | Position) -> None:
         """Send what is not answered; of stream data, keep what it was. Raises TransportError."""
         before = self.bytes_sent
         super().send(data)
         if isinstance(data, PacketMessage):
-            self.frame_bytes[data.stream] += self.bytes_sent - before
-            self.packets[data.stream] += data.packets
+            self.frame_bytes += self.bytes_sent - before
+            self.packets += data.packets
 
 
 Opener = Callable[[str, Actuator | None], AbstractContextManager[CountingController]]
@@ -122,7 +139,7 @@ def opened(address: str, actuator: Actuator | None) -> Iterator[CountingControll
         with devices.reach(address, actuator=actuator) as transport:
             yield CountingController(transport)
         return
-    from vibrocast.simulated_device.faulty_link import MemoryLink
+    from vibrocast.simulated_device.memory_link import MemoryLink
 
     if emulated:
         device = devices.emulated(address)
@@ -137,8 +154,8 @@ def opened(address: str, actuator: Actuator | None) -> Iterator[CountingControll
 class PartlyPlayedError(ControllerError):
     """Controllers that failed, by name; `played`: the textures that the others have played."""
 
-    def __init__(self, text: str, code: int | None, played: list[Played]) -> None:
-        super().__init__(text, code)
+    def __init__(self, text: str, played: list[Played]) -> None:
+        super().__init__(text)
         self.played = played
 
 
@@ -152,7 +169,7 @@ def play(
     """Play textures of a plan, all if none is named, and return what was measured, in the order asked for.
 
     Controllers play one after another, and so do the textures of each; a simulated one is flashed with the models that
-    it lacks. Raises PlanError if the plan does not fit files or controllers, PartlyPlayedError where some
+    it lacks. Raises InputError if the plan does not fit files or controllers, PartlyPlayedError where some
     controllers failed, ControllerError, and as `PlannedTexture.encode`.
     """
     wanted = [plan.texture(name) for name in names] or list(plan.textures)
@@ -184,37 +201,8 @@ def play(
             played.update({each.texture.name: each for each in own})
     in_order = [played[texture.name] for texture in wanted if texture.name in played]
     if failures:
-        code = next((error.code for error in failures.values() if isinstance(error, ControllerError)), None)
-        raise PartlyPlayedError("; ".join(f"{name}: {error}" for name, error in failures.items()), code, in_order)
+        raise PartlyPlayedError("; ".join(f"{name}: {error}" for name, error in failures.items()), in_order)
     return in_order
-
-
-class _Load:
-    """The instructions of a processor from the first note that a stream plays until the last one.
-
-    `stream`: its number; None = the one that is known to play.
-    """
-
-    def __init__(self, controller: CountingController, stream: int | None = None) -> None:
-        self._controller, self._stream = controller, stream
-        self._noted: list[tuple[float, int]] = []
-
-    def note(self) -> None:
-        """Note what it has done so far."""
-        status, instructions = self._controller.status, self._controller.instructions
-        if instructions is None or status is None or status.state != State.PLAYING:
-            return
-        if self._stream in (None, status.stream):
-            # The first one, and the last.
-            self._noted[1:] = [(self._controller.clock(), instructions())]
-
-    @property
-    def instructions_per_second(self) -> float | None:
-        """None where nothing counts, or it has not played for any time."""
-        if len(self._noted) < 2:
-            return None
-        (first_s, first), (last_s, last) = self._noted
-        return (last - first) / (last_s - first_s)
 
 
 def play_live(
@@ -228,20 +216,17 @@ def play_live(
 
     Whatever is raised, the controller is stopped first. Raises as `live.LiveStream`.
     """
-    # Packets that probed the link do not belong to the stream.
-    controller.packets.clear()
-    controller.frame_bytes.clear()
+    controller.forget()
     ask_s = 0.0
-    load = _Load(controller, stream.stream)
     with stopped_on_error(controller):
         for due_s, block in live.paced(stream, samples, stream.packet_samples, clock.sleep):
             stream.send_packets(stream.code(block))
             if due_s >= ask_s:
                 ask_s = due_s + _ASKED_EVERY_S
                 clock.ask(stream.packets_sent)
-            load.note()
+            controller.note_load()
             tell(stream.packets_sent * stream.packet_samples / len(samples))
-        return stream.finish(), load.instructions_per_second
+        return stream.finish(), controller.instructions_per_second
 
 
 def play_by_hand(
@@ -250,18 +235,16 @@ def play_by_hand(
     length_mm: float,
     hand_speed_mm_s: float,
     tell: Callable[[float], None],
-) -> tuple[position_playback.Played, float | None]:
+) -> tuple[hand_playback.Played, float | None]:
     """Load a profile, and play it once under a hand that goes there and back, so fast at most; return as play_live."""
-    controller.packets.clear()
-    controller.frame_bytes.clear()
-    load = _Load(controller)
+    controller.forget()
 
     def note(part: float) -> None:
-        load.note()
+        controller.note_load()
         tell(part)
 
-    movement = position_playback.back_and_forth(length_mm, hand_speed_mm_s, 1)
-    return position_playback.play(controller, stream, movement, note), load.instructions_per_second
+    movement = hand_playback.back_and_forth(length_mm, hand_speed_mm_s, 1)
+    return hand_playback.play(controller, stream, movement, note), controller.instructions_per_second
 
 
 class _Player:
@@ -298,11 +281,9 @@ class _Player:
         self._provide_model(texture)
         length_mm = 1e3 * len(recording.samples) / texture.rate
         result, instructions = play_by_hand(controller, stream, length_mm, texture.hand_speed_mm_s, tell)
-        as_computed = position_playback.as_computed(
-            result, position_playback.computed(stream, result, self._driven), self._driven
+        as_computed = hand_playback.as_computed(
+            result, hand_playback.computed(stream, result, self._driven), self._driven
         )
-        number = result.status.stream
-        sent = controller.packets[number]
         # As if swept at the greatest speed, like the forecast.
         rate_hz = texture.rate * texture.hand_speed_mm_s / 1000
         seconds = len(stream.packets) * stream.decoder().packet_samples / rate_hz
@@ -310,8 +291,8 @@ class _Player:
             texture,
             Recording(recording.samples, rate_hz, recording.unit, recording.name),
             stream.decode(),
-            payload_bps=8 * sum(map(len, sent)) / seconds,
-            wire_bps=8 * controller.frame_bytes[number] / seconds,
+            payload_bps=8 * sum(map(len, controller.packets)) / seconds,
+            wire_bps=8 * controller.frame_bytes / seconds,
             instructions_per_second=instructions,
         )
         return Played(texture, measured, result.status.underruns, result.status.lost_packets, None, as_computed)
@@ -337,7 +318,7 @@ class _Player:
         clock = DeviceClock(controller)
         began_s = controller.clock()
         result, instructions = play_live(stream, controller, recording.samples, clock, tell)
-        sent = Stream(stream.header, tuple(controller.packets[stream.stream]), model.image if model else None)
+        sent = Stream(stream.header, tuple(controller.packets), model.image if model else None)
         seconds = len(sent.packets) * stream.packet_samples / texture.rate
         as_decoded, decoded = self._read_back(Tap.DECODED, offline := sent.decode_integers())
         decoder = sent.decoder()
@@ -353,7 +334,7 @@ class _Player:
             recording,
             decoded_samples,
             payload_bps=8 * sum(map(len, sent.packets)) / seconds,
-            wire_bps=8 * controller.frame_bytes[stream.stream] / seconds,
+            wire_bps=8 * controller.frame_bytes / seconds,
             instructions_per_second=instructions,
             error_over_threshold_db=error_db,
             delay_ms=self._delay_ms(sent, clock, began_s),
@@ -397,18 +378,18 @@ class _Player:
         )
 
     def _check_fits(self, texture: PlannedTexture) -> None:
-        """Raise PlanError where the controller cannot play a texture as planned."""
+        """Raise InputError where the controller cannot play a texture as planned."""
         hello = self._controller.description
         codecs = [name for _, name in hello.codecs]
         if texture.codec not in codecs:
-            raise PlanError(
+            raise InputError(
                 f"{texture.name} is planned for the codec {texture.codec}, {self._planned.name} decodes "
                 f"{', '.join(codecs)}; plan for that controller, or update its firmware"
             )
         # Of a profile it keeps all, and says so itself.
         needed = 0 if texture.over_position else texture.packet_samples + texture.buffer_ms / 1e3 * texture.rate
         if needed > hello.limits.buffer_samples:
-            raise PlanError(
+            raise InputError(
                 f"{texture.name} needs a buffer of {math.ceil(needed)} samples, and {self._planned.name} holds "
                 f"{hello.limits.buffer_samples}; plan for that controller"
             )

@@ -14,7 +14,7 @@ from msgspec import Meta, structs
 from vibrocast import textures
 from vibrocast.codec.threshold import read_threshold, threshold_file
 from vibrocast.device_protocol.transports import BAUD
-from vibrocast.files import InputFileError
+from vibrocast.errors import located
 from vibrocast.host import devices
 from vibrocast.host.bench_file import (
     BenchActuator,
@@ -30,7 +30,7 @@ from vibrocast.textures import Profile, Recording, TextureError
 from vibrocast.textures.dataset import entries
 from vibrocast.textures.files import TEXT_SUFFIXES
 from vibrocast.textures.recording import MAX_CHANNELS
-from vibrocast.toml_tables import Table, Text, check_names, convert, located, one_of, read_each, read_toml, within
+from vibrocast.toml_tables import Table, Text, check_names, convert, one_of, read_each, read_toml, within
 
 CORES = ("M4F", "M7", "M33")
 """Processors for which decoding has been measured (docs/benchmarks/firmware.md)."""
@@ -47,10 +47,6 @@ HAND_SPEEDS_MM_S = (1.0, 2000.0)
 
 MAX_TRACKED_MM_S = 300.0
 """Highest hand speed at which controllers render profiles by position (vibrocast/profile.h)."""
-
-
-class SceneError(InputFileError):
-    """A mistake in a scene. The message names file, table and key, and says what to do."""
 
 
 class SceneController(BenchController, frozen=True, kw_only=True):
@@ -138,6 +134,33 @@ class SceneTexture:
         return 1 if isinstance(self.loaded, Profile) else self.loaded.channels
 
 
+@dataclass(frozen=True)
+class Measure:
+    """A measure of quality that a scene may require.
+
+    `name`, `unit`: in the answer. `label`: of the picture's axis. `far`: the difference from the target up to which the
+    picture shows candidates. `sign`: 1 where more is better, -1 where less is. `digits`: decimals of a proposed target.
+    """
+
+    name: str
+    unit: str
+    label: str
+    far: float
+    sign: int
+    digits: int
+
+
+MEASURES = {
+    "snr_db": Measure("SNR", " dB", "SNR, dB", 6.0, 1, 1),
+    "spqi": Measure("SPQI", "", "SPQI", 0.3, 1, 2),
+    "third_octave_distance_db": Measure(
+        "third-octave distance", " dB", "third-octave distance, dB (less is better)", 4.0, -1, 1
+    ),
+    "imperceptible": Measure("error", " dB", "error re felt level, dB (less is better)", 12.0, -1, 1),
+}
+"""By the keys of [asked]."""
+
+
 class Asked(Table, frozen=True, kw_only=True):
     """The requirements of every texture. Exactly one of the first four is given.
 
@@ -159,8 +182,7 @@ class Asked(Table, frozen=True, kw_only=True):
     delay_limit_ms: Annotated[float, within(1, 10_000, "delay to the skin in ms")] | None = None
 
     def __post_init__(self) -> None:
-        targets = [key for key in ("snr_db", "spqi", "third_octave_distance_db") if getattr(self, key) is not None]
-        targets += ["imperceptible"] * self.imperceptible
+        targets = self._targets
         if len(targets) != 1:
             problem = f"{' and '.join(targets)} are given" if targets else "no quality is given"
             raise ValueError(
@@ -179,9 +201,12 @@ class Asked(Table, frozen=True, kw_only=True):
 
     @property
     def measure(self) -> str:
-        """Name of the required quality: "snr_db", "spqi", "third_octave_distance_db" or "imperceptible"."""
-        given = (name for name in ("snr_db", "spqi", "third_octave_distance_db") if getattr(self, name) is not None)
-        return next(given, "imperceptible")
+        """The required quality, a key of MEASURES."""
+        return self._targets[0]
+
+    @property
+    def _targets(self) -> list[str]:
+        return [key for key in MEASURES if getattr(self, key) is not None and getattr(self, key) is not False]
 
 
 Weight = Annotated[float, within(0, 1e6, "weight of one such unit")]
@@ -309,8 +334,8 @@ class _SceneFile(Table, frozen=True, kw_only=True):
 
 
 def read_scene(path: Path) -> Scene:
-    """Read a scene file and all of its textures. Raises SceneError, and OSError where the file cannot be read."""
-    with located(path, SceneError):
+    """Read a scene file and all of its textures. Raises InputError, and OSError where the file cannot be read."""
+    with located(path):
         document = read_toml(path, "scene")
         given = document.get("controllers")
         for table in given if isinstance(given, list) else ():
@@ -398,7 +423,7 @@ def _check_limits(asked: Asked, link: Link) -> None:
 
 def _threshold(folder: Path, skin: _Skin) -> Path:
     path = threshold_file(skin.threshold, folder)
-    with located("[skin]", ValueError):
+    with located("[skin]"):
         read_threshold(path)
     return path
 

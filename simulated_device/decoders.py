@@ -48,6 +48,10 @@ class PythonDecoders:
     def _check(self, context: Any, coding: Any, rejection: Any) -> int:
         try:
             tables, known = self._tables(coding), codec.codec_by_identifier(coding.codec, self._configuration(coding))
+            if known.name in codec.PEERS:
+                raise CodecError(
+                    f"no controller decodes {known.name}, a codec that is only compared with; choose another"
+                )
             if tables is not None and self._runtime is not None and known.with_runtime is not None:
                 tables = known.with_runtime(tables, self._runtime)
             runtime = known.runtime_of(tables) if tables is not None and known.runtime_of is not None else "core"

@@ -10,17 +10,13 @@ from typing import Annotated, Any
 
 from vibrocast.device_protocol.frames import DELIMITER
 from vibrocast.device_protocol.transports import Closing, Transport, TransportError
-from vibrocast.files import InputFileError
+from vibrocast.errors import located
 from vibrocast.simulated_device.device import Device
-from vibrocast.toml_tables import Table, convert, located, one_of, read_toml, within
+from vibrocast.toml_tables import Table, convert, one_of, read_toml, within
 
 DIRECTIONS = ("to_controller", "to_host", "both")
 Probability = Annotated[float, within(0, 1, "probability for each frame")]
 Milliseconds = Annotated[float, within(0, 10_000, "time in ms")]
-
-
-class FaultsFileError(InputFileError):
-    """A schedule of faults that is wrong; the message names table and key, and says what to do."""
 
 
 class Fault(Table, frozen=True, kw_only=True):
@@ -53,8 +49,8 @@ class _FaultsFile(Table, frozen=True, kw_only=True):
 
 
 def read_faults(path: Path) -> tuple[Fault, ...]:
-    """Read a schedule of faults, tables [[faults]] in TOML. Raises FaultsFileError and OSError."""
-    with located(path, FaultsFileError):
+    """Read a schedule of faults, tables [[faults]] in TOML. Raises InputError and OSError."""
+    with located(path):
         return convert(read_toml(path, "schedule of faults"), _FaultsFile).faults
 
 

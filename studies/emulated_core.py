@@ -15,8 +15,9 @@ from unicorn import riscv_const
 
 from vibrocast import codec, extras
 from vibrocast.codec import CodedSignal, Decoded
-from vibrocast.firmware.build import FLAGS, M0_PLUS, M4F, M7, M33, ROOT, BuildError, cortex_m_flags
+from vibrocast.firmware.build import FLAGS, M0_PLUS, M4F, M7, M33, ROOT, cortex_m_flags
 from vibrocast.firmware.elf import Elf
+from vibrocast.firmware.native_core import BuildError
 from vibrocast.harness.boards.cycles import CycleCounter
 
 _FLASH, _RAM, _DATA = 0x0800_0000, 0x2000_0000, 0x6000_0000

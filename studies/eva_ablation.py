@@ -173,7 +173,7 @@ def rows_of(measured: Sequence[Measured]) -> list[Ablation]:
 
 
 def configured(variant: Variant) -> Configuration:
-    """Return the training of a variant; CONTEXTS changes no configuration. Raises ConfigurationError, OSError."""
+    """Return the training of a variant; CONTEXTS changes no configuration. Raises InputError, OSError."""
     whole = read(CONFIGURATION)
     changes = {"width": WIDTH, "lambda_": LAMBDA, "steps": STEPS, **({} if variant.ours else PAPER), **variant.changes}
     if changes.get("cost") == CONTEXTS:

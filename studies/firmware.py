@@ -310,7 +310,7 @@ def _play(
     clock = DeviceClock(controller)
     _, instructions = playing.play_live(live_stream, controller, signal, clock, lambda part: None)
     assert instructions is not None, "emulated processors are counted"
-    header, packets = live_stream.header, tuple(controller.packets[live_stream.stream])
+    header, packets = live_stream.header, tuple(controller.packets)
     sent = CodedSignal("mdct", played.rate_hz, len(signal), header.gains, header.configuration, packets)
     return instructions, decode(program, core, sent).instructions * played.rate_hz
 

@@ -12,8 +12,7 @@ import click
 
 from studies import page
 from studies.faulty_bench import FAULTS, SOUND, Injected, faulty_bench, run_host
-from vibrocast import progress
-from vibrocast.host.cli import exit_codes
+from vibrocast import errors, progress
 from vibrocast.host.cli.option_types import Whole
 
 TABLE, CLEAN_TABLE = "injected_faults.csv", "clean_runs.csv"
@@ -25,11 +24,11 @@ DEVICES = {
 throughput is that of this computer: it changes by half from run to run."""
 ALARMS = {
     0: "none",
-    exit_codes.FAILED: "measurement failed",
-    exit_codes.BAD_INPUT: "wrong bench",
-    exit_codes.NO_DEVICE: "no device",
-    exit_codes.LIMIT_MISSED: "limit missed",
-    exit_codes.REGRESSION: "regression",
+    errors.FAILED: "measurement failed",
+    errors.BAD_INPUT: "wrong bench",
+    errors.NO_DEVICE: "no device",
+    errors.LIMIT_MISSED: "limit missed",
+    errors.REGRESSION: "regression",
 }
 LIMITS = """\
 min_snr_db = 8

@@ -9,7 +9,8 @@ import click
 
 import vibrocast
 from studies import page
-from vibrocast.harness import Latency, MinLatency, find_min_latency, machine, measure_latency, subject
+from vibrocast.harness.latency import Latency, MinLatency, find_min_latency, measure_latency
+from vibrocast.harness.measurements import machine, subject
 from vibrocast.host import bench_file, live
 from vibrocast.host.bench_file import Bench, BenchController
 from vibrocast.host.report import Report

@@ -19,7 +19,7 @@ from vibrocast.codec.live_format import recording_format
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.transports import SerialTransport
 from vibrocast.firmware.build import build
-from vibrocast.harness import machine
+from vibrocast.harness.measurements import machine
 from vibrocast.host import player
 from vibrocast.host.cli.option_types import Whole, positive
 from vibrocast.host.controller import Controller

@@ -9,16 +9,10 @@ from typing import Any
 import click
 
 from vibrocast import pages
-from vibrocast.codec import CodecError
+from vibrocast.errors import VibrocastError
 from vibrocast.evaluation import points
-from vibrocast.evaluation.cells import BenchError
-from vibrocast.evaluation.points import PointsError, Record, Row
-from vibrocast.extras import MissingExtraError
+from vibrocast.evaluation.points import Record, Row
 from vibrocast.files import atomic_write
-from vibrocast.firmware.build import BuildError
-from vibrocast.host.controller import ControllerError
-from vibrocast.textures import TextureError
-from vibrocast.textures.dataset import DatasetError
 
 FOLDER = click.argument("folder", type=click.Path(exists=True, file_okay=False, path_type=Path))
 FROM_TABLES = click.option("--from-tables", is_flag=True, help="Write the page from its tables, without measurements.")
@@ -27,16 +21,6 @@ _OUT = click.option(
     type=click.Path(file_okay=False, path_type=Path),
     required=True,
     help="Write the page and its tables into this folder.",
-)
-_ERRORS = (
-    BenchError,
-    BuildError,
-    CodecError,
-    ControllerError,
-    DatasetError,
-    MissingExtraError,
-    PointsError,
-    TextureError,
 )
 
 
@@ -58,7 +42,7 @@ def errors_in_one_line() -> Iterator[None]:
         yield
     except OSError as error:
         raise click.ClickException(f"{error.filename}: {error.strerror}" if error.filename else str(error)) from error
-    except _ERRORS as error:
+    except VibrocastError as error:
         raise click.ClickException(str(error)) from error
 
 

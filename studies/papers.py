@@ -375,8 +375,7 @@ def waveforms(folder: Path, measurements: Measurements, model_folders: Sequence[
     """Yield WAVEFORM_SAMPLES from the middle of a recording in a folder, coded by the codecs of `paper_pair`.
 
     The recording is the one whose BD-rate is the median, coded at the settings nearest to WAVEFORM_RATIOS. Raises
-    BenchError for a model that neither ships nor lies in a model folder, DatasetError, TextureError or OSError for the
-    folder, CodecError.
+    InputError, also for a model that neither ships nor lies in a model folder, and OSError for the folder.
     """
     regions = bd_regions(measurements, PAPER_SCALES)
     trace = regions["trace"][0] if len(regions) else measurements.traces[0]

@@ -17,12 +17,13 @@ from vibrocast.codec import mdct
 from vibrocast.codec.encoding import DEFAULT_SNR_DB, DEFAULT_STREAM_RATE_HZ, Encoding, encode_recording
 from vibrocast.codec.rate_controlled import added_bytes
 from vibrocast.codec.threshold import DETECTION_THRESHOLD, read_threshold
+from vibrocast.errors import InputError
 from vibrocast.host.bench_file import BenchActuator
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.planner import costs
-from vibrocast.planner.band import BandError, band_of, rendering_s
+from vibrocast.planner.band import band_of, rendering_s
 from vibrocast.planner.candidates import BUFFERS_MS, Evaluator
-from vibrocast.planner.choose import PlanningError, choose
+from vibrocast.planner.choose import choose
 from vibrocast.planner.plan_file import prepared
 from vibrocast.planner.scene import Asked, Link, Scene, SceneController, SceneTexture, Source, Weights
 from vibrocast.textures import Profile, Recording, TextureError
@@ -80,7 +81,7 @@ class Saving:
 
 
 def savings(group: str, trace: DatasetEntry, unit: str | None) -> Iterator[Saving]:
-    """Yield what planning a trace saves. Raises TextureError, CodecError, BandError, PlanningError."""
+    """Yield what planning a trace saves. Raises InputError."""
     recording = _loaded(trace, unit)
     default = encode_recording(recording, live=True)
     threshold = read_threshold()
@@ -250,7 +251,7 @@ def main(folders: tuple[Path, ...], out: Path, unit: str | None) -> None:
             update(place / len(found), trace.name)
             try:
                 rows += savings(group, trace, unit)
-            except (TextureError, codec.CodecError, BandError, PlanningError) as error:
+            except InputError as error:
                 left_out.append(str(error))
     if not rows:
         raise click.ClickException("none of the recordings can be planned: " + "; ".join(left_out))

@@ -6,6 +6,7 @@ from pathlib import Path
 from statistics import fmean
 
 from vibrocast import codec, textures
+from vibrocast.errors import InputError
 from vibrocast.evaluation import cells
 from vibrocast.evaluation.bd_rate import Scale
 from vibrocast.evaluation.comparison import PAPER_SCALES, REFERENCE, Measurements, pair_bd_rates
@@ -48,10 +49,10 @@ def readings() -> dict[str, str]:
 
 
 def load(folder: Path, trace: str) -> textures.Recording:
-    """Return a recording of the folder that a benchmark measured. Raises DatasetError, TextureError or OSError."""
+    """Return a recording of the folder that a benchmark measured. Raises InputError, TextureError or OSError."""
     entries = {entry.name: entry for entry in dataset.entries(folder)}
     if trace not in entries:
-        raise dataset.DatasetError(f"{folder}: no recording {trace!r}; give the folder that the benchmark measured")
+        raise InputError(f"{folder}: no recording {trace!r}; give the folder that the benchmark measured")
     return dataset.load_highpassed(entries[trace], None).recording
 
 

@@ -11,7 +11,8 @@ from vibrocast import codec, extras
 from vibrocast.device_protocol.coded_stream import StreamHeader, pack_file
 from vibrocast.device_protocol.model_image import ModelImage, sha256
 from vibrocast.evaluation import points
-from vibrocast.firmware.build import ROOT, BuildError, only, size
+from vibrocast.firmware.build import ROOT, only, size
+from vibrocast.firmware.native_core import BuildError
 
 try:
     from unicorn import riscv_const

@@ -13,7 +13,7 @@ from vibrocast import codec
 from vibrocast.codec import CodedSignal, Signal, Source
 from vibrocast.codec.interface import Value
 from vibrocast.codec.timing import time_coding
-from vibrocast.harness import machine
+from vibrocast.harness.measurements import machine
 from vibrocast.textures.generate import wood
 
 RATE_HZ = 2800

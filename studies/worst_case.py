@@ -32,7 +32,7 @@ from vibrocast.harness.boards.stm32f405 import Stm32F405
 from vibrocast.host import uploader
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.models import Model
-from vibrocast.simulated_device.faulty_link import MemoryLink
+from vibrocast.simulated_device.memory_link import MemoryLink
 
 try:
     from studies.emulated_core import CORES, Costs, EmulatedCore, compile_core, decode_in_blocks

@@ -4,7 +4,7 @@ import csv
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -12,13 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vibrocast.errors import InputError
 from vibrocast.study import statistics, stimuli
 from vibrocast.study.methods import GRADES, MAIN, design, staircase_of, staircases_of
 from vibrocast.study.session import LOG, RESULTS, RUN
 from vibrocast.study.simulation import SIMULATED
-from vibrocast.study.statistics import Correlation, Interval, MixedModel, PairedTest
+from vibrocast.study.staircases import Staircase
+from vibrocast.study.statistics import Correlation, Effect, Interval, PairedTest
 from vibrocast.study.study_file import HIDDEN_REFERENCE, Study, read_study
-from vibrocast.study.trials import RESULT_COLUMNS, Stimulus, StudyError
+from vibrocast.study.trials import RESULT_COLUMNS, Stimulus
 
 STUDY_FILE, STIMULI = "study.toml", "stimuli"
 RATED = ("degradation", "mushra")
@@ -48,6 +50,10 @@ class Participant:
     events: tuple[Mapping[str, Any], ...]
     is_simulated: bool
     is_whole: bool
+
+    def of(self, texture: str, condition: str) -> list[Row]:
+        """Return the rows of one stimulus."""
+        return [row for row in self.rows if (row["texture"], row["condition"]) == (texture, condition)]
 
 
 @dataclass(frozen=True)
@@ -98,12 +104,13 @@ class Preference:
 
 @dataclass(frozen=True)
 class Threshold:
-    """A staircase. `levels_db`, `correct`: trial by trial."""
+    """A staircase and its estimate. `levels_db`, `correct`: trial by trial."""
 
     participant: int
     texture: str
     condition: str
-    estimate: statistics.Interval
+    trials: int
+    threshold_db: Interval
     levels_db: tuple[float, ...]
     correct: tuple[bool, ...]
 
@@ -118,7 +125,7 @@ class Analysis:
     excluded: Mapping[int, str]
     warnings: tuple[str, ...]
     ratings: tuple[Rating, ...] = ()
-    model: MixedModel | None = None
+    model: Mapping[str, Effect] | None = None
     detections: tuple[Detection, ...] = ()
     preferences: tuple[Preference, ...] = ()
     thresholds: tuple[Threshold, ...] = ()
@@ -136,17 +143,17 @@ class Analysis:
 
 
 def read_results(folder: Path) -> Analysis:
-    """Read a results folder without analysing it. Raises StudyError for a folder without results, or of two studies."""
+    """Read a results folder without analysing it. Raises InputError for a folder without results, or of two studies."""
     study = read_study(folder / STUDY_FILE, with_files=False) if (folder / STUDY_FILE).is_file() else None
     paths = sorted(folder.glob(f"participant_*/{RESULTS}"))
     if study is None or not paths:
-        raise StudyError(f"{folder}: no results of a study; give the folder of --out of `vibrocast study run`")
+        raise InputError(f"{folder}: no results of a study; give the folder of --out of `vibrocast study run`")
     warnings: list[str] = []
     participants: list[Participant] = []
     for path in paths:
         participant, flaws = _read_participant(path, study)
         if any(participant.number == each.number for each in participants):
-            raise StudyError(f"{path.parent}: participant {participant.number} is there twice; move one folder away")
+            raise InputError(f"{path.parent}: participant {participant.number} is there twice; move one folder away")
         warnings += flaws
         participants.append(participant)
     simulated = sum(each.is_simulated for each in participants)
@@ -161,13 +168,13 @@ def _read_participant(path: Path, study: Study) -> tuple[Participant, list[str]]
         run = json.loads((path.parent / RUN).read_text(encoding="utf-8"))
         number, sha256, device = int(run["participant"]), run["study_sha256"], run["device"]
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise StudyError(f"{path.parent / RUN}: damaged or missing ({error}); move that folder away") from error
+        raise InputError(f"{path.parent / RUN}: damaged or missing ({error}); move that folder away") from error
     if sha256 != study.sha256:
-        raise StudyError(f"{path.parent}: answers to another study file; move that folder away")
+        raise InputError(f"{path.parent}: answers to another study file; move that folder away")
     with path.open(newline="", encoding="utf-8", errors="replace") as file:
         lines = list(csv.reader(line.replace("\0", "") for line in file))
     if not lines or lines[0] != list(RESULT_COLUMNS):
-        raise StudyError(f"{path}: other columns than those of a run; move that folder away")
+        raise InputError(f"{path}: other columns than those of a run; move that folder away")
     rows: dict[tuple[str, str], Row] = {}
     for line in lines[1:]:
         row = dict(zip(RESULT_COLUMNS, line, strict=False))
@@ -230,10 +237,15 @@ def _missing(rows: Sequence[Row], study: Study, number: int) -> str | None:
 def _is_finished(rows: Sequence[Row], study: Study) -> bool:
     """Return whether a staircase has all its answers."""
     assert study.staircase is not None, "the study file is checked"
+    return _replayed(rows, study).done or len(rows) >= study.staircase.max_trials
+
+
+def _replayed(rows: Sequence[Row], study: Study) -> Staircase:
+    """Return a staircase after these answers."""
     staircase = staircase_of(study)
     for row in rows:
         staircase.update(row["correct"] == "1")
-    return staircase.done or len(rows) >= study.staircase.max_trials
+    return staircase
 
 
 def _is_number(text: str) -> bool:
@@ -244,7 +256,7 @@ def _is_number(text: str) -> bool:
 
 
 def analyse(folder: Path) -> Analysis:
-    """Return every figure of a study. Raises StudyError as `read_results`."""
+    """Return every figure of a study. Raises InputError as `read_results`."""
     read = read_results(folder)
     method = read.study.method
     if method in RATED:
@@ -292,7 +304,7 @@ def _rating(read: Analysis, texture: str, condition: str, role: str) -> Rating |
     by_participant: dict[int, float] = {}
     values: list[float] = []
     for each in read.counted:
-        own = [float(row["value"]) for row in each.rows if (row["texture"], row["condition"]) == (texture, condition)]
+        own = [float(row["value"]) for row in each.of(texture, condition)]
         if own:
             by_participant[each.number] = float(np.mean(own))
             values += own
@@ -356,8 +368,7 @@ def _detections(read: Analysis) -> list[Detection]:
         for name in (each.name for each in read.study.conditions if each.name != reference):
             counts, right, total = [], 0, 0
             for each in read.counted:
-                own = [row for row in each.rows if (row["texture"], row["condition"]) == (texture.name, name)]
-                same = [row for row in each.rows if (row["texture"], row["condition"]) == (texture.name, reference)]
+                own, same = each.of(texture.name, name), each.of(texture.name, reference)
                 if not own:  # another participant's texture
                     continue
                 correct = sum(row["correct"] == "1" for row in own)
@@ -420,14 +431,10 @@ def _thresholds(read: Analysis) -> list[Threshold]:
         for row in each.rows:
             tracks.setdefault((row["texture"], row["condition"]), []).append(row)
         for (texture, condition), rows in tracks.items():
-            staircase = staircase_of(read.study)
+            estimate = _replayed(rows, read.study).threshold()
+            levels_db = tuple(float(row["level_db"]) for row in rows)
             answers = tuple(row["correct"] == "1" for row in rows)
-            for answer in answers:
-                staircase.update(answer)
-            estimate = staircase.threshold()
-            interval = Interval(estimate.value, estimate.low, estimate.high)
-            levels = tuple(float(row["level_db"]) for row in rows)
-            found.append(Threshold(each.number, texture, condition, interval, levels, answers))
+            found.append(Threshold(each.number, texture, condition, len(rows), estimate, levels_db, answers))
     return found
 
 
@@ -455,7 +462,7 @@ def mean_thresholds(read: Analysis) -> dict[tuple[str, str], tuple[Interval, int
     pairs = dict.fromkeys((each.texture, each.condition) for each in read.thresholds)
     found = {}
     for pair in pairs:
-        values = [each.estimate.value for each in read.thresholds if (each.texture, each.condition) == pair]
+        values = [each.threshold_db.value for each in read.thresholds if (each.texture, each.condition) == pair]
         known = [value for value in values if value is not None]
         found[pair] = statistics.mean_interval(known), len(known)
     return found
@@ -534,19 +541,11 @@ def _tests_of_texture(read: Analysis) -> int:
 
 def tables(read: Analysis) -> dict[str, list[dict[str, Any]]]:
     """Return the report's tables by the name of their CSV file, without empty ones."""
-    return {name: rows for name, rows in _tables(read).items() if rows}
-
-
-def _tables(read: Analysis) -> dict[str, list[dict[str, Any]]]:
+    needed, tests = _participants_needed(read), _tests_of_texture(read)
     found: dict[str, list[dict[str, Any]]] = {
         "stimuli": [
-            {
-                "stimulus": each.key,
-                "role": each.role,
-                "gain_db": each.gain_db,
-                **each.facts,
-                "stream_sha256": stimuli.stream_sha256(each.stream),
-            }
+            {"stimulus": each.key, **_columns(each, "role", "gain_db"), **each.facts}
+            | {"stream_sha256": stimuli.stream_sha256(each.stream)}
             for each in read.stimuli
         ],
         "played": _as_played(read),
@@ -560,90 +559,49 @@ def _tables(read: Analysis) -> dict[str, list[dict[str, Any]]]:
             }
             for each in read.participants
         ],
-    }
-    if read.ratings:
-        found["means"] = [
-            {"texture": each.texture, "condition": each.condition, "role": each.role, **_cells("mean", each.mean)}
+        "means": [
+            _columns(each, "texture", "condition", "role", "mean")
             | {"participants": len(each.by_participant)}
             | {f"count_{number}": count for number, count in enumerate(each.counts)}
             for each in read.ratings
-        ]
-        needed = _participants_needed(read)
-        found["tests"] = [
-            {
-                "texture": each.texture,
-                "condition": each.condition,
-                "participants": each.test.count,
-                **_cells("difference", each.difference or Interval(each.test.difference, None, None)),
-                "t": each.test.t,
-                "p": each.test.p,
-                "holm_p": each.test.holm_p,
-                **_cells("effect", each.test.effect),
-                "participants_needed": needed.get((each.texture, each.condition)),
-            }
+        ],
+        "tests": [
+            _columns(each, "texture", "condition")
+            | {"participants": each.test.count}
+            | _columns(each, "difference")
+            | _columns(each.test, "t", "p", "holm_p", "effect")
+            | {"participants_needed": needed.get((each.texture, each.condition))}
             for each in read.ratings
             if each.test is not None
-        ]
-        count = _tests_of_texture(read)
-        found["power"] = [
+        ],
+        "power": [
             {
                 "participants": people,
                 "effect_of_one_test": statistics.detectable_effect(people, POWER, ALPHA),
-                f"effect_of_{count}_tests": statistics.detectable_effect(people, POWER, ALPHA / count),
+                f"effect_of_{tests}_tests": statistics.detectable_effect(people, POWER, ALPHA / tests),
             }
-            for people in PLANNED_PARTICIPANTS
-        ]
-    if read.model is not None:
-        found["mixed_model"] = [
-            {"condition": name, "difference": value, "standard_error": error, "p": p}
-            for name, (value, error, p) in read.model.effects.items()
-        ]
-    if read.correlations is not None:
-        found["correlations"] = [
-            {"metric": metric, "stimuli": each.count, **_cells("pearson", each.pearson)}
-            | _cells("spearman", each.spearman)
-            for metric, each in read.correlations.items()
-        ]
-    if read.detections:
-        found["sensitivities"] = [
-            {
-                "texture": each.texture,
-                "condition": each.condition,
-                "trials": each.trials,
-                "correct": each.correct,
-                **_cells("sensitivity", each.sensitivity),
-                **_cells("independent", each.independent),
-                **({} if each.yes_no is None else _cells("yes_no", each.yes_no)),
-            }
+            for people in (PLANNED_PARTICIPANTS if read.ratings else ())
+        ],
+        "mixed_model": [{"condition": name, **effect._asdict()} for name, effect in (read.model or {}).items()],
+        "correlations": [
+            {"metric": metric, "stimuli": each.count, **_columns(each, "pearson", "spearman")}
+            for metric, each in (read.correlations or {}).items()
+        ],
+        "sensitivities": [
+            _columns(each, "texture", "condition", "trials", "correct", "sensitivity", "independent")
+            | ({} if each.yes_no is None else _columns(each, "yes_no"))
             for each in read.detections
-        ]
-    if read.preferences:
-        found["preferences"] = [
-            {
-                "texture": each.texture,
-                "condition": each.condition,
-                **_cells("strength", each.strength),
-                "wins": each.wins,
-                "trials": each.trials,
-            }
-            for each in read.preferences
-        ]
-    if read.thresholds:
-        found["mean_thresholds"] = [
+        ],
+        "preferences": [_columns(each) for each in read.preferences],
+        "mean_thresholds": [
             {"texture": texture, "condition": condition, "staircases": count, **_cells("threshold_db", mean)}
             for (texture, condition), (mean, count) in mean_thresholds(read).items()
-        ]
-        found["thresholds"] = [
-            {
-                "participant": each.participant,
-                "texture": each.texture,
-                "condition": each.condition,
-                "trials": len(each.levels_db),
-                **_cells("threshold_db", each.estimate),
-            }
-            for each in read.thresholds
-        ]
-    return found
+        ],
+        "thresholds": [
+            _columns(each, "participant", "texture", "condition", "trials", "threshold_db") for each in read.thresholds
+        ],
+    }
+    return {name: rows for name, rows in found.items() if rows}
 
 
 def _as_played(read: Analysis) -> list[dict[str, Any]]:
@@ -677,6 +635,15 @@ def _as_played(read: Analysis) -> list[dict[str, Any]]:
 def _numbers(events: Sequence[Mapping[str, Any]], key: str) -> list[float]:
     values = [event.get(key) for event in events]
     return [value for value in values if isinstance(value, int | float) and math.isfinite(value)]
+
+
+def _columns(record: Any, *names: str) -> dict[str, Any]:
+    """Return fields of a dataclass as columns, all if none is named; an Interval fills three of them."""
+    columns: dict[str, Any] = {}
+    for name in names or [each.name for each in fields(record)]:
+        value = getattr(record, name)
+        columns |= _cells(name, value) if isinstance(value, Interval) else {name: value}
+    return columns
 
 
 def _cells(name: str, interval: Interval) -> dict[str, float | None]:

@@ -3,7 +3,7 @@
 import math
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
@@ -15,17 +15,16 @@ from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.device_protocol.messages import State, Status
 from vibrocast.device_protocol.transports import TransportError
-from vibrocast.host import hand_playback as position_playback
-from vibrocast.host import player
+from vibrocast.host import hand_playback, player
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.hand_playback import Movement, back_and_forth
 from vibrocast.host.limits import carried, check_limits, fitted
 from vibrocast.host.stream_session import configure_steps
 from vibrocast.output.actuator import Actuator, Codes
 from vibrocast.output.rendering import render
-from vibrocast.output.sample_player import SamplePlayer
 from vibrocast.output.sound_card import Card
-from vibrocast.study.stimuli import UNCODED_SNR_DB, stream_sha256
+from vibrocast.study.sample_player import SamplePlayer
+from vibrocast.study.stimuli import UNCODED_SNR_DB, limited_samples, stream_sha256
 from vibrocast.study.study_file import Hand
 from vibrocast.study.trials import Played, Stimulus, StimulusPlayer
 
@@ -52,14 +51,14 @@ class ControllerPlayer(StimulusPlayer):
     One thread at a time talks to the controller. `switch` stops and starts, because a controller plays one stream at a
     time: about 0.4 s lie between. Some streams no controller decodes, such as one that is coded as a whole file. Such a
     stream is decoded here and sent as `limits.carried` says. That error lies far below the stream's own.
-    `reconnect_s`: how long a broken connection is opened again.
     """
 
-    def __init__(self, controller: Controller, reconnect_s: float = player.RECONNECT_S) -> None:
-        self._controller, self._reconnect_s = controller, reconnect_s
+    def __init__(self, controller: Controller) -> None:
+        super().__init__()
+        self._controller = controller
         self._playing: _Playing | None = None
+        self._status: Status | None = None  # of the stimulus that plays, the last one
         self._error: Exception | None = None
-        self._played: list[Played] = []
         self._carried: dict[str, Stream] = {}
 
     def prepare(self, stimuli: Sequence[Stimulus]) -> None:
@@ -84,20 +83,19 @@ class ControllerPlayer(StimulusPlayer):
 
     def start(self, stimulus: Stimulus) -> None:
         """Play from the beginning; the one before ramps down first. Raises ControllerError, TransportError."""
-        self._end()
+        self.stop()
         self._raise_error()
         stopping = threading.Event()
         thread = threading.Thread(target=self._play, args=(stimulus, stopping), name="stimulus", daemon=True)
         self._playing = _Playing(stimulus, thread, stopping)
         thread.start()
 
-    def switch(self, stimulus: Stimulus) -> None:
-        """Play another stimulus from its beginning."""
-        self.start(stimulus)
-
     def stop(self) -> None:
-        """Bring the actuator to rest. Never raises for a device that is gone."""
-        self._end()
+        """End the stimulus that plays, and wait for its thread. Never raises for a device that is gone."""
+        now, self._playing = self._playing, None
+        if now is not None:
+            now.stopping.set()
+            now.thread.join(_STOP_WITHIN_S)
 
     def playing(self) -> str | None:
         """Return the key of the stimulus that plays, None at rest. Raises ControllerError, TransportError."""
@@ -105,67 +103,35 @@ class ControllerPlayer(StimulusPlayer):
         now = self._playing
         return now.stimulus.key if now is not None and now.thread.is_alive() else None
 
-    def take_played(self) -> list[Played]:
-        """Return what has been played since the last call."""
-        played, self._played = self._played, []
-        return played
-
-    def close(self) -> None:
-        """Stop; whoever opened the session closes it."""
-        self._end()
-
-    def _end(self) -> None:
-        """End the stimulus that plays, and wait for its thread."""
-        now, self._playing = self._playing, None
-        if now is not None:
-            now.stopping.set()
-            now.thread.join(_STOP_WITHIN_S)
-
     def _raise_error(self) -> None:
         error, self._error = self._error, None
         if error is not None:
             raise error
 
     def _play(self, stimulus: Stimulus, stopping: threading.Event) -> None:
-        """Play one stimulus, in its own thread."""
-        begun_utc: datetime | None = None
-        begun_s = 0.0
+        """Play one stimulus in its own thread, and note what was played from the last status."""
         asked_s = time.monotonic()
-        latest: player.Progress | None = None
+        begun: tuple[datetime, float] | None = None
+        self._status = None
 
-        def watch(now: player.Progress) -> None:
-            nonlocal begun_utc, begun_s, latest
-            latest = now
-            if begun_utc is None and now.status.state == State.PLAYING:
-                begun_s = time.monotonic() - now.position_s
-                begun_utc = datetime.now(UTC) - timedelta(seconds=now.position_s)
+        def watch(position_s: float | None) -> None:
+            nonlocal begun
+            if begun is None and position_s is not None:
+                begun = datetime.now(UTC) - timedelta(seconds=position_s), time.monotonic() - position_s
             if stopping.is_set():
                 raise _Stopped
 
         try:
-            stream = self._carried.get(stream_sha256(stimulus.stream), stimulus.stream)
-            packet_samples = stream.decoder().packet_samples
-            if not stopping.is_set():
-                player.play(
-                    self._controller,
-                    stream.header,
-                    stream.packets,
-                    packet_samples,
-                    loops=stimulus.loops,
-                    progress=watch,
-                )
-        except _Stopped:
-            pass
+            with suppress(_Stopped):
+                watch(None)
+                self._perform(stimulus, watch)
         except (ControllerError, TransportError) as error:
             self._error = error
         except (StreamError, ValueError) as error:
             self._error = ControllerError(f"{stimulus.key} cannot be played: {error}")
-        if latest is not None and begun_utc is not None:
-            self._note(stimulus, latest.status, begun_utc, begun_s, asked_s)
-
-    def _note(self, stimulus: Stimulus, status: Status, begun_utc: datetime, begun_s: float, asked_s: float) -> None:
-        """Note what was played, from the last status."""
-        limited = status.compensation_clipped + status.voltage_limited + status.slew_limited + status.power_limited
+        if begun is None or self._status is None:
+            return
+        begun_utc, begun_s = begun
         self._played.append(
             Played(
                 stimulus=stimulus.key,
@@ -173,11 +139,25 @@ class ControllerPlayer(StimulusPlayer):
                 started_utc=begun_utc.isoformat(timespec="microseconds"),
                 latency_ms=1000 * (begun_s - asked_s),
                 gain_db=stimulus.gain_db,
-                limited=limited,
-                underruns=status.underruns,
+                limited=limited_samples(self._status),
+                underruns=self._status.underruns,
                 seconds=time.monotonic() - begun_s,
             )
         )
+
+    def _perform(self, stimulus: Stimulus, watch: Callable[[float | None], None]) -> None:
+        """Play to the end, and keep the last status.
+
+        `watch` is called often with the position in s, None before the actuator moves; it may raise _Stopped.
+        """
+
+        def note(now: player.Progress) -> None:
+            self._status = now.status
+            watch(now.position_s if now.status.state == State.PLAYING else None)
+
+        stream = self._carried.get(stream_sha256(stimulus.stream), stimulus.stream)
+        packet_samples, loops = stream.decoder().packet_samples, stimulus.loops
+        player.play(self._controller, stream.header, stream.packets, packet_samples, loops=loops, progress=note)
 
 
 class HandPlayer(ControllerPlayer):
@@ -203,33 +183,19 @@ class HandPlayer(ControllerPlayer):
             over_position = replace(recording, rate_hz=1000 * recording.rate_hz / self._speed_mm_s)
             try:
                 profile = profiles.encode(over_position, snr_db=UNCODED_SNR_DB, touch=0).stream
-                position_playback.load(self._controller, profile)
+                hand_playback.load(self._controller, profile)
             except (ControllerError, ValueError) as error:
                 raise ControllerError(f"{stimulus.key} as a height profile: {error}") from error
             finally:
                 self._controller.stop()
             self._carried[stream_sha256(stimulus.stream)] = profile
 
-    def _play(self, stimulus: Stimulus, stopping: threading.Event) -> None:
-        """Play one stimulus, in its own thread."""
-        asked_s = time.monotonic()
-        begun: tuple[datetime, float] | None = None
-
-        def watch(part: float) -> None:
-            nonlocal begun
-            if begun is None and part > 0:
-                begun = datetime.now(UTC), time.monotonic()
-            if stopping.is_set():
-                raise _Stopped
-
-        try:
-            profile = self._carried[stream_sha256(stimulus.stream)]
-            with suppress(_Stopped):
-                position_playback.play(self._controller, profile, self._movement, watch)
-            if begun is not None:
-                self._note(stimulus, self._controller.request_status(), *begun, asked_s)
-        except (ControllerError, TransportError) as error:
-            self._error = error
+    def _perform(self, stimulus: Stimulus, watch: Callable[[float | None], None]) -> None:
+        """Play under the hand to the end, and keep the last status."""
+        profile = self._carried[stream_sha256(stimulus.stream)]
+        with suppress(_Stopped):
+            hand_playback.play(self._controller, profile, self._movement, lambda part: watch(0.0 if part > 0 else None))
+        self._status = self._controller.request_status()
 
 
 class CardPlayer(StimulusPlayer):
@@ -241,6 +207,7 @@ class CardPlayer(StimulusPlayer):
     """
 
     def __init__(self, card: Card, channels: Sequence[int], actuator: Actuator) -> None:
+        super().__init__()
         self._actuator, self._channels = actuator, len(channels)
         self._samples = SamplePlayer(card, channels, actuator)
         self._rendered: dict[str, tuple[Codes, int]] = {}
@@ -312,59 +279,27 @@ class CardPlayer(StimulusPlayer):
                 )
             delay = stream.decoder().delay_samples
             codes, counts = render(stream.header, stream.decode_integers(), delay, self._actuator, loops=stimulus.loops)
-            limits = counts.compensation_clipped, counts.voltage_limited, counts.slew_limited, counts.power_limited
-            self._rendered[sha256] = (
-                np.ascontiguousarray(np.broadcast_to(codes, (len(codes), self._channels))),
-                sum(limits),
-            )
+            on_all = np.ascontiguousarray(np.broadcast_to(codes, (len(codes), self._channels)))
+            self._rendered[sha256] = on_all, limited_samples(counts)
         self._known[sha256] = stimulus
         return sha256, self._rendered[sha256][0]
 
 
 class SilentPlayer(StimulusPlayer):
-    """Plays nothing, for simulated observers, rehearsals and tests.
-
-    `speed`: how many times faster than real time it is; infinite = every stimulus is over at once.
-    """
-
-    def __init__(self, speed: float = float("inf")) -> None:
-        self._speed = speed
-        self._now: Stimulus | None = None
-        self._until_s = 0.0
-        self._played: list[Played] = []
+    """Plays nothing, for simulated observers, rehearsals and tests: every stimulus is over at once."""
 
     def prepare(self, stimuli: Sequence[Stimulus]) -> None:
         """Do nothing."""
 
     def start(self, stimulus: Stimulus) -> None:
         """Note that a stimulus begins."""
-        self._now = stimulus
-        self._until_s = time.monotonic() + stimulus.seconds / self._speed
         now_utc = datetime.now(UTC).isoformat(timespec="microseconds")
         sha256 = stream_sha256(stimulus.stream)
         self._played.append(Played(stimulus.key, sha256, now_utc, None, stimulus.gain_db, 0, 0, stimulus.seconds))
 
-    def switch(self, stimulus: Stimulus) -> None:
-        """Note another stimulus, at the same place."""
-        until_s = self._until_s
-        self.start(stimulus)
-        self._until_s = until_s
-
     def stop(self) -> None:
-        """Note that nothing plays."""
-        self._now = None
+        """Do nothing."""
 
     def playing(self) -> str | None:
-        """Return the key of the stimulus whose time is not over."""
-        if self._now is not None and time.monotonic() >= self._until_s:
-            self._now = None
-        return None if self._now is None else self._now.key
-
-    def take_played(self) -> list[Played]:
-        """Return what has been noted since the last call."""
-        played, self._played = self._played, []
-        return played
-
-    def close(self) -> None:
-        """Do nothing."""
-        self.stop()
+        """Return None: nothing ever plays."""
+        return None

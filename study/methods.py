@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vibrocast.study.designs import balanced_order, balanced_share, shuffled
-from vibrocast.study.staircases import Bayesian, TransformedUpDown
+from vibrocast.study.staircases import Bayesian, Staircase, TransformedUpDown
 from vibrocast.study.study_file import ANCHOR, CONDITION, HIDDEN_REFERENCE, REFERENCE, Study
 from vibrocast.study.trials import Answer, Choices, Interval, Sliders, Trial
 
@@ -58,6 +58,9 @@ class Design(ABC):
             }
         ]
 
+    def _place(self, texture: str) -> int:
+        return [each.name for each in self.study.textures].index(texture)
+
     def _random(self, *purpose: int) -> np.random.Generator:
         return np.random.default_rng([self.study.seed, self.participant, *purpose])
 
@@ -77,10 +80,16 @@ class Design(ABC):
 
 
 class FixedDesign(Design):
-    """A method whose trials are known before the first answer."""
+    """A method whose trials are known before the first answer.
+
+    `rated`: the roles of the conditions that are rated. `reference`: the name of the reference.
+    """
+
+    rated: tuple[str, ...] = (CONDITION, HIDDEN_REFERENCE, ANCHOR)
 
     def __init__(self, study: Study, participant: int) -> None:
         super().__init__(study, participant)
+        self.reference = next(iter(study.of_role(REFERENCE)), "")
         main = list(self._main_trials())
         if study.order == "random":
             main = shuffled(main, [study.seed, participant, _TRIALS])
@@ -100,10 +109,6 @@ class FixedDesign(Design):
     def _trials_of(self, texture: str, names: Sequence[str], repetition: int) -> Iterator[Trial]:
         """Return the trials of a texture in one repetition, with its conditions in their balanced order."""
 
-    def _rated(self, texture: str) -> tuple[str, ...]:
-        """Return the names of the conditions that are rated of a texture."""
-        return self.study.of_role(CONDITION, HIDDEN_REFERENCE, ANCHOR, texture=texture)
-
     def _main_trials(self) -> Iterator[Trial]:
         """Return all trials: in each repetition all textures, of each texture all conditions in one go."""
         study = self.study
@@ -113,9 +118,8 @@ class FixedDesign(Design):
         for repetition in range(study.repetitions):
             row = (self.participant - 1) // shares + repetition
             for texture in balanced_order(names, row, [study.seed, _TEXTURES]):
-                conditions = balanced_order(
-                    self._rated(texture), row, [study.seed, _CONDITIONS, _place(study, texture)]
-                )
+                rated = study.of_role(*self.rated, texture=texture)
+                conditions = balanced_order(rated, row, [study.seed, _CONDITIONS, self._place(texture)])
                 yield from self._trials_of(texture, conditions, repetition)
 
 
@@ -125,10 +129,9 @@ class Degradation(FixedDesign):
     question = "Is A the same as the reference?"
 
     def _trials_of(self, texture: str, names: Sequence[str], repetition: int) -> Iterator[Trial]:
-        reference = self.study.of_role(REFERENCE)[0]
         for name in names:
-            intervals = Interval("Reference", f"{texture}/{reference}"), Interval("A", f"{texture}/{name}")
-            facts = {"condition": name, "comparison": reference}
+            intervals = _intervals(texture, ("Reference", "A"), (self.reference, name))
+            facts = {"condition": name, "comparison": self.reference}
             yield self._trial(texture, intervals, Choices(GRADES), facts=facts)
 
 
@@ -136,21 +139,16 @@ class SameDifferent(FixedDesign):
     """Two intervals, the same or different; as many trials are the same as are different."""
 
     question = "Are the two the same?"
-
-    def _rated(self, texture: str) -> tuple[str, ...]:
-        return self.study.of_role(CONDITION, ANCHOR, texture=texture)
+    rated = (CONDITION, ANCHOR)
 
     def _trials_of(self, texture: str, names: Sequence[str], repetition: int) -> Iterator[Trial]:
-        reference = self.study.of_role(REFERENCE)[0]
-        pairs = [(name, other) for name in names for other in (name, reference)]
-        ordered = shuffled(pairs, [self.study.seed, self.participant, _SIDES, repetition, _place(self.study, texture)])
-        for number, (_, other) in enumerate(ordered):
-            keys = [f"{texture}/{reference}", f"{texture}/{other}"]
-            first = self._random(_LABELS, repetition, _place(self.study, texture), number).integers(2)
-            keys = keys[::-1] if first else keys
-            intervals = Interval("1", keys[0]), Interval("2", keys[1])
-            correct = int(other != reference)
-            facts = {"condition": other, "comparison": reference, "correct": correct}
+        others = [other for name in names for other in (name, self.reference)]
+        seed = [self.study.seed, self.participant, _SIDES, repetition, self._place(texture)]
+        for number, other in enumerate(shuffled(others, seed)):
+            pair = self.reference, other
+            turned = self._random(_LABELS, repetition, self._place(texture), number).integers(2)
+            intervals = _intervals(texture, "12", pair[::-1] if turned else pair)
+            facts = {"condition": other, "comparison": self.reference, "correct": int(other != self.reference)}
             yield self._trial(texture, intervals, Choices(("same", "different")), in_order=True, facts=facts)
 
 
@@ -158,19 +156,16 @@ class Abx(FixedDesign):
     """A and B differ, and X is one of them."""
 
     question = "Is X the same as A or as B?"
-
-    def _rated(self, texture: str) -> tuple[str, ...]:
-        return self.study.of_role(CONDITION, ANCHOR, texture=texture)
+    rated = (CONDITION, ANCHOR)
 
     def _trials_of(self, texture: str, names: Sequence[str], repetition: int) -> Iterator[Trial]:
-        reference = self.study.of_role(REFERENCE)[0]
         for number, name in enumerate(names):
-            random = self._random(_LABELS, repetition, _place(self.study, texture), number)
-            keys = [f"{texture}/{reference}", f"{texture}/{name}"]
-            keys = keys[::-1] if random.integers(2) else keys
+            random = self._random(_LABELS, repetition, self._place(texture), number)
+            pair = self.reference, name
+            pair = pair[::-1] if random.integers(2) else pair
             right = int(random.integers(2))
-            intervals = [Interval(label, key) for label, key in zip("ABX", [*keys, keys[right]], strict=True)]
-            facts = {"condition": name, "comparison": reference, "correct": right}
+            intervals = _intervals(texture, "ABX", (*pair, pair[right]))
+            facts = {"condition": name, "comparison": self.reference, "correct": right}
             options = Choices(("X is A", "X is B"))
             yield self._trial(texture, intervals, options, switches=True, facts=facts)
 
@@ -179,18 +174,14 @@ class TwoAlternative(FixedDesign):
     """Two intervals, the reference and a condition in either order: two-alternative forced choice."""
 
     question = "Which one feels more distorted?"
-
-    def _rated(self, texture: str) -> tuple[str, ...]:
-        return self.study.of_role(CONDITION, ANCHOR, texture=texture)
+    rated = (CONDITION, ANCHOR)
 
     def _trials_of(self, texture: str, names: Sequence[str], repetition: int) -> Iterator[Trial]:
-        reference = self.study.of_role(REFERENCE)[0]
         for number, name in enumerate(names):
-            right = int(self._random(_LABELS, repetition, _place(self.study, texture), number).integers(2))
-            keys = [f"{texture}/{reference}", f"{texture}/{name}"]
-            keys = keys if right else keys[::-1]
-            intervals = Interval("1", keys[0]), Interval("2", keys[1])
-            facts = {"condition": name, "comparison": reference, "correct": right}
+            right = int(self._random(_LABELS, repetition, self._place(texture), number).integers(2))
+            pair = self.reference, name
+            intervals = _intervals(texture, "12", pair if right else pair[::-1])
+            facts = {"condition": name, "comparison": self.reference, "correct": right}
             yield self._trial(texture, intervals, Choices(("1", "2")), in_order=True, facts=facts)
 
 
@@ -204,11 +195,9 @@ class Mushra(FixedDesign):
     question = "How well does each one keep the reference?"
 
     def _trials_of(self, texture: str, names: Sequence[str], repetition: int) -> Iterator[Trial]:
-        reference = self.study.of_role(REFERENCE)[0]
         labels = [chr(ord("A") + place) for place in range(len(names))]
-        intervals = [Interval("Reference", f"{texture}/{reference}")]
-        intervals += [Interval(label, f"{texture}/{name}") for label, name in zip(labels, names, strict=True)]
-        facts = {"condition": None, "comparison": reference}
+        intervals = _intervals(texture, ("Reference", *labels), (self.reference, *names))
+        facts = {"condition": None, "comparison": self.reference}
         sliders = Sliders(tuple(labels), words=QUALITIES)
         yield self._trial(texture, intervals, sliders, in_order=True, switches=True, facts=facts)
 
@@ -235,17 +224,14 @@ class PairedComparison(FixedDesign):
     question = "Which one do you prefer?"
 
     def _trials_of(self, texture: str, names: Sequence[str], repetition: int) -> Iterator[Trial]:
-        everything = [each.name for each in self.study.conditions]
-        pairs = list(itertools.combinations(everything, 2))
-        place = _place(self.study, texture)
-        for number in shuffled(range(len(pairs)), [self.study.seed, self.participant, _SIDES, repetition, place]):
-            pair = pairs[number]
+        pairs = list(itertools.combinations([each.name for each in self.study.conditions], 2))
+        seed = [self.study.seed, self.participant, _SIDES, repetition, self._place(texture)]
+        for number in shuffled(range(len(pairs)), seed):
             # Half of the pairs are turned around, and the other half for the next participant or repetition.
             turned = (number + self.participant + repetition) % 2 == 1
-            first, second = pair[::-1] if turned else pair
-            intervals = Interval("A", f"{texture}/{first}"), Interval("B", f"{texture}/{second}")
-            facts = {"condition": first, "comparison": second}
-            yield self._trial(texture, intervals, Choices(("A", "B")), facts=facts)
+            pair = pairs[number][::-1] if turned else pairs[number]
+            facts = {"condition": pair[0], "comparison": pair[1]}
+            yield self._trial(texture, _intervals(texture, "AB", pair), Choices(("A", "B")), facts=facts)
 
 
 class AdaptiveDesign(Design):
@@ -276,13 +262,8 @@ class AdaptiveDesign(Design):
             sound = Interval(str(1 + right), f"{texture}/{name}", level_db)
             silence = Interval(str(2 - right), None)
             facts = {"condition": name, "correct": right, "level_db": level_db}
-            trial = self._trial(
-                texture,
-                (silence, sound) if right else (sound, silence),
-                Choices(("1", "2")),
-                in_order=True,
-                facts=facts,
-            )
+            intervals = (silence, sound) if right else (sound, silence)
+            trial = self._trial(texture, intervals, Choices(("1", "2")), in_order=True, facts=facts)
             return replace(trial, number=len(history) + 1, block=block)
         return None
 
@@ -292,15 +273,13 @@ class AdaptiveDesign(Design):
         texture, name = trial.texture, str(trial.facts["condition"])
         before = self._replayed(texture, name, history)
         after = self._replayed(texture, name, [*history, Answered(trial, answer)])
-        return [
-            {**row, "level_db": trial.facts["level_db"], "reversal": int(after.reversals > before.reversals)},
-        ]
+        return [{**row, "level_db": trial.facts["level_db"], "reversal": int(after.reversals > before.reversals)}]
 
     @staticmethod
     def _is_of(trial: Trial, texture: str, name: str) -> bool:
         return (trial.texture, trial.facts["condition"]) == (texture, name)
 
-    def _replayed(self, texture: str, name: str, history: Sequence[Answered]) -> TransformedUpDown | Bayesian:
+    def _replayed(self, texture: str, name: str, history: Sequence[Answered]) -> Staircase:
         """Return a staircase after all its answers so far."""
         staircase = staircase_of(self.study)
         for each in history:
@@ -315,7 +294,7 @@ def staircases_of(study: Study, participant: int) -> list[tuple[str, str]]:
     return [(texture, name) for texture in names for name in study.of_role(CONDITION, texture=texture)]
 
 
-def staircase_of(study: Study) -> TransformedUpDown | Bayesian:
+def staircase_of(study: Study) -> Staircase:
     """Return the staircase that a study asks for, before its first answer."""
     rule = study.staircase
     assert rule is not None, "the study file is checked"
@@ -354,8 +333,9 @@ def textures_of(study: Study, participant: int) -> list[str]:
     return balanced_share(names, count, participant - 1, [study.seed, _SHARES])
 
 
-def _place(study: Study, texture: str) -> int:
-    return [each.name for each in study.textures].index(texture)
+def _intervals(texture: str, labels: Sequence[str], names: Sequence[str]) -> tuple[Interval, ...]:
+    """Return an interval for each label and condition of a texture."""
+    return tuple(Interval(label, f"{texture}/{name}") for label, name in zip(labels, names, strict=True))
 
 
 def _condition(interval: Interval) -> str:

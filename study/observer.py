@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast.codec.threshold import MAX_HZ, MIN_HZ, read_threshold, threshold_amplitude
+from vibrocast.errors import InputError
 from vibrocast.study.methods import PRACTICE
-from vibrocast.study.trials import Choices, Sliders, StudyError, Trial
+from vibrocast.study.trials import Choices, Sliders, Trial
 
 Samples = NDArray[np.float64]
 
@@ -82,11 +83,11 @@ class Skin:
         """The power of each band over its power at the detection threshold, float64 (bands, times).
 
         A leaky integrator of `integration_s` follows the square of each band, with COURSE_RATE_HZ values a second. Of
-        several channels the strongest counts in each band and moment. Raises StudyError for values that are no finite
+        several channels the strongest counts in each band and moment. Raises InputError for values that are no finite
         numbers.
         """
         if not np.all(np.isfinite(self.displacement_um)) or not self.rate_hz > 0:
-            raise StudyError("the skin's displacement has values that are no numbers; check the stimulus")
+            raise InputError("the skin's displacement has values that are no numbers; check the stimulus")
         count = max(len(self.displacement_um), round(_LEAST_S * self.rate_hz))
         signal = np.zeros((count, self.displacement_um.shape[1]))
         if len(self.displacement_um):
@@ -141,7 +142,7 @@ class Observer:
         self._distances: dict[tuple[Skin, Skin], float] = {}
 
     def answer(self, method: str, trial: Trial, skins: Mapping[str, Skin | None]) -> tuple[int, ...]:
-        """Return the answer to a trial from the skin of each label; None = silence. Raises StudyError."""
+        """Return the answer to a trial from the skin of each label; None = silence. Raises InputError."""
         kind = 1 if trial.phase == PRACTICE else 2
         random = np.random.default_rng([*self._seeds, kind, trial.number])
         if random.random() < self._settings.lapse_rate:

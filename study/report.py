@@ -1,6 +1,5 @@
 """Writes the report of a study: one page with charts, and the same figures as JSON and CSV."""
 
-import csv
 import io
 import json
 import math
@@ -18,6 +17,7 @@ from vibrocast.files import atomic_folder
 from vibrocast.study import analysis
 from vibrocast.study.analysis import METRICS, Analysis
 from vibrocast.study.methods import GRADES, QUALITIES
+from vibrocast.study.session import as_csv
 from vibrocast.study.statistics import Interval
 
 PAGE, JSON = "report.html", "report.json"
@@ -32,7 +32,7 @@ _OF_SIMULATION = "Simulated observers, not people"
 
 
 def write_report(folder: Path, out: Path) -> Path:
-    """Analyse a results folder and write the report into `out`; return the page. Raises StudyError, OSError."""
+    """Analyse a results folder and write the report into `out`; return the page. Raises InputError, OSError."""
     read = analysis.analyse(folder)
     tables = analysis.tables(read)
     page = pages.render(
@@ -59,22 +59,13 @@ def write_report(folder: Path, out: Path) -> Path:
         }
         (partial / JSON).write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")
         for name, rows in tables.items():
-            (partial / f"{name}.csv").write_text(_as_csv(rows), encoding="utf-8", newline="")
+            (partial / f"{name}.csv").write_text(as_csv(list(rows[0]), rows), encoding="utf-8", newline="")
     return out / PAGE
 
 
 def _plain(row: dict[str, Any]) -> dict[str, Any]:
     """Return a row that JSON can hold: None for a number that is none."""
     return {key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in row.items()}
-
-
-def _as_csv(rows: Sequence[dict[str, Any]]) -> str:
-    text = io.StringIO()
-    if rows:
-        writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows([{key: "" if value is None else value for key, value in row.items()} for row in rows])
-    return text.getvalue()
 
 
 def _cell(value: object) -> str:
@@ -122,12 +113,11 @@ def _charts(read: Analysis) -> list[tuple[str, Figure]]:
     return charts
 
 
-def _panels(titles: Sequence[str], height: float = 1.0) -> tuple[Figure, list[Axes]]:
+def _panels(titles: Sequence[str]) -> tuple[Figure, list[Axes]]:
     """Return a figure with a panel for each title."""
     columns = min(_MAX_COLUMNS, len(titles))
     rows = math.ceil(len(titles) / columns)
-    size = columns * _PANEL_IN[0], rows * _PANEL_IN[1] * height
-    figure = Figure(figsize=size, layout="constrained")
+    figure = Figure(figsize=(columns * _PANEL_IN[0], rows * _PANEL_IN[1]), layout="constrained")
     axes = [figure.add_subplot(rows, columns, number) for number in range(1, len(titles) + 1)]
     for each, title in zip(axes, titles, strict=True):
         each.set_title(title, fontsize=pictures.POINTS, color=pictures.INK)
@@ -138,16 +128,18 @@ def _panels(titles: Sequence[str], height: float = 1.0) -> tuple[Figure, list[Ax
     return figure, axes
 
 
-def _dots(axes: Axes, names: Sequence[str], values: Sequence[Interval]) -> None:
-    """Draw values with their intervals, the first name on top."""
-    places = range(len(names))
-    for place, value in zip(places, values, strict=True):
-        if value.value is None:
-            continue
-        if value.low is not None and value.high is not None:
-            axes.plot([value.low, value.high], [place, place], color=pictures.GREY, linewidth=1.4)
-        axes.plot(value.value, place, "o", color=pictures.BLUE, markersize=5)
-    _name_rows(axes, names)
+def _dotted(read: Analysis, found: Sequence[tuple[str, str, Interval]]) -> tuple[Figure, list[Axes]]:
+    """Return a panel for each texture, with the values of its conditions and their intervals, the first one on top."""
+    figure, panels = _panels(_textures(read))
+    for axes, texture in zip(panels, _textures(read), strict=True):
+        group = [(name, value) for its_texture, name, value in found if its_texture == texture]
+        for place, (_, value) in enumerate(group):
+            if value.low is not None and value.high is not None:
+                axes.plot([value.low, value.high], [place, place], color=pictures.GREY, linewidth=1.4)
+            if value.value is not None:
+                axes.plot(value.value, place, "o", color=pictures.BLUE, markersize=5)
+        _name_rows(axes, [name for name, _ in group])
+    return figure, panels
 
 
 def _name_rows(axes: Axes, names: Sequence[str]) -> None:
@@ -161,11 +153,9 @@ def _textures(read: Analysis) -> list[str]:
 
 
 def _means(read: Analysis) -> Figure:
-    figure, panels = _panels(_textures(read))
+    figure, panels = _dotted(read, [(each.texture, each.condition, each.mean) for each in read.ratings])
     graded = read.study.method == "degradation"
-    for axes, texture in zip(panels, _textures(read), strict=True):
-        group = [each for each in read.ratings if each.texture == texture]
-        _dots(axes, [each.condition for each in group], [each.mean for each in group])
+    for axes in panels:
         axes.set_xlim((-0.1, len(GRADES) - 0.9) if graded else (0, 100))
         axes.set_xlabel("grade, 0 = same, 3 = different" if graded else "rating", fontsize=pictures.SMALL_POINTS)
     return figure
@@ -213,20 +203,16 @@ def _scatter(read: Analysis) -> Figure:
 
 
 def _sensitivities(read: Analysis) -> Figure:
-    figure, panels = _panels(_textures(read))
-    for axes, texture in zip(panels, _textures(read), strict=True):
-        group = [each for each in read.detections if each.texture == texture]
-        _dots(axes, [each.condition for each in group], [each.sensitivity for each in group])
+    figure, panels = _dotted(read, [(each.texture, each.condition, each.sensitivity) for each in read.detections])
+    for axes in panels:
         axes.set_xlabel("d'", fontsize=pictures.SMALL_POINTS)
         axes.axvline(0, color=pictures.INK, linewidth=0.8)
     return figure
 
 
 def _strengths(read: Analysis) -> Figure:
-    figure, panels = _panels(_textures(read))
-    for axes, texture in zip(panels, _textures(read), strict=True):
-        group = [each for each in read.preferences if each.texture == texture]
-        _dots(axes, [each.condition for each in group], [each.strength for each in group])
+    figure, panels = _dotted(read, [(each.texture, each.condition, each.strength) for each in read.preferences])
+    for axes in panels:
         axes.set_xlabel("Bradley-Terry strength, log units", fontsize=pictures.SMALL_POINTS)
     return figure
 

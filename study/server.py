@@ -27,9 +27,11 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
+from vibrocast.errors import InputError
 from vibrocast.files import plain
 from vibrocast.host.controller import ControllerError
-from vibrocast.study.trials import Break, Message, Paused, Question, Rejected, Run, Screen, StudyError, Trial
+from vibrocast.study.session import Session
+from vibrocast.study.trials import Break, Message, Paused, Question, Rejected, Screen, Trial
 
 DEFAULT_HOST = "127.0.0.1"
 DEFAULT_PORT = 8017
@@ -116,7 +118,7 @@ def masking_noise(spectrum: str) -> NDArray[np.float32]:
 class StudyPages:
     """The pages of a run and their requests. `token`: the secret part of the experimenter's address."""
 
-    def __init__(self, run: Run, aids: Aids) -> None:
+    def __init__(self, run: Session, aids: Aids) -> None:
         self.token = secrets.token_urlsafe(16)
         self.closing = False
         self._run = run
@@ -281,7 +283,7 @@ class StudyPages:
 
 
 def serve(
-    run: Run,
+    run: Session,
     host: str = DEFAULT_HOST,
     port: int = DEFAULT_PORT,
     aids: Aids = Aids(),
@@ -290,12 +292,12 @@ def serve(
     """Serve the pages until the run has ended or an exception, such as KeyboardInterrupt, ends it; the actuator rests.
 
     `host`: the address that is bound; "0.0.0.0" lets tablets of the same network in. `port`: 0 takes a free one.
-    `say` gets a line for each address. Raises StudyError if the address cannot be bound.
+    `say` gets a line for each address. Raises InputError if the address cannot be bound.
     """
     try:
         listening = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
     except (OSError, OverflowError) as reason:
-        raise StudyError(f"cannot serve pages at {host}, port {port}: {reason}; give another host or port") from reason
+        raise InputError(f"cannot serve pages at {host}, port {port}: {reason}; give another host or port") from reason
     pages = StudyPages(run, aids)
     server = uvicorn.Server(
         uvicorn.Config(
@@ -326,7 +328,7 @@ def serve(
             say(f"experimenter: {address}/experimenter/{pages.token}")
         while not run.state().ended:
             if stopped.wait(0.1):
-                raise StudyError("the server of the pages has stopped; start the study again, and it goes on")
+                raise InputError("the server of the pages has stopped; start the study again, and it goes on")
         stopped.wait(_LINGER_S)
     finally:
         pages.closing = server.should_exit = True

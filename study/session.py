@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from vibrocast.device_protocol.transports import TransportError
+from vibrocast.errors import InputError
 from vibrocast.files import atomic_write
 from vibrocast.host.controller import ControllerError
 from vibrocast.study.methods import PRACTICE, Answered, design, presentation
@@ -29,12 +30,10 @@ from vibrocast.study.trials import (
     Paused,
     Question,
     Rejected,
-    Run,
     Screen,
     State,
     Stimulus,
     StimulusPlayer,
-    StudyError,
     Trial,
 )
 
@@ -47,12 +46,15 @@ _INSTRUCTIONS = "Play each texture. Then answer. You can stop at any time."
 _END = "This is the end. Thank you for taking part."
 
 
-class Session(Run):
-    """A run of one participant, safe to use from several threads.
+class Session:
+    """A run of one participant, as pages and terminal use it; safe to use from several threads.
+
+    A method raises Rejected where it does not fit the screen. A run whose device is gone pauses, with the reason in
+    `state().warnings`, until the experimenter resumes it.
 
     `folder` holds its results; one with earlier answers is resumed after the last of them. `stimuli`: of the study, by
     key. `player`: closed with the session. `device`: for the experimenter. `clock`: seconds; `sleep`: of the thread
-    that plays intervals one after the other. Raises StudyError for results of another study, participant or method.
+    that plays intervals one after the other. Raises InputError for results of another study, participant or method.
     """
 
     def __init__(
@@ -117,7 +119,7 @@ class Session(Run):
             return self._question("after") or Message("end", study.title, _END)
 
     def version(self) -> int:
-        """Return a number that changes whenever `screen` or `state` does."""
+        """Return a number that changes whenever `screen` or `state` does: pages poll it."""
         with self._changed:
             return self._version
 
@@ -199,10 +201,10 @@ class Session(Run):
         with self._changed:
             return dict(self._plays)
 
-    def wait_until_quiet(self, seconds: float = 60.0) -> None:
-        """Wait until nothing plays any more, at most some seconds."""
+    def wait_until_quiet(self) -> None:
+        """Wait until nothing plays any more, at most a minute."""
         with self._changed:
-            self._changed.wait_for(lambda: self._paused or not (self._queue or self._now), seconds)
+            self._changed.wait_for(lambda: self._paused or not (self._queue or self._now), 60.0)
 
     def answer(self, values: tuple[int, ...]) -> bool | None:
         """Store the answer on disk and go on; return whether it was correct, None without feedback.
@@ -432,7 +434,7 @@ class Session(Run):
             self._warnings.append(f"the log cannot be written: {error.strerror}; free some space")
 
     def _check_folder(self) -> None:
-        """Write what run this is; raise StudyError where the folder holds another one."""
+        """Write what run this is; raise InputError where the folder holds another one."""
         path = self._folder / RUN
         run = {
             "study": self._study.name,
@@ -445,10 +447,10 @@ class Session(Run):
             try:
                 known = json.loads(path.read_text(encoding="utf-8"))
             except ValueError as error:
-                raise StudyError(f"{path}: damaged ({error}); give another folder") from error
+                raise InputError(f"{path}: damaged ({error}); give another folder") from error
             differing = [key for key, value in run.items() if known.get(key) != value]
             if differing:
-                raise StudyError(
+                raise InputError(
                     f"{path}: a run of another {differing[0]}; give another folder or the study file of that run"
                 )
             return
@@ -465,14 +467,14 @@ class Session(Run):
         while kept < len(rows):
             trial = self._design.next_trial(history)
             if trial is None:
-                raise StudyError(f"{path}: more trials than the study has; give the study file of that run")
+                raise InputError(f"{path}: more trials than the study has; give the study file of that run")
             count = 1 if isinstance(trial.response, Choices) else len(trial.response.labels)
             block = rows[kept : kept + count]
             if len(block) < count:
                 is_damaged = True
                 break
             if any(row["trial"] != str(trial.number) or row["presentation"] != presentation(trial) for row in block):
-                raise StudyError(f"{path}: trial {trial.number} is another one; give the study file of that run")
+                raise InputError(f"{path}: trial {trial.number} is another one; give the study file of that run")
             values = tuple(int(row["value"]) for row in block)
             history.append(Answered(trial, Answer(values, float(block[0]["reaction_s"]), {})))
             kept += count
@@ -482,10 +484,10 @@ class Session(Run):
         return history
 
     def _check_stimuli(self) -> None:
-        """Raise StudyError unless all stimuli of the first trial are there."""
+        """Raise InputError unless all stimuli of the first trial are there."""
         wanted = [] if self._trial is None else [each.stimulus for each in self._trial.intervals]
         if missing := [key for key in wanted if key is not None and key not in self._stimuli]:
-            raise StudyError(f"there is no stimulus {missing[0]!r}; prepare the stimuli of this study file again")
+            raise InputError(f"there is no stimulus {missing[0]!r}; prepare the stimuli of this study file again")
 
 
 def _check_values(trial: Trial, values: Sequence[int]) -> None:
@@ -500,7 +502,7 @@ def _check_values(trial: Trial, values: Sequence[int]) -> None:
 
 
 def _read_rows(path: Path, columns: Sequence[str]) -> tuple[list[dict[str, str]], bool]:
-    """Return the whole rows of a table, and whether its end is damaged. Raises StudyError for another table."""
+    """Return the whole rows of a table, and whether its end is damaged. Raises InputError for another table."""
     if not path.exists():
         return [], False
     text = path.read_bytes().decode("utf-8", errors="replace")
@@ -509,7 +511,7 @@ def _read_rows(path: Path, columns: Sequence[str]) -> tuple[list[dict[str, str]]
     if not lines:
         return [], bool(rest)
     if lines[0] != list(columns):
-        raise StudyError(f"{path}: other columns than those of a run; give another folder")
+        raise InputError(f"{path}: other columns than those of a run; give another folder")
     rows = [dict(zip(columns, line, strict=True)) for line in lines[1:] if len(line) == len(columns)]
     return rows, bool(rest) or len(rows) != len(lines) - 1
 
@@ -520,7 +522,7 @@ def _append(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, obje
     with path.open("a", encoding="utf-8", newline="") as file:
         before = file.tell()
         try:
-            file.write(_as_csv(columns, rows, header=begins))
+            file.write(as_csv(columns, rows, header=begins))
             file.flush()
             os.fsync(file.fileno())
         except OSError:
@@ -538,10 +540,11 @@ def _append(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, obje
 def _write(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, object]]) -> None:
     """Replace a table by whole rows."""
     with atomic_write(path) as partial:
-        partial.write_text(_as_csv(columns, rows, header=True), encoding="utf-8", newline="")
+        partial.write_text(as_csv(columns, rows), encoding="utf-8", newline="")
 
 
-def _as_csv(columns: Sequence[str], rows: Sequence[Mapping[str, Any]], header: bool) -> str:
+def as_csv(columns: Sequence[str], rows: Sequence[Mapping[str, Any]], header: bool = True) -> str:
+    """Return rows as the text of a CSV file; None is an empty field."""
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, lineterminator="\n", restval="")
     if header:

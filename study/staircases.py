@@ -1,9 +1,11 @@
 """Adaptive staircases: each proposes the level of the next trial from the answers so far, and estimates a threshold."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
+
+from vibrocast.study.statistics import Interval
 
 LAPSE_RATE = 0.02
 """Part of the answers that have nothing to do with the stimulus. Wichmann and Hill, "The psychometric function I",
@@ -17,15 +19,6 @@ _SLOPES_PER_DB = (0.05, 0.1, 0.2, 0.4)
 which is 0.15 per dB."""
 _ENOUGH_DB = 4.0
 _MIN_TRIALS = 20
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A threshold with its interval, in the unit of the levels; None where there are too few answers."""
-
-    value: float | None
-    low: float | None
-    high: float | None
 
 
 class TransformedUpDown:
@@ -76,7 +69,7 @@ class TransformedUpDown:
         step = self._steps[min(len(self._turns), len(self._steps) - 1)]
         self._level = min(self._highest, max(self._lowest, self._level + direction * step))
 
-    def threshold(self) -> Estimate:
+    def threshold(self) -> Interval:
         """Return the mean of the last reversals at the last step, an even number of them, and their t interval.
 
         The mean of peaks and valleys is Levitt's "mid-run estimate". The interval takes reversals as independent, and
@@ -87,10 +80,10 @@ class TransformedUpDown:
         settled = self._turns[len(self._steps) - 1 :]
         settled = settled[len(settled) % 2 :]
         if len(settled) < 2:
-            return Estimate(None, None, None)
+            return Interval(None, None, None)
         mean, error = float(np.mean(settled)), float(stats.sem(settled))
         width = error * float(stats.t.ppf((1 + CREDIBLE) / 2, len(settled) - 1))
-        return Estimate(mean, mean - width, mean + width)
+        return Interval(mean, mean - width, mean + width)
 
 
 class Bayesian:
@@ -116,12 +109,8 @@ class Bayesian:
         self._next: int | None = None  # place of the next level, once it is computed
         self._answers = 0
         self._last: bool | None = None
-        self._reversals = 0
-
-    @property
-    def reversals(self) -> int:
+        self.reversals = 0
         """How often a correct answer followed a wrong one, or the other way round."""
-        return self._reversals
 
     @property
     def done(self) -> bool:
@@ -160,16 +149,19 @@ class Bayesian:
         self._posterior = posterior / posterior.sum()
         self._next = None
         self._answers += 1
-        self._reversals += int(self._last is not None and correct != self._last)
+        self.reversals += int(self._last is not None and correct != self._last)
         self._last = correct
 
-    def threshold(self) -> Estimate:
+    def threshold(self) -> Interval:
         """Return the mean of the posterior and its credible interval."""
         weights = self._posterior.sum(axis=1)
         cumulative = np.cumsum(weights)
         low, high = np.searchsorted(cumulative, [(1 - CREDIBLE) / 2, (1 + CREDIBLE) / 2])
         low, high = (int(min(each, _GRID - 1)) for each in (low, high))
-        return Estimate(float(weights @ self._levels), float(self._levels[low]), float(self._levels[high]))
+        return Interval(float(weights @ self._levels), float(self._levels[low]), float(self._levels[high]))
+
+
+Staircase: TypeAlias = TransformedUpDown | Bayesian
 
 
 def _entropy(posteriors: np.ndarray) -> np.ndarray:

@@ -1,14 +1,14 @@
 """Statistics of listening studies: intervals, tests, effect sizes, sensitivities, power; each with its source."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vibrocast.study.trials import StudyError
+from vibrocast.errors import InputError
 
 Values = NDArray[np.float64]
 Model = Literal["differencing", "independent", "yes_no"]
@@ -43,14 +43,14 @@ class PairedTest:
 
 
 def _finite(values: ArrayLike, name: str) -> Values:
-    """Return finite numbers (n,). Raises StudyError for others."""
+    """Return finite numbers (n,). Raises InputError for others."""
     array = np.asarray(values, np.float64)
     if array.ndim != 1 or not np.all(np.isfinite(array)):
-        raise StudyError(f"{name}: some values are no finite numbers; remove those rows")
+        raise InputError(f"{name}: some values are no finite numbers; remove those rows")
     return array
 
 
-def mean_interval(values: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
+def mean_interval(values: ArrayLike) -> Interval:
     """Return the mean of independent values (n,) and Student's t interval; none for fewer than two."""
     from scipy import stats
 
@@ -60,7 +60,7 @@ def mean_interval(values: ArrayLike, confidence: float = CONFIDENCE) -> Interval
     mean = float(np.mean(array))
     if len(array) < 2:
         return Interval(mean, None, None)
-    width = float(stats.sem(array) * stats.t.ppf((1 + confidence) / 2, len(array) - 1))
+    width = float(stats.sem(array) * stats.t.ppf((1 + CONFIDENCE) / 2, len(array) - 1))
     return Interval(mean, mean - width, mean + width)
 
 
@@ -71,7 +71,7 @@ def paired_test(values: ArrayLike, reference: ArrayLike, seed: int = 0) -> Paire
     """
     x, y = _finite(values, "values"), _finite(reference, "reference")
     if len(x) != len(y):
-        raise StudyError(f"{len(x)} values against {len(y)}; a paired test needs both of every participant")
+        raise InputError(f"{len(x)} values against {len(y)}; a paired test needs both of every participant")
     differences = x - y
     count, mean = len(x), float(np.mean(x - y)) if len(x) else 0.0
     return PairedTest(count, mean, *t_test(differences), effect_size(differences, seed))
@@ -136,17 +136,15 @@ def holm(p_values: Sequence[float | None]) -> list[float | None]:
     """Return p values corrected for the number of tests; None stays and does not count.
 
     S. Holm, "A simple sequentially rejective multiple test procedure", Scandinavian Journal of Statistics 6, 1979.
-    Raises StudyError for a p outside 0 to 1.
+    Raises InputError for a p outside 0 to 1.
     """
+    from statsmodels.stats.multitest import multipletests
+
     if any(p is not None and not 0 <= p <= 1 for p in p_values):
-        raise StudyError("a p value lies outside 0 to 1; correct p values of tests")
-    known = sorted((p, place) for place, p in enumerate(p_values) if p is not None)
-    corrected: list[float | None] = [None] * len(p_values)
-    largest = 0.0
-    for rank, (p, place) in enumerate(known):
-        largest = max(largest, min(1.0, (len(known) - rank) * p))
-        corrected[place] = largest
-    return corrected
+        raise InputError("a p value lies outside 0 to 1; correct p values of tests")
+    known = [p for p in p_values if p is not None]
+    corrected = iter(multipletests(known, method="holm")[1].tolist() if known else ())
+    return [None if p is None else next(corrected) for p in p_values]
 
 
 # ---- sensitivity ----
@@ -162,9 +160,9 @@ def rates(hits: float, signals: float, false_alarms: float, noises: float) -> tu
 
 
 def _rate(value: float) -> float:
-    """Return a rate. Raises StudyError for one that is not between 0 and 1: its d' would be infinite."""
+    """Return a rate. Raises InputError for one that is not between 0 and 1: its d' would be infinite."""
     if not 0 < value < 1:
-        raise StudyError(f"a rate of {value} gives no d'; correct the counts with `rates` first")
+        raise InputError(f"a rate of {value} gives no d'; correct the counts with `rates` first")
     return float(value)
 
 
@@ -234,23 +232,23 @@ def _sensitivity_at(rate_of: Callable[[float], float], rate: float) -> float:
     return float(brentq(lambda sensitivity: rate_of(sensitivity) - rate, 0.0, LARGEST_SENSITIVITY))
 
 
-def sensitivity(method: str, counts: ArrayLike, seed: int = 0, model: Model = "differencing") -> Interval:
+def sensitivity(method: str, counts: ArrayLike, model: Model = "differencing") -> Interval:
     """Return d' of a method, and its bootstrap interval over participants.
 
     `counts`: (participants, 4): hits, trials that differ, false alarms, trials that are the same; (participants, 2) of
     forced choice and ABX: correct answers, trials. Counts are pooled over participants, with the log-linear correction.
     Where sensitivities differ, the pooled one lies below their mean (Macmillan and Creelman 2005, chapter 13).
     `model`: of same-different and ABX trials; "differencing" where stimuli rove from trial to trial, "independent"
-    where they stay the same; "yes_no" of same-different trials alone. Raises StudyError.
+    where they stay the same; "yes_no" of same-different trials alone. Raises InputError.
     """
     if model == "yes_no" and method != "same_different":
-        raise StudyError(f"{method}: z(H) - z(F) is of same-different trials; choose another model")
+        raise InputError(f"{method}: z(H) - z(F) is of same-different trials; choose another model")
     table = np.asarray(counts, np.float64)
     columns = 4 if method == "same_different" else 2
     if table.ndim != 2 or table.shape[1] != columns or not np.all(np.isfinite(table)) or np.any(table < 0):
-        raise StudyError(f"{method}: counts must be {columns} for each participant; give another table")
+        raise InputError(f"{method}: counts must be {columns} for each participant; give another table")
     if np.any(table[:, ::2] > table[:, 1::2]):
-        raise StudyError(f"{method}: more answers than trials; give another table")
+        raise InputError(f"{method}: more answers than trials; give another table")
 
     def pooled(rows: NDArray[np.float64]) -> float:
         total = rows.sum(axis=0)
@@ -261,7 +259,7 @@ def sensitivity(method: str, counts: ArrayLike, seed: int = 0, model: Model = "d
         rate = (total[0] + 0.5) / (total[1] + 1)
         return sensitivity_abx(rate, model) if method == "abx" else sensitivity_two_alternative(rate)
 
-    return bootstrap(table, pooled, seed)
+    return bootstrap(table, pooled)
 
 
 # ---- planning ----
@@ -294,22 +292,22 @@ def detectable_effect(count: int, power: float = 0.8, alpha: float = 0.05) -> fl
 
 
 def participants_by_resampling(
-    differences: ArrayLike, power: float = 0.8, alpha: float = 0.05, most: int = 100, seed: int = 0
+    differences: ArrayLike, power: float = 0.8, alpha: float = 0.05, most: int = 100
 ) -> list[int | None]:
     """Return for each condition how many participants the study needs to find it, after Holm's correction.
 
     `differences`: (participants, conditions), each participant's mean rating less that of the reference, from
     simulated observers or a pilot study. Studies of 2 to `most` participants are drawn from them, BOOTSTRAPS / 4 of
     each size. None: a condition that more than `most` are needed for. With few participants to draw from, the numbers
-    are rough. Raises StudyError.
+    are rough. Raises InputError.
     """
     from scipy import stats
 
     pool = np.asarray(differences, np.float64)
     if pool.ndim != 2 or len(pool) < 2 or not np.all(np.isfinite(pool)):
-        raise StudyError("differences must be finite, of at least two participants; simulate more of them")
+        raise InputError("differences must be finite, of at least two participants; simulate more of them")
     studies, conditions = BOOTSTRAPS // 4, pool.shape[1]
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     needed: list[int | None] = [None] * conditions
     for count in range(2, most + 1):
         if None not in needed:
@@ -337,7 +335,7 @@ def bradley_terry(wins: ArrayLike, added: float = 0.5) -> Values:
 
     The iteration of D. R. Hunter, "MM algorithms for generalized Bradley-Terry models", Annals of Statistics 32(1),
     2004, on all tables at once. `added` wins count each way for every pair that met. So an item that always wins has a
-    finite strength. An item that met no other has 0. Raises StudyError.
+    finite strength. An item that met no other has 0. Raises InputError.
     """
     table = np.array(wins, np.float64)
     if (
@@ -347,7 +345,7 @@ def bradley_terry(wins: ArrayLike, added: float = 0.5) -> Values:
         or not np.all(np.isfinite(table))
         or np.any(table < 0)
     ):
-        raise StudyError("wins must be a square table of counts; give another table")
+        raise InputError("wins must be a square table of counts; give another table")
     table *= 1 - np.eye(table.shape[-1])
     met = table + np.swapaxes(table, -1, -2)
     table = np.where(met > 0, table + added, 0.0)
@@ -364,25 +362,21 @@ def bradley_terry(wins: ArrayLike, added: float = 0.5) -> Values:
     return np.asarray(np.log(updated))
 
 
-@dataclass(frozen=True)
-class MixedModel:
-    """A linear mixed model of ratings: each condition against the reference, participants as random intercepts.
+class Effect(NamedTuple):
+    """The effect of a condition in a linear mixed model."""
 
-    `effects`: by condition, difference, standard error and p. `participant_sd`, `residual_sd`: standard deviations.
-    """
-
-    effects: Mapping[str, tuple[float, float, float]]
-    participant_sd: float
-    residual_sd: float
+    difference: float
+    standard_error: float
+    p: float
 
 
 def mixed_model(
     ratings: ArrayLike, conditions: Sequence[str], participants: Sequence[object], reference: str
-) -> MixedModel | None:
+) -> dict[str, Effect] | None:
     """Fit rating ~ condition + (1 | participant) by REML with statsmodels; None where the data determine no fit.
 
-    N. M. Laird and J. H. Ware, "Random-effects models for longitudinal data", Biometrics 38(4), 1982. Raises
-    StudyError.
+    Returns the effect of each condition; participants are random intercepts. N. M. Laird and J. H. Ware,
+    "Random-effects models for longitudinal data", Biometrics 38(4), 1982. Raises InputError.
     """
     import warnings
 
@@ -390,7 +384,7 @@ def mixed_model(
 
     values = _finite(ratings, "ratings")
     if not len(values) == len(conditions) == len(participants):
-        raise StudyError(f"{len(values)} ratings, {len(conditions)} conditions; a model needs both of every answer")
+        raise InputError(f"{len(values)} ratings, {len(conditions)} conditions; a model needs both of every answer")
     others = [name for name in dict.fromkeys(conditions) if name != reference]
     groups = [str(each) for each in participants]
     if reference not in conditions or not others or len(set(groups)) < 2 or not _spreads(values):
@@ -404,13 +398,10 @@ def mixed_model(
         except (np.linalg.LinAlgError, ValueError):
             return None
     effects = {
-        name: (float(fit.fe_params[place]), float(fit.bse_fe[place]), float(fit.pvalues[place]))
+        name: Effect(float(fit.fe_params[place]), float(fit.bse_fe[place]), float(fit.pvalues[place]))
         for place, name in enumerate(others, 1)
     }
-    if not all(math.isfinite(number) for each in effects.values() for number in each):
-        return None
-    spread = math.sqrt(max(0.0, float(np.asarray(fit.cov_re).ravel()[0])))
-    return MixedModel(effects, spread, math.sqrt(float(fit.scale)))
+    return effects if all(math.isfinite(number) for each in effects.values() for number in each) else None
 
 
 @dataclass(frozen=True)
@@ -427,14 +418,14 @@ def correlation(x: ArrayLike, y: ArrayLike) -> Correlation:
 
     The interval of r is Fisher's: tanh(atanh r +- z / sqrt(n - 3)). R. A. Fisher, Metron 1, 1921. That of rho has the
     standard error sqrt((1 + rho^2 / 2) / (n - 3)): D. G. Bonett and T. A. Wright, "Sample size requirements for
-    estimating Pearson, Kendall and Spearman correlations", Psychometrika 65(1), 2000. Raises StudyError.
+    estimating Pearson, Kendall and Spearman correlations", Psychometrika 65(1), 2000. Raises InputError.
     """
     from scipy import stats
 
     first, second = _finite(x, "x"), _finite(y, "y")
     count = len(first)
     if count != len(second):
-        raise StudyError(f"{count} values against {len(second)}; a correlation needs pairs")
+        raise InputError(f"{count} values against {len(second)}; a correlation needs pairs")
     if count < 3 or not _spreads(first) or not _spreads(second):
         nothing = Interval(None, None, None)
         return Correlation(count, nothing, nothing)

@@ -17,14 +17,15 @@ from vibrocast import models
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import Stream, read_stream
 from vibrocast.codec.threshold import MAX_HZ, MIN_HZ, read_threshold, threshold_amplitude
+from vibrocast.device_protocol.messages import Status
+from vibrocast.errors import InputError, located
 from vibrocast.files import atomic_folder
 from vibrocast.host.playback import check_unit
 from vibrocast.output.actuator import SKIN_OVERSAMPLING, Actuator, Codes
 from vibrocast.output.rendering import LimitCounts, render
 from vibrocast.study.study_file import REFERENCE, Condition, Study
-from vibrocast.study.trials import Stimulus, StudyError
+from vibrocast.study.trials import Stimulus
 from vibrocast.textures import Recording
-from vibrocast.toml_tables import located
 
 Samples = NDArray[np.float64]
 
@@ -51,7 +52,7 @@ def prepare(study: Study, actuator: Actuator, progress: Callable[[float], None] 
     """Code each texture under each condition, and bring all to the level of the texture's reference at the skin.
 
     The level is that of `skin_level_db`. The reference, or the first condition without one, keeps the recording's level
-    and `gain_db` of the study. The metrics of the others compare with it, as the participants do. Raises StudyError,
+    and `gain_db` of the study. The metrics of the others compare with it, as the participants do. Raises InputError,
     which names texture and condition, and CodecError of `check_unit`.
     """
     prepared: list[Stimulus] = []
@@ -63,7 +64,7 @@ def prepare(study: Study, actuator: Actuator, progress: Callable[[float], None] 
         ordered = sorted(study.conditions_of(name), key=lambda each: each.role != REFERENCE)
         first: Stimulus | None = None
         for condition in ordered:
-            with located(f"texture {name}, condition {condition.name}", StudyError):
+            with located(f"texture {name}, condition {condition.name}"):
                 stimulus = _stimulus(study, actuator, cut, name, condition, first)
             first = first or stimulus
             prepared.append(stimulus)
@@ -152,10 +153,14 @@ def _played(coded: Stream, gain_db: float, actuator: Actuator, loops: int) -> tu
     return stream, codes, counts
 
 
+def limited_samples(counts: LimitCounts | Status) -> int:
+    """Return how many DAC samples the limits changed; a sample that two limits changed counts twice."""
+    return counts.compensation_clipped + counts.voltage_limited + counts.slew_limited + counts.power_limited
+
+
 def limited_part(counts: LimitCounts, codes: Codes) -> float:
-    """Return the part of DAC samples that a limit changed, 0 to 1; a sample that two limits changed counts twice."""
-    changed = counts.compensation_clipped + counts.voltage_limited + counts.slew_limited + counts.power_limited
-    return min(1.0, changed / max(1, codes.size))
+    """Return the part of DAC samples that a limit changed, 0 to 1, by `limited_samples`."""
+    return min(1.0, limited_samples(counts) / max(1, codes.size))
 
 
 def skin_level_db(codes: Codes, actuator: Actuator) -> float:
@@ -244,7 +249,7 @@ def save(folder: Path, stimuli: Sequence[Stimulus], actuator: Actuator) -> None:
 
 
 def load(folder: Path, actuator: Actuator | None = None) -> tuple[Stimulus, ...]:
-    """Read the stimuli that `save` wrote. Raises StudyError for a folder without, or one for another actuator."""
+    """Read the stimuli that `save` wrote. Raises InputError for a folder without, or one for another actuator."""
     path = folder / STIMULI
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
@@ -252,7 +257,7 @@ def load(folder: Path, actuator: Actuator | None = None) -> tuple[Stimulus, ...]
             raise ValueError("levels were matched for another actuator")
         return tuple(_loaded(folder, row) for row in document["stimuli"])
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise StudyError(
+        raise InputError(
             f"{path}: not the stimuli of a study ({error}); prepare them again in another folder"
         ) from error
 

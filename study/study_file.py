@@ -11,11 +11,11 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta, field
 
 from vibrocast import codec, textures
+from vibrocast.errors import located
 from vibrocast.host.bench_file import TextureTable
-from vibrocast.study.trials import StudyError
 from vibrocast.textures import Recording
 from vibrocast.textures.generate import SURFACES
-from vibrocast.toml_tables import Table, Text, check_names, convert, located, one_of, read_each, read_toml, within
+from vibrocast.toml_tables import Table, Text, check_names, convert, one_of, read_each, read_toml, within
 
 METHODS = (
     "degradation",
@@ -267,20 +267,20 @@ class Study(StudyTables, frozen=True, kw_only=True):
         return tuple(each.name for each in conditions if each.role in roles)
 
     def recordings(self) -> Mapping[str, Recording]:
-        """Return each texture's recording by name. Raises StudyError, which names the table."""
+        """Return each texture's recording by name. Raises InputError, which names the table."""
         loaded = {}
         for number, texture in enumerate(self.textures, 1):
-            with located(f"[[textures]] {number}", StudyError):
+            with located(f"[[textures]] {number}"):
                 loaded[texture.name] = texture.load(Path(self.folder))
         return loaded
 
 
 def read_study(path: Path, with_files: bool = True) -> Study:
-    """Read a study file. Raises StudyError, and OSError where it cannot be read.
+    """Read a study file. Raises InputError, and OSError where it cannot be read.
 
     `with_files`: whether the files that it names must be there; its copy in a results folder needs none.
     """
-    with located(path, StudyError):
+    with located(path):
         document = read_toml(path, "study file")
         tables = convert(document, StudyTables)
         if with_files:

@@ -1,18 +1,15 @@
 """A study as its parts see it: stimuli, screens that a participant meets, answers, and the session between them."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 from vibrocast.codec.stream import Stream
-from vibrocast.files import InputFileError
+from vibrocast.errors import VibrocastError
 
 
-class StudyError(InputFileError):
-    """A study file, a set of stimuli or results that cannot be used; the message says what to correct."""
-
-
-class Rejected(RuntimeError):
+class Rejected(VibrocastError):
     """A request of a participant or experimenter that does not fit the screen; the message says why."""
 
 
@@ -189,50 +186,6 @@ class State:
     warnings: tuple[str, ...] = ()
 
 
-class Run(Protocol):
-    """One participant's run, as pages and terminal use it. Safe to call from several threads.
-
-    Each method raises Rejected where it does not fit the screen. A run whose device is gone pauses, with the reason in
-    `state().warnings`, until the experimenter resumes it.
-    """
-
-    def screen(self) -> Screen:
-        """Return the present screen."""
-
-    def version(self) -> int:
-        """Return a number that changes whenever `screen` or `state` does: pages poll it."""
-
-    def go_on(self) -> None:
-        """Leave a Message, or a Break after its time."""
-
-    def reply(self, text: str) -> None:
-        """Answer a Question."""
-
-    def play(self, label: str) -> None:
-        """Play an interval of the present trial, or switch to it; returns while it plays."""
-
-    def stop_playing(self) -> None:
-        """Bring the actuator to rest; the trial goes on."""
-
-    def answer(self, values: tuple[int, ...]) -> bool | None:
-        """Store the answer on disk and go on; return whether it was correct, None without feedback."""
-
-    def pause(self) -> None:
-        """Stop the actuator and show Paused until `resume`."""
-
-    def resume(self) -> None:
-        """Show the trial again, from its beginning."""
-
-    def abort(self) -> None:
-        """Stop the actuator and end the run; started again, the command goes on after the last answer."""
-
-    def plays(self) -> Mapping[str, int]:
-        """Return how often each label of the present trial was played."""
-
-    def state(self) -> State:
-        """Return what the experimenter sees."""
-
-
 @dataclass(frozen=True)
 class Played:
     """One presentation as the device played it, for the log.
@@ -258,29 +211,40 @@ class Played:
     seconds: float
 
 
-class StimulusPlayer(Protocol):
+class StimulusPlayer(ABC):
     """Plays stimuli on a device for a run. Calls return at once; another thread plays."""
 
+    def __init__(self) -> None:
+        self._played: list[Played] = []
+
+    @abstractmethod
     def prepare(self, stimuli: Sequence[Stimulus]) -> None:
         """Do all that would delay a first presentation. Raises ControllerError, TransportError."""
 
+    @abstractmethod
     def start(self, stimulus: Stimulus) -> None:
         """Play from the beginning; what plays before ramps down. Raises ControllerError, TransportError."""
 
     def switch(self, stimulus: Stimulus) -> None:
         """Go on at the same place in another stimulus, without a gap where the device can; else as `start`."""
+        self.start(stimulus)
 
+    @abstractmethod
     def stop(self) -> None:
         """Bring the actuator to rest. Never raises for a device that is gone."""
 
+    @abstractmethod
     def playing(self) -> str | None:
         """Return the key of the stimulus that plays, None at rest. Raises what went wrong in the other thread."""
 
     def take_played(self) -> list[Played]:
         """Return what has been played since the last call."""
+        played, self._played = self._played, []
+        return played
 
     def close(self) -> None:
         """Bring the actuator to rest; nothing is played after this."""
+        self.stop()
 
 
 RESULT_COLUMNS = (

@@ -17,8 +17,8 @@ from vibrocast.host.controller import Controller
 from vibrocast.output.actuator import Codes
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
-from vibrocast.simulated_device.faulty_link import MemoryLink, SimulatedTime
 from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
+from vibrocast.simulated_device.memory_link import MemoryLink, SimulatedTime
 from vibrocast.textures import Recording
 
 RATE_HZ = 2800

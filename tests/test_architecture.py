@@ -32,8 +32,8 @@ PRODUCTS = {
 }
 """The products, which may import the core, and of each other these."""
 PACKAGES = (*CORE, "host", *PRODUCTS)
-SMALL = ("extras", "files", "pages", "pictures", "progress", "toml_tables", "workers")
-"""Modules in vibrocast/ for every package; they import none."""
+SMALL = ("errors", "extras", "files", "pages", "pictures", "progress", "toml_tables", "workers")
+"""Modules in vibrocast/ for every package; they import none of them."""
 
 
 def sources() -> dict[str, Path]:

@@ -55,7 +55,7 @@ def test_the_base_encodes_decodes_plays_and_uploads(tmp_path: Path) -> None:
         ["play", stream, "--report", str(tmp_path / "taps.json")],
         ["play", wav, "--snr-db", "10"],
         ["encode", wav, stream, "--codec", "slp", "--snr-db", "10"],
-        ["live", "taps", "--seconds", "0.5"],
+        ["live", "taps", "--seconds", "0.5", "--playout-delay-ms", "300"],
         ["codecs"],
         ["models"],
         ["devices"],

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from vibrocast.files import InputFileError, atomic_write, read_input
+from vibrocast.errors import InputError
+from vibrocast.files import atomic_write, read_input
 
 
 def read(path: Path) -> bytes:
@@ -27,7 +28,7 @@ def test_the_whole_file_is_read(content: bytes, tmp_path: Path) -> None:
 def test_other_files_are_rejected(content: bytes, reason: str, tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(content)
-    with pytest.raises(InputFileError, match=reason):
+    with pytest.raises(InputError, match=reason):
         read(path)
 
 
@@ -35,7 +36,7 @@ def test_a_pipe_or_device_is_rejected_without_waiting_for_it(tmp_path: Path) -> 
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     for path in (pipe, tmp_path, Path("/dev/zero")):
-        with pytest.raises(InputFileError, match="no file"):
+        with pytest.raises(InputError, match="no file"):
             read(path)
     with pytest.raises(FileNotFoundError):
         read(tmp_path / "none")

@@ -6,18 +6,8 @@ from typing import Annotated, Literal
 import pytest
 from msgspec import Meta
 
-from vibrocast.files import InputFileError
-from vibrocast.toml_tables import (
-    Table,
-    Text,
-    check_names,
-    convert,
-    located,
-    one_of,
-    read_each,
-    read_toml,
-    within,
-)
+from vibrocast.errors import InputError, located
+from vibrocast.toml_tables import Table, Text, check_names, convert, one_of, read_each, read_toml, within
 
 
 class Drive(Table, frozen=True):
@@ -110,7 +100,7 @@ def test_a_wrong_value_is_reported_with_the_right_ones(drive: object, message: s
 def test_other_files_are_rejected(content: bytes, message: str, tmp_path: Path) -> None:
     path = tmp_path / "a.toml"
     path.write_bytes(content)
-    with pytest.raises(InputFileError, match=f"^{path}: {message}"), located(path, InputFileError):
+    with pytest.raises(InputError, match=f"^{path}: {message}"), located(path):
         read_toml(path, "scene")
     with pytest.raises(ValueError, match="no file; give a scene in TOML"):
         read_toml(tmp_path, "scene")

@@ -7,10 +7,15 @@ from typing import Any
 from vibrocast.textures.recording import TextureError
 
 
+def wrong_type(name: str, value: Any, required: str) -> TextureError:
+    """Return the error for a value of a wrong type. `required`: the right types in words."""
+    return TextureError(f"`{name}` is of type {type(value).__name__}", action=f"pass {required}", parameter=name)
+
+
 def of_type(name: str, value: Any, types: type | tuple[type, ...], required: str) -> None:
     """Raise TextureError unless the value is None or of one of the types. `required`: the types in words."""
     if value is not None and not isinstance(value, types):
-        raise TextureError(f"`{name}` is of type {type(value).__name__}; pass {required}")
+        raise wrong_type(name, value, required)
 
 
 def number(name: str, value: Any) -> float:
@@ -20,7 +25,7 @@ def number(name: str, value: Any) -> float:
             raise TypeError
         return float(value)
     except (TypeError, ValueError):
-        raise TextureError(f"`{name}` is of type {type(value).__name__}; pass a number") from None
+        raise wrong_type(name, value, "a number") from None
 
 
 def optional_number(name: str, value: Any) -> float | None:
@@ -32,12 +37,12 @@ def whole_number(name: str, value: Any, low: int, high: int) -> int:
     """Return a whole number of any type from low to high. Raises TextureError for anything else."""
     given = number(name, value)
     if not (low <= given <= high and given.is_integer()):
-        raise TextureError(f"`{name}` is {value}; pass a whole number from {low} to {high}")
+        raise TextureError(f"`{name}` is {value}", action=f"pass a whole number from {low} to {high}", parameter=name)
     return int(given)
 
 
 def file_path(name: str, value: Any) -> Path:
     """Return the path of a file. Raises TextureError for any other type."""
     if not isinstance(value, str | os.PathLike):
-        raise TextureError(f"`{name}` is of type {type(value).__name__}; pass the path of a file")
+        raise wrong_type(name, value, "the path of a file")
     return Path(value)

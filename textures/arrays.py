@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast.textures.memory import excess, shortage
-from vibrocast.textures.recording import Contents, TextureError
+from vibrocast.textures.recording import Contents, TextureError, unusable
 from vibrocast.textures.text import known_unit
 
 SAMPLES_KEY, RATE_KEY, UNIT_KEY = "samples", "rate_hz", "unit"
@@ -90,7 +90,7 @@ def chosen_key(names: Sequence[str], key: str | None, path: Path, others: Mappin
             listed = _listed([f"{name} is a {kind}" for name, kind in unusable.items()])
             raise TextureError(f"{path}: {listed}, not an array of numbers; save its numbers as an array")
         problem = "choose an array with `key`" if key is None else f"no array of numbers `key`={key}"
-        raise TextureError(f"{path}: {problem}; there are {_listed(names)}")
+        raise TextureError(f"{path}: {problem}; there are {_listed(names)}", parameter="key")
     return key
 
 
@@ -154,7 +154,7 @@ def _only_rate(rates: Mapping[str, float], rate_hz: float | None, path: Path) ->
     different = set(rates.values())
     if len(different) > 1 and rate_hz not in different:
         listed = ", ".join(f"{name} {value:g}" for name, value in rates.items())
-        raise TextureError(f"{path}: states several rates, {listed}; choose one with `rate_hz`")
+        raise unusable(path, f"states several rates, {listed}", "choose one with `rate_hz`", "rate_hz")
     return rate_hz if len(different) > 1 else next(iter(different), None)
 
 

@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from vibrocast import textures
+from vibrocast.errors import InputError
 from vibrocast.textures import files, p1918
 from vibrocast.textures.files import ARRAY_SUFFIXES, KEYED_SUFFIXES, TEXT_SUFFIXES
 from vibrocast.textures.profiles import Profile
-from vibrocast.textures.recording import TextureError
+from vibrocast.textures.recording import TextureError, unusable
 from vibrocast.textures.text import known_unit
 
 SUFFIXES = (".wav", *TEXT_SUFFIXES, *ARRAY_SUFFIXES)
@@ -38,10 +39,6 @@ MAX_HEADER_CHARACTERS = 10_000
 _REFERENCE_NAME = re.compile(r".+?_-_.+?_-_(.+)_-_.+", re.DOTALL)
 
 
-class DatasetError(ValueError):
-    """A folder, manifest or split that cannot be used; the message says why and what to do."""
-
-
 @dataclass(frozen=True)
 class DatasetEntry:
     """One recording: its own name, and its path for `textures.load`.
@@ -60,13 +57,13 @@ class DatasetEntry:
     def material(self) -> str:
         """The material in lower case, from the manifest or from a name as in IEEE P1918.1.1.
 
-        Raises DatasetError if neither states it.
+        Raises InputError if neither states it.
         """
         if self.stated_material:
             return self.stated_material.casefold()
         match = _REFERENCE_NAME.fullmatch(self.name.rpartition("/")[2])
         if match is None:
-            raise DatasetError(
+            raise InputError(
                 f"{self.name}: its name does not state the material; give a manifest with a column material, split "
                 'by "recording", or name all files INTERACTION_-_TOOL_-_MATERIAL_-_SPEED'
             )
@@ -107,14 +104,14 @@ def read(path: Path, leave_out: Path | None = None) -> Dataset:
     other files are skipped. The name of an entry is its path within the folder, without the suffix unless two names are
     equal.
 
-    Raises DatasetError if there are no recordings or the manifest is wrong, OSError if it cannot be read.
+    Raises InputError if there are no recordings or the manifest is wrong, OSError if it cannot be read.
     """
     if path.is_dir():
         return _of_folder(path, leave_out)
     if not path.exists():
-        raise DatasetError(f"{path}: no such folder; give the folder that holds the recordings, or a manifest")
+        raise InputError(f"{path}: no such folder; give the folder that holds the recordings, or a manifest")
     if path.suffix.lower() != ".csv" or not path.is_file():
-        raise DatasetError(f"{path}: neither a folder nor a manifest; give a folder, or a CSV file with a column file")
+        raise InputError(f"{path}: neither a folder nor a manifest; give a folder, or a CSV file with a column file")
     return _of_manifest(path)
 
 
@@ -128,7 +125,7 @@ def split(everything: list[DatasetEntry], part: str, seed: int = 0, by: str = "a
 
     `by`, one of SPLITS: the unit that is never in both parts. With "auto", a manifest's column `split` decides.
     Otherwise the test part is TEST_PART of the entries, or as near to that as whole materials or subjects allow. Equal
-    names and seeds give equal parts on every machine. Raises DatasetError if one part would be empty, if an entry
+    names and seeds give equal parts on every machine. Raises InputError if one part would be empty, if an entry
     states no material or subject, or if "recording" would divide a material that a manifest states.
     """
     if part == "all":
@@ -137,10 +134,10 @@ def split(everything: list[DatasetEntry], part: str, seed: int = 0, by: str = "a
     if by == "auto" and any(entry.part for entry in everything):
         chosen = [entry for entry in everything if entry.part == part]
         if not chosen:
-            raise DatasetError(f"the manifest's column split marks no recording as {part}; mark some, or take all")
+            raise InputError(f"the manifest's column split marks no recording as {part}; mark some, or take all")
         return chosen
     if by == "recording" and stated:
-        raise DatasetError(
+        raise InputError(
             'the manifest states materials, and a split by "recording" puts one material into both parts; split by '
             '"material"'
         )
@@ -152,7 +149,7 @@ def split(everything: list[DatasetEntry], part: str, seed: int = 0, by: str = "a
         kind = "recording"
         test = set(sorted((entry.name for entry in everything), key=lambda name: _draw_rank(name, seed))[:target])
     if not 0 < len(test) < len(everything):
-        raise DatasetError(f"there is only one {kind}, which cannot be split; add others, or take all")
+        raise InputError(f"there is only one {kind}, which cannot be split; add others, or take all")
     return [entry for entry in everything if (entry.name in test) == (part == "test")]
 
 
@@ -177,8 +174,11 @@ def load_highpassed(
     if math.isclose(recording.rate_hz, round(recording.rate_hz), rel_tol=RATE_TOLERANCE):
         recording = replace(recording, rate_hz=float(round(recording.rate_hz)))
     elif stream_rate_hz is None:
-        raise TextureError(
-            f"{entry.path}: {recording.rate_hz:g} Hz is no whole number; give the stream's rate as `stream_rate_hz`"
+        raise unusable(
+            entry.path,
+            f"{recording.rate_hz:g} Hz is no whole number",
+            "give the stream's rate as `stream_rate_hz`",
+            "stream_rate_hz",
         )
     passed = textures.highpass(recording, textures.highpass_of(chosen.get("unit"), highpass_hz))
     return replace(passed, recording=textures.resample(passed.recording, stream_rate_hz or recording.rate_hz))
@@ -237,7 +237,7 @@ def _of_folder(folder: Path, leave_out: Path | None) -> Dataset:
     # textures.load knows a recording of several files by their common name.
     paths = [paths[0] if len(paths) == 1 else together for together, paths in grouped.items()]
     if not paths:
-        raise DatasetError(f"{folder}: no recordings ({', '.join(SUFFIXES)}) in it or its sub-folders; give another")
+        raise InputError(f"{folder}: no recordings ({', '.join(SUFFIXES)}) in it or its sub-folders; give another")
     return Dataset(_named([DatasetEntry("", path) for path in paths], folder), skipped)
 
 
@@ -274,67 +274,67 @@ def _of_manifest(manifest: Path) -> Dataset:
     found, missing = [], []
     for place, row in rows.items():
         if not row["file"]:
-            raise DatasetError(f"{place}, file: empty; name the recording's file")
+            raise InputError(f"{place}, file: empty; name the recording's file")
         path = manifest.parent / row["file"]
         if not path.exists() and not any(path.with_name(f"{path.name}_{axis}.txt").exists() for axis in textures.AXES):
             missing.append(f"{place}, file: {row['file']}")
         part = row.get("split", "").lower()
         if part not in ("", "train", "test"):
-            raise DatasetError(f"{place}, split: {part!r} is neither train nor test; correct it, or leave it empty")
+            raise InputError(f"{place}, split: {part!r} is neither train nor test; correct it, or leave it empty")
         material, subject = row.get("material", ""), row.get("subject", "")
         found.append(DatasetEntry("", path, _stated_options(row, place), material, subject, part))
     if missing:
         more = f", nor do those of {len(missing) - 1} other rows" if len(missing) > 1 else ""
-        raise DatasetError(f"{missing[0]} does not exist{more}; paths start at the manifest's folder")
+        raise InputError(f"{missing[0]} does not exist{more}; paths start at the manifest's folder")
     named = _named(found, manifest.parent)
     if alike := [name for name, times in Counter(entry.name for entry in named).items() if times > 1]:
-        raise DatasetError(f"{manifest}: {alike[0]} is in several rows; keep one, or give them different axes or keys")
+        raise InputError(f"{manifest}: {alike[0]} is in several rows; keep one, or give them different axes or keys")
     return Dataset(named, notes=_notes(manifest, named, columns))
 
 
 def _rows(manifest: Path) -> tuple[dict[str, dict[str, str]], list[str]]:
     """Return the rows of a manifest by their place, without blanks around values, and the columns.
 
-    Raises DatasetError.
+    Raises InputError.
     """
     with manifest.open(newline="", encoding="utf-8-sig") as file:
         try:
             reader = csv.DictReader(file, skipinitialspace=True, strict=True)
             columns = [name.strip() for name in reader.fieldnames or ()]
             if "file" not in columns:
-                raise DatasetError(
+                raise InputError(
                     f"{manifest}: no column file; a manifest is a CSV file with a column file and any of "
                     f"{', '.join(COLUMNS[1:])}"
                 )
             if twice := [name for name, times in Counter(columns).items() if times > 1]:
-                raise DatasetError(f"{manifest}: two columns {twice[0]!r}; keep one")
+                raise InputError(f"{manifest}: two columns {twice[0]!r}; keep one")
             reader.fieldnames = columns
             rows = {}
             for row in reader:
                 place = f"{manifest}, row {reader.line_num}"
                 if None in row or None in row.values():
-                    raise DatasetError(f"{place}: not one value for each of the {len(columns)} columns; correct it")
+                    raise InputError(f"{place}: not one value for each of the {len(columns)} columns; correct it")
                 rows[place] = {name: value.strip() for name, value in row.items()}
         except (csv.Error, UnicodeDecodeError) as error:
-            raise DatasetError(f"{manifest}: not a CSV file in UTF-8: {error}; save it as one") from error
+            raise InputError(f"{manifest}: not a CSV file in UTF-8: {error}; save it as one") from error
     if not rows:
-        raise DatasetError(f"{manifest}: lists no recordings; add a row for each")
+        raise InputError(f"{manifest}: lists no recordings; add a row for each")
     return rows, columns
 
 
 def _stated_options(row: Mapping[str, str], place: str) -> dict[str, Any]:
-    """Return the options of a row for `textures.load`. Raises DatasetError."""
+    """Return the options of a row for `textures.load`. Raises InputError."""
     options: dict[str, Any] = {name: row[name] for name in ("axis", "reduce", "key") if row.get(name)}
     if options.get("axis", "").upper() in textures.AXES:
         options["axis"] = options["axis"].upper()
     for name, known in (("axis", textures.AXES), ("reduce", textures.REDUCTIONS)):
         if name in options and options[name] not in known:
-            raise DatasetError(f"{place}, {name}: {options[name]!r} is none of {', '.join(known)}; correct it")
+            raise InputError(f"{place}, {name}: {options[name]!r} is none of {', '.join(known)}; correct it")
     if row.get("unit"):
         try:
             options["unit"] = known_unit(row["unit"], f"{place}, unit")
         except TextureError as error:
-            raise DatasetError(f"{error}; correct it, or leave it empty") from error
+            raise InputError(f"{error}; correct it, or leave it empty") from error
     for name in NUMBERS:
         if text := row.get(name):
             try:
@@ -342,7 +342,7 @@ def _stated_options(row: Mapping[str, str], place: str) -> dict[str, Any]:
             except ValueError:
                 options[name] = math.nan
             if not 0 < options[name] < math.inf:
-                raise DatasetError(f"{place}, {name}: {text!r} is no positive number; correct it, or leave it empty")
+                raise InputError(f"{place}, {name}: {text!r} is no positive number; correct it, or leave it empty")
     return options
 
 
@@ -391,11 +391,11 @@ def _stem(path: Path) -> Path:
 
 
 def _group(entry: DatasetEntry, kind: str) -> str:
-    """Return the material or the subject of an entry. Raises DatasetError if the entry states none."""
+    """Return the material or the subject of an entry. Raises InputError if the entry states none."""
     if kind == "material":
         return entry.material
     if not entry.subject:
-        raise DatasetError(f"{entry.name}: states no subject; give a manifest with a column subject")
+        raise InputError(f"{entry.name}: states no subject; give a manifest with a column subject")
     return entry.subject
 
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from vibrocast.textures import arguments, arrays, hdf5, mat, p1918, wav
 from vibrocast.textures.axes import AXES, DFT321, REDUCTIONS, reduced
 from vibrocast.textures.profiles import Profile
-from vibrocast.textures.recording import INPUT_UNITS, Contents, Recording, TextureError
+from vibrocast.textures.recording import INPUT_UNITS, Contents, Recording, TextureError, unusable
 from vibrocast.textures.text import Table, column_names, known_unit, read_table, signal_of, uniform_step, write_table
 
 TEXT_SUFFIXES = (".csv", ".txt", ".tsv")
@@ -61,13 +61,20 @@ def load(
     for name, text in (("unit", unit), ("axis", axis), ("reduce", reduce), ("key", key)):
         arguments.of_type(name, text, str, "text")
     if axis is not None and axis.upper() not in AXES:
-        raise TextureError(f"`axis`={axis}: not one of {', '.join(AXES)}; for one signal of all three give `reduce`")
+        raise TextureError(
+            f"`axis`={axis}",
+            f"not one of {', '.join(AXES)}",
+            "for one signal of all three give `reduce`",
+            parameter=("axis", "reduce"),
+        )
     if reduce is not None and reduce not in REDUCTIONS:
-        raise TextureError(f"`reduce`={reduce}: not one of {', '.join(REDUCTIONS)}")
+        raise TextureError(f"`reduce`={reduce}", f"not one of {', '.join(REDUCTIONS)}", parameter="reduce")
     if axis is not None and reduce is not None:
-        raise TextureError(f"`axis`={axis} and `reduce`={reduce}: give only one of them")
+        raise TextureError(f"`axis`={axis} and `reduce`={reduce}: give only one of them", parameter=("axis", "reduce"))
     if key is not None and path.suffix.lower() not in KEYED_SUFFIXES:
-        raise TextureError(f"{path}: `key` chooses an array of a {', '.join(KEYED_SUFFIXES)} file; leave it out here")
+        raise unusable(
+            path, f"`key` chooses an array of a {', '.join(KEYED_SUFFIXES)} file", "leave it out here", "key"
+        )
     try:
         contents = read_contents(path, rate_hz, axis and axis.upper(), reduce, key)
     except OSError as error:
@@ -78,18 +85,25 @@ def load(
         raise TextureError(f"{path}: too large for the memory of this machine; cut it into parts") from error
     if isinstance(contents, Profile):
         if hand_speed_mm_s is None:
-            raise TextureError(f"{path}: a height profile; give `hand_speed_mm_s`, the speed of the hand over it")
+            raise unusable(
+                path, "a height profile", "give `hand_speed_mm_s`, the speed of the hand over it", "hand_speed_mm_s"
+            )
         if any(option is not None for option in (rate_hz, unit, full_scale, axis, reduce)):
-            raise TextureError(f"{path}: a height profile in um; it takes `hand_speed_mm_s` and no other option")
+            raise TextureError(
+                f"{path}: a height profile in um; it takes `hand_speed_mm_s` and no other option",
+                parameter="hand_speed_mm_s",
+            )
         return contents.recording(hand_speed_mm_s)
     if hand_speed_mm_s is not None:
-        raise TextureError(f"{path}: no height profile (columns position_um, height_um); leave out `hand_speed_mm_s`")
+        raise unusable(
+            path, "no height profile (columns position_um, height_um)", "leave out `hand_speed_mm_s`", "hand_speed_mm_s"
+        )
     if rate_hz is None:
         rate_hz = contents.rate_hz
     elif contents.rate_hz not in (None, rate_hz):
-        raise TextureError(f"{path}: states {contents.rate_hz:g} Hz; leave out `rate_hz`={rate_hz:g}")
+        raise unusable(path, f"states {contents.rate_hz:g} Hz", f"leave out `rate_hz`={rate_hz:g}", "rate_hz")
     if rate_hz is None:
-        raise TextureError(f"{path}: does not state its sample rate; give `rate_hz`")
+        raise unusable(path, "does not state its sample rate", "give `rate_hz`", "rate_hz")
     output_unit, scale = _scale(contents, unit, full_scale, path)
     samples = contents.samples
     if scale != 1:
@@ -106,9 +120,12 @@ def load_for_actuators(path: str | Path, reduce: str | None = None, **options: A
     """
     recording = load(path, reduce=reduce, **options)
     if recording.axes and reduce is None:
-        raise TextureError(
-            f"{path}: three axes of one texture; pass `reduce` dft321, norm or none (one actuator for each axis), "
-            "or choose one axis with `axis`"
+        raise unusable(
+            path,
+            "three axes of one texture",
+            "pass `reduce` dft321, norm or none (one actuator for each axis), or choose one axis with `axis`",
+            "axis",
+            "reduce",
         )
     return recording
 
@@ -175,7 +192,7 @@ def save(path: str | Path, recording: Recording, sixteen_bit: bool = False, note
     if suffix not in SAVED_SUFFIXES:
         raise TextureError(f"{path}: recordings are saved as {', '.join(SAVED_SUFFIXES)}; give one of these suffixes")
     if sixteen_bit and suffix != ".wav":
-        raise TextureError(f"{path}: `sixteen_bit` is for a .wav file; leave it out here")
+        raise unusable(path, "`sixteen_bit` is for a .wav file", "leave it out here", "sixteen_bit")
     try:
         if suffix == ".wav":
             return wav.write(path, recording, sixteen_bit, note)
@@ -215,7 +232,9 @@ def read_contents(
     if axis in (None, own_axis) and reduce is None:
         return contents
     choice = f"`axis`={axis}" if axis else f"`reduce`={reduce}"
-    raise TextureError(f"{path}: holds axis {own_axis}; for {choice} give {path.with_name(path.stem[:-2])}")
+    raise unusable(
+        path, f"holds axis {own_axis}", f"for {choice} give {path.with_name(path.stem[:-2])}", "axis", "reduce"
+    )
 
 
 def _read_binary(path: Path, suffix: str, rate_hz: float | None, key: str | None) -> Contents:
@@ -235,17 +254,23 @@ def _scale(contents: Contents, unit: str | None, full_scale: float | None, path:
     given = None if unit is None else known_unit(unit, "`unit`")
     relative = ("full scale", "drive")
     if full_scale is not None and not (np.isfinite(full_scale) and full_scale > 0):
-        raise TextureError(f"`full_scale`={full_scale}: not positive; give a number above 0")
+        raise TextureError(f"`full_scale`={full_scale}", "not positive", "give a number above 0", "full_scale")
     if contents.unit not in (None, *relative) and (given not in (None, contents.unit) or full_scale is not None):
-        raise TextureError(f"{path}: states its unit, {contents.unit}; leave out `unit` and `full_scale`")
+        raise unusable(
+            path, f"states its unit, {contents.unit}", "leave out `unit` and `full_scale`", "unit", "full_scale"
+        )
     if contents.unit in relative and given not in (None, *relative) and full_scale is None:
-        raise TextureError(f"{path}: is relative to full scale; give `full_scale` too, the value of 1.0 in {given}")
+        raise unusable(
+            path, "is relative to full scale", f"give `full_scale` too, the value of 1.0 in {given}", "full_scale"
+        )
     chosen = given or contents.unit
     if chosen is None:
-        raise TextureError(f"{path}: does not state its unit; give `unit`, one of {', '.join(INPUT_UNITS)}")
+        raise unusable(path, "does not state its unit", f"give `unit`, one of {', '.join(INPUT_UNITS)}", "unit")
     output_unit, factor = INPUT_UNITS[chosen]
     if output_unit == "full scale" and full_scale is not None:
-        raise TextureError(f"{path}: `full_scale` is a physical value; give its `unit` too, such as m/s^2")
+        raise unusable(
+            path, "`full_scale` is a physical value", "give its `unit` too, such as m/s^2", "full_scale", "unit"
+        )
     if output_unit != "full scale" and full_scale is None:
         return output_unit, factor
     if contents.full_scale is None:

@@ -55,8 +55,10 @@ def highpass(recording: Recording, highpass_hz: float | None = HIGHPASS_HZ) -> H
         return HighPassed(recording, None, 0.0)
     if not 0 < highpass_hz < recording.rate_hz / 2:
         raise TextureError(
-            f"{recording.name}: at {recording.rate_hz:g} Hz no high-pass of {highpass_hz:g} Hz is possible; give one "
-            f"between 0 and {recording.rate_hz / 2:g} Hz, or keep the whole band with `highpass_hz=None`"
+            f"{recording.name}: at {recording.rate_hz:g} Hz no high-pass of {highpass_hz:g} Hz is possible",
+            action=f"give one between 0 and {recording.rate_hz / 2:g} Hz, or keep the whole band with "
+            "`highpass_hz=None`",
+            parameter="highpass_hz=None",
         )
     from scipy import signal
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from vibrocast.textures.axes import AXES
-from vibrocast.textures.recording import Contents, TextureError
+from vibrocast.textures.recording import Contents, TextureError, unusable
 from vibrocast.textures.text import read_table, signal_of
 
 RATE_HZ = 2800.0
@@ -42,9 +42,11 @@ def read_folder(path: Path, axis: str | None, rate_hz: float | None) -> Contents
     files = _file_of_each_axis(recordings[name])
     wanted = AXES if axis is None else (axis,)
     if missing := [letter for letter in wanted if letter not in files]:
-        raise TextureError(
-            f"{folder / name}: no file for axis {', '.join(missing)}; add it, or choose one of the axes there: "
-            f"`axis`={' or '.join(sorted(files))}"
+        raise unusable(
+            folder / name,
+            f"no file for axis {', '.join(missing)}",
+            f"add it, or choose one of the axes there: `axis`={' or '.join(sorted(files))}",
+            "axis",
         )
     paths = [files[letter] for letter in wanted]
     axes = [with_known_rate(signal_of(read_table(one), one, rate_hz), one) for one in paths]
@@ -52,9 +54,11 @@ def read_folder(path: Path, axis: str | None, rate_hz: float | None) -> Contents
         raise TextureError(f"{folder / name}: several columns in the file of one axis; keep one")
     if len({(len(one.samples), one.rate_hz, one.unit) for one in axes}) > 1:
         lengths = ", ".join(str(len(one.samples)) for one in axes)
-        raise TextureError(
-            f"{folder / name}: axes differ in length ({lengths} samples), rate or unit; repair them, or choose one "
-            "with `axis`"
+        raise unusable(
+            folder / name,
+            f"axes differ in length ({lengths} samples), rate or unit",
+            "repair them, or choose one with `axis`",
+            "axis",
         )
     samples = np.hstack([one.samples for one in axes])
     return replace(axes[0], samples=samples, axes=AXES if axis is None else ())

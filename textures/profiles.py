@@ -65,6 +65,8 @@ class Profile:
             TextureError: The speed is not positive.
         """
         if not np.isfinite(hand_speed_mm_s) or hand_speed_mm_s <= 0:
-            raise TextureError(f"`hand_speed_mm_s` is {hand_speed_mm_s}; it must be positive")
+            raise TextureError(
+                f"`hand_speed_mm_s` is {hand_speed_mm_s}; it must be positive", parameter="hand_speed_mm_s"
+            )
         rate_hz = 1000 * hand_speed_mm_s / self.spacing_um
         return Recording(self.without_form().reshape(-1, 1), rate_hz, "um", self.name)

@@ -1,9 +1,12 @@
 """The recording that every loader and generator returns, and the units that it may have."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
+from vibrocast.errors import InputError
 
 Signal = NDArray[np.float64]
 
@@ -24,8 +27,13 @@ INPUT_UNITS: dict[str, tuple[str, float]] = {
 }
 
 
-class TextureError(ValueError):
+class TextureError(InputError):
     """A file, option or parameter that cannot be used; the message says why and what to do."""
+
+
+def unusable(path: Path | str, problem: str, action: str, *parameters: str) -> TextureError:
+    """Return the error for a file. `parameters`: those of `textures.load` that the texts name."""
+    return TextureError(f"{path}: {problem}", action=action, parameter=parameters)
 
 
 @dataclass(frozen=True, eq=False)

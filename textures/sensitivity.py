@@ -3,17 +3,14 @@
 import re
 from dataclasses import dataclass
 
-from vibrocast.textures import INPUT_UNITS, TextureError
+from vibrocast.errors import InputError
+from vibrocast.textures import INPUT_UNITS
 from vibrocast.textures.text import known_unit
 
 EXAMPLES = "10.2mV/g, 1mV/(m/s^2), 0.3mV/um; 256/g for counts"
 _VOLTS = {"uV": 1e-6, "mV": 1e-3, "V": 1.0}
 _FORM = re.compile(r"\s*(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+)\s*(uV|mV|V)?\s*/\s*(\(.+\)|[^()]+?)\s*")
 _HIGHEST = 1e9
-
-
-class SensitivityError(ValueError):
-    """A text that states no sensitivity; the message says what to write."""
 
 
 @dataclass(frozen=True)
@@ -34,18 +31,15 @@ class Sensitivity:
 
 
 def parse(text: str) -> Sensitivity:
-    """Return the sensitivity that a text states, such as EXAMPLES. Raises SensitivityError."""
+    """Return the sensitivity that a text states, such as EXAMPLES. Raises InputError."""
     match = _FORM.fullmatch(text)
     if match is None:
-        raise SensitivityError(f"{text!r} is no sensitivity; write one such as {EXAMPLES}")
+        raise InputError(f"{text!r} is no sensitivity; write one such as {EXAMPLES}")
     number, volts, unit_text = match.groups()
-    try:
-        unit, factor = INPUT_UNITS[known_unit(unit_text.strip("()").strip(), repr(text))]
-    except TextureError as error:
-        raise SensitivityError(str(error)) from error
+    unit, factor = INPUT_UNITS[known_unit(unit_text.strip("()").strip(), repr(text))]
     if unit == "full scale":
-        raise SensitivityError(f"{text!r} is per {unit_text}; write it per unit of acceleration or length: {EXAMPLES}")
+        raise InputError(f"{text!r} is per {unit_text}; write it per unit of acceleration or length: {EXAMPLES}")
     per_unit = float(number) * _VOLTS.get(volts or "", 1.0) / factor
     if not 1 / _HIGHEST < per_unit < _HIGHEST:
-        raise SensitivityError(f"{text!r} is the sensitivity of no sensor; write one such as {EXAMPLES}")
+        raise InputError(f"{text!r} is the sensitivity of no sensor; write one such as {EXAMPLES}")
     return Sensitivity(per_unit, unit, volts is not None, text.strip())

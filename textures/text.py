@@ -10,7 +10,7 @@ import numpy as np
 
 from vibrocast.textures.axes import AXES, order_of_axes
 from vibrocast.textures.memory import shortage
-from vibrocast.textures.recording import INPUT_UNITS, Contents, Recording, Signal, TextureError
+from vibrocast.textures.recording import INPUT_UNITS, Contents, Recording, Signal, TextureError, unusable
 
 TIME_NAMES = ("t", "time", "timestamp")
 # the first and the last: pandas' names for its index, written and read
@@ -139,7 +139,7 @@ def known_unit(text: str, place: str) -> str:
     """Return a unit as spelt in INPUT_UNITS. Raises TextureError, which names the `place`, for an unknown one."""
     unit = OTHER_SPELLINGS.get(text, text)
     if unit not in INPUT_UNITS:
-        raise TextureError(f"{place}: unknown unit {text!r}; known are {', '.join(INPUT_UNITS)}")
+        raise TextureError(f"{place}: unknown unit {text!r}; known are {', '.join(INPUT_UNITS)}", parameter="unit")
     return unit
 
 
@@ -202,14 +202,16 @@ class _TimeColumn:
                 abs(stated_hz - rate_hz) <= off_hz for rate_hz, off_hz in rates_hz.values()
             ):
                 problem = f"{self.path}: the time column says {said:g} Hz"
-                raise TextureError(f"{problem}; {contradiction.format(stated_hz)}")
+                raise TextureError(problem, action=contradiction.format(stated_hz), parameter="rate_hz")
         if stated := commented_hz or given_hz:
             return stated
         if self.unit is None and "s" not in plausible:
             possible = ", ".join(f"{rate_hz:g} Hz in {unit}" for unit, (rate_hz, _) in rates_hz.items())
-            raise TextureError(
-                f"{self.path}: the column {self.name!r} states no unit, and its rate may be {possible}; name it "
-                "time_s, time_ms or time_us (or index, if it counts the samples), or give `rate_hz`"
+            raise unusable(
+                self.path,
+                f"the column {self.name!r} states no unit, and its rate may be {possible}",
+                "name it time_s, time_ms or time_us (or index, if it counts the samples), or give `rate_hz`",
+                "rate_hz",
             )
         return said
 
@@ -221,7 +223,9 @@ class _TimeColumn:
         try:
             step = uniform_step(self.values, f"{self.path}: column of times")
         except TextureError as error:
-            raise TextureError(f"{error}; or remove that column and give `rate_hz`") from error
+            raise TextureError(
+                str(error), action="or remove that column and give `rate_hz`", parameter="rate_hz"
+            ) from error
         intervals = np.arange(len(self.values))
         scatter = float(np.ptp(self.values - step * intervals))
         rates_hz = {}

@@ -18,6 +18,7 @@ __all__ = [
     "Recording",
     "Report",
     "Stream",
+    "VibrocastError",
     "codecs",
     "connect",
     "decode",

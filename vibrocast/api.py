@@ -16,8 +16,8 @@ from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, encode_recording
 from vibrocast.codec.stream import Stream as Stream
 from vibrocast.codec.stream import read_stream
 from vibrocast.device_protocol.coded_stream import StreamError
-from vibrocast.host import devices, player, uploader
-from vibrocast.host import playback as end_to_end
+from vibrocast.errors import VibrocastError as VibrocastError
+from vibrocast.host import devices, playback, player, uploader
 from vibrocast.host.controller import Controller
 from vibrocast.host.report import Report as Report
 from vibrocast.output import actuator_files
@@ -168,7 +168,7 @@ def measure(
 
     for name, each in (("reference", reference), ("decoded", decoded)):
         if isinstance(each, Recording):
-            raise TextureError(f"`{name}` is a Recording; pass its `samples`")
+            raise TextureError(f"`{name}` is a Recording", action="pass its `samples`", parameter=name)
     x, y = _recording(reference, rate_hz, unit), _recording(decoded, rate_hz, unit)
     corner_hz = arguments.optional_number("highpass_hz", highpass_hz)
     pair = [textures.highpass(each, corner_hz).recording.samples for each in (x, y)]
@@ -199,9 +199,9 @@ def render(
     Raises:
         StreamError: The stream is damaged.
         CodecError: The unit or the level cannot be played.
-        ActuatorFileError: There is no such actuator, or its file is wrong.
+        InputError: There is no such actuator, or its file is wrong.
     """
-    return end_to_end.at_the_skin(_playable(stream, unit, gain_db), _actuator(actuator))
+    return playback.at_the_skin(_playable(stream, unit, gain_db), _actuator(actuator))
 
 
 class Connection:
@@ -247,8 +247,8 @@ class Connection:
         chosen = _playable(stream, unit, gain_db)
         _check_callable(progress)
         name = str(stream) if isinstance(stream, str | os.PathLike) else "stream"
-        member = end_to_end.member(self.controller, self._address, self._actuator)
-        outcome = end_to_end.play(
+        member = playback.member(self.controller, self._address, self._actuator)
+        outcome = playback.play(
             self.controller,
             self._address,
             name,
@@ -282,7 +282,9 @@ class Connection:
         """
         chosen = _model(model)
         if chosen is None:
-            raise models.ModelError("`model` is None; pass the name, the folder or the image of a model")
+            raise models.ModelError(
+                "`model` is None", action="pass the name, the folder or the image of a model", parameter="model"
+            )
         uploader.flash(self.controller, chosen.image)
 
     def stop(self) -> None:
@@ -311,9 +313,9 @@ def connect(
         ControllerError: No controller answers, or it speaks another version of the protocol.
     """
     if not isinstance(address, str):
-        raise TextureError(f'`address` is of type {type(address).__name__}; pass text such as "sim"')
+        raise arguments.wrong_type("address", address, 'text such as "sim"')
     if runtime not in (None, *RUNTIMES):
-        raise CodecError(f"`runtime` is {runtime!r}; pass one of {', '.join(RUNTIMES)}")
+        raise CodecError(f"`runtime` is {runtime!r}", action=f"pass one of {', '.join(RUNTIMES)}", parameter="runtime")
     chosen = None if actuator is None else _actuator(actuator)
     with devices.connect(address, runtime, chosen) as controller:
         yield Connection(controller, address, chosen)
@@ -343,19 +345,23 @@ def register(codec: BlockCodec | type[BlockCodec] | Codec) -> Codec:
         registered = as_codec(codec)
         CODECS.add(registered)
     except CodecError as error:
-        raise CodecError(f"`codec` cannot be registered: {error}") from error
+        raise CodecError("`codec` cannot be registered", str(error), parameter="codec") from error
     return registered
 
 
 def _recording(samples: ArrayLike | Recording, rate_hz: SupportsFloat | None, unit: str | None) -> Recording:
     if isinstance(samples, Recording):
         if rate_hz is not None or unit is not None:
-            raise TextureError(f"{samples.name}: the recording states its rate and unit; leave out `rate_hz`, `unit`")
+            raise TextureError(
+                f"{samples.name}: the recording states its rate and unit",
+                action="leave out `rate_hz`, `unit`",
+                parameter=("rate_hz", "unit"),
+            )
         return samples
     if isinstance(samples, str | os.PathLike):
-        raise TextureError(f"{samples}: `samples` is a path; pass `vibrocast.load` of it")
+        raise TextureError(f"{samples}: `samples` is a path", action="pass `vibrocast.load` of it", parameter="samples")
     if rate_hz is None:
-        raise TextureError("`rate_hz` is missing; pass the sample rate of the samples")
+        raise TextureError("`rate_hz` is missing", action="pass the sample rate of the samples", parameter="rate_hz")
     arguments.of_type("unit", unit, str, 'text such as "m/s^2"')
     return textures.from_array(samples, arguments.number("rate_hz", rate_hz), "full scale" if unit is None else unit)
 
@@ -363,12 +369,10 @@ def _recording(samples: ArrayLike | Recording, rate_hz: SupportsFloat | None, un
 def _stream(name: str, data: bytes | str | Path | Stream, model: str | Path | models.Model | None) -> Stream:
     if isinstance(data, Stream):
         if model is not None:
-            raise StreamError("a Stream has its model; leave out `model`")
+            raise StreamError("a Stream has its model", action="leave out `model`", parameter="model")
         return data
     if not isinstance(data, str | os.PathLike | bytes | bytearray | memoryview):
-        raise StreamError(
-            f"`{name}` is of type {type(data).__name__}; pass a Stream, its bytes or the path of a .vct file"
-        )
+        raise arguments.wrong_type(name, data, "a Stream, its bytes or the path of a .vct file")
     chosen = _model(model)
     image = None if chosen is None else chosen.image
     if isinstance(data, bytes | bytearray | memoryview):
@@ -379,16 +383,22 @@ def _stream(name: str, data: bytes | str | Path | Stream, model: str | Path | mo
 def _playable(data: bytes | str | Path | Stream, unit: str | None, gain_db: float) -> Stream:
     stream = _stream("stream", data, None)
     if unit not in (None, "drive"):
-        raise CodecError(f'`unit` is {unit!r}; pass "drive" for the drive signal of an actuator, or leave it out')
+        raise CodecError(
+            f"`unit` is {unit!r}",
+            action='pass "drive" for the drive signal of an actuator, or leave it out',
+            parameter="unit",
+        )
     if unit == "drive" and stream.header.unit != "full scale":
-        raise CodecError(f"the stream states its unit, {stream.header.unit}; leave out `unit`")
-    end_to_end.check_unit(stream.header.unit, unit)
+        raise CodecError(
+            f"the stream states its unit, {stream.header.unit}", action="leave out `unit`", parameter="unit"
+        )
+    playback.check_unit(stream.header.unit, unit)
     return stream.with_gain(arguments.number("gain_db", gain_db))
 
 
 def _check_callable(progress: object) -> None:
     if progress is not None and not callable(progress):
-        raise TextureError(f"`progress` is of type {type(progress).__name__}; pass a function of one argument")
+        raise arguments.wrong_type("progress", progress, "a function of one argument")
 
 
 def _model(model: str | Path | models.Model | None) -> models.Model | None:
@@ -400,5 +410,5 @@ def _actuator(actuator: str | Path | Actuator) -> Actuator:
     if isinstance(actuator, Actuator):
         return actuator
     if not isinstance(actuator, str | os.PathLike):
-        raise TextureError(f"`actuator` is of type {type(actuator).__name__}; pass a name, an Actuator or a TOML file")
+        raise arguments.wrong_type("actuator", actuator, "a name, an Actuator or a TOML file")
     return actuator_files.find(actuator)

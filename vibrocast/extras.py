@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
+from vibrocast.errors import BAD_INPUT, VibrocastError
+
 # By module; the smallest extra first. pyproject.toml says what each package is for.
 EXTRAS = {
     "av": ("peers", "bench"),
@@ -30,8 +32,10 @@ EXTRAS = {
 }
 
 
-class MissingExtraError(ImportError):
+class MissingExtraError(VibrocastError, ImportError):
     """A package of an extra is not installed; the message says how to install the extra."""
+
+    exit_code = BAD_INPUT
 
 
 def require(extra: str, *modules: str) -> None:

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from vibrocast.errors import InputError, VibrocastError
+
 _partial: set[Path] = set()
 """Files and folders that are being written."""
 
@@ -23,8 +25,8 @@ def remove_partial() -> None:
 def atomic_write(path: Path) -> Iterator[Path]:
     """Yield a temporary path next to `path`, with the same suffix; it replaces `path` when the block succeeds.
 
-    Anything but a regular file (a terminal, /dev/stdout) is written directly. Raises OSError, which names `path`, when
-    it cannot be written.
+    Anything but a regular file (a terminal, /dev/stdout) is written directly. An error of the block names `path`, too.
+    Raises OSError, which names `path`, when it cannot be written.
     """
     target = Path(os.path.realpath(path))
     try:
@@ -37,6 +39,9 @@ def atomic_write(path: Path) -> Iterator[Path]:
             partial.touch()
             yield partial
             os.replace(partial, target)
+        except VibrocastError as error:
+            error.problem = error.problem.replace(str(partial), str(path))
+            raise
         finally:
             partial.unlink(missing_ok=True)
             _partial.discard(partial)
@@ -69,23 +74,19 @@ def atomic_folder(path: Path) -> Iterator[Path]:
         _partial.discard(partial)
 
 
-class InputFileError(ValueError):
-    """A file of the wrong kind; the message says why and what to do."""
-
-
 def read_input(path: Path, kind: str, magic: bytes, max_bytes: int) -> bytes:
     """Return the bytes of a regular file that begins with `magic` and is at most `max_bytes` long.
 
-    `kind`: name of such a file, for people. Raises InputFileError for any other file, OSError when it cannot be read.
+    `kind`: name of such a file, for people. Raises InputError for any other file, OSError when it cannot be read.
     """
     # Opening a pipe would wait for its writer, and a device may never end.
     if path.exists() and not path.is_file():
-        raise InputFileError(f"{path}: no file; give a {kind}")
+        raise InputError(f"{path}: no file; give a {kind}")
     with path.open("rb") as file:
         if file.read(len(magic)) != magic:
-            raise InputFileError(f"{path}: not a {kind}: it does not begin with {magic.decode()!r}; give another file")
+            raise InputError(f"{path}: not a {kind}: it does not begin with {magic.decode()!r}; give another file")
         if path.stat().st_size > max_bytes:
-            raise InputFileError(f"{path}: longer than {max_bytes} bytes, the most in a {kind}; give another file")
+            raise InputError(f"{path}: longer than {max_bytes} bytes, the most in a {kind}; give another file")
         return magic + file.read()
 
 

@@ -3,13 +3,14 @@
 import re
 import tomllib
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import msgspec
 from msgspec import Meta, inspect
+
+from vibrocast.errors import InputError, located
 
 MAX_BYTES = 1 << 20
 _MAX_SHOWN = 80
@@ -33,63 +34,54 @@ def within(low: float, high: float, meaning: str = "") -> Meta:
     return Meta(ge=low, le=high, description=meaning or None)
 
 
-@contextmanager
-def located(place: object, error: type[ValueError]) -> Iterator[None]:
-    """Replace a ValueError of the block by `error`, with `place` before its message."""
-    try:
-        yield
-    except ValueError as reason:
-        raise error(f"{place}: {reason}") from reason
-
-
 def read_toml(path: Path, name: str) -> dict[str, Any]:
     """Return the content of a TOML file. `name`: of such a file, for errors.
 
-    Raises ValueError for any other file, OSError if it cannot be read.
+    Raises InputError for any other file, OSError if it cannot be read.
     """
     if path.exists() and not path.is_file():
-        raise ValueError(f"no file; give a {name} in TOML")
+        raise InputError(f"no file; give a {name} in TOML")
     if path.stat().st_size > MAX_BYTES:
-        raise ValueError(f"longer than any {name}; give another file")
+        raise InputError(f"longer than any {name}; give another file")
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as reason:
-        raise ValueError(f"not a TOML file: {reason}") from reason
+        raise InputError(f"not a TOML file: {reason}") from reason
 
 
 def check_programs(programs: Mapping[str, str], allowed: bool) -> None:
     """Check that a file may start programs; `programs`: each by the name of the table that has it.
 
-    Raises ValueError, which names the first one, unless they are `allowed`.
+    Raises InputError, which names the first one, unless they are `allowed`.
     """
     for name, program in programs.items():
         if not allowed:
-            raise ValueError(
+            raise InputError(
                 f"{name} starts the program {program!r}; read the file, and pass --allow-programs if you trust it"
             )
 
 
 def convert(values: object, kind: type[Kind]) -> Kind:
-    """Return the content of a TOML file, or a part of it, as a struct. Raises ValueError, which names table and key."""
+    """Return the content of a TOML file, or a part of it, as a struct. Raises InputError, which names table and key."""
     try:
         return msgspec.convert(values, kind)
     except msgspec.ValidationError as reason:
-        raise ValueError(_explained(str(reason), values, inspect.type_info(kind))) from reason
+        raise InputError(_explained(str(reason), values, inspect.type_info(kind))) from reason
 
 
 def read_each(kind: str, tables: Sequence[Given], read: Callable[[Given], Kind]) -> tuple[Kind, ...]:
-    """Return `read` of each table [[kind]]; its ValueError names the table."""
+    """Return `read` of each table [[kind]]; its ValueError becomes an InputError that names the table."""
     results = []
     for number, table in enumerate(tables, 1):
-        with located(f"[[{kind}]] {number}", ValueError):
+        with located(f"[[{kind}]] {number}"):
             results.append(read(table))
     return tuple(results)
 
 
 def check_names(kind: str, names: Sequence[str]) -> None:
-    """Raise ValueError if two tables [[kind]] have the same name."""
+    """Raise InputError if two tables [[kind]] have the same name."""
     if twice := [name for name in names if names.count(name) > 1]:
-        raise ValueError(f"two [[{kind}]] are named {twice[0]!r}; give each its own name")
+        raise InputError(f"two [[{kind}]] are named {twice[0]!r}; give each its own name")
 
 
 def _explained(reason: str, value: Any, node: inspect.Type) -> str:

@@ -16,6 +16,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
+from vibrocast.errors import VibrocastError
+
 Key = TypeVar("Key")
 Result = TypeVar("Result")
 Task: TypeAlias = tuple[Key, Callable[[], Result]]
@@ -29,15 +31,11 @@ _LIBRARIES = ("vibrocast", "av", "numpy", "onnxruntime", "scipy", "vibromaf")
 _THREADS_OF_LIBRARIES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 
-class WorkersError(RuntimeError):
-    """There is nobody to do the work; the message says why and what to do."""
+class WorkersError(VibrocastError):
+    """There is nobody to do the work, or a worker runs another version; the message says why and what to do."""
 
 
-class OtherVersionError(RuntimeError):
-    """A worker of a cluster does not run this program; the message says which it runs."""
-
-
-class WorkerDiedError(RuntimeError):
+class WorkerDiedError(VibrocastError):
     """The process that did a task ended before the work was done."""
 
     def __init__(self) -> None:
@@ -149,7 +147,7 @@ def on_cluster(tasks: Iterator[Task[Key, Result]], address: str, version: Callab
 
 def _same_version(wanted: str, version: Callable[[], str], work: Callable[[], Result]) -> Result:
     if version() != wanted:
-        raise OtherVersionError(f"{version()}; install {wanted}")
+        raise WorkersError(f"{version()}; install {wanted}")
     return work()
 
 
@@ -157,7 +155,7 @@ def _is_of_another_version(outcome: object) -> bool:
     """Return whether a worker's answer says that it has this program in another version, or not at all."""
     # The form in which Dask says that a worker lacks a module.
     lacks = type(outcome) is RuntimeError and isinstance(outcome.__cause__, ImportError)
-    return lacks or isinstance(outcome, OtherVersionError)
+    return lacks or isinstance(outcome, WorkersError)
 
 
 def _is_of_dask(outcome: object) -> bool:

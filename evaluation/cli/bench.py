@@ -11,13 +11,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from vibrocast import progress, textures
-from vibrocast.codec import CodecError
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
-from vibrocast.device_protocol.model_image import ModelImageError
 from vibrocast.host.cli.answers import tell, wants_json
 from vibrocast.host.cli.option_types import FOLDER, INPUT, Whole
 from vibrocast.host.cli.options import (
-    BadInput,
     allow_programs_option,
     command_run,
     grouped,
@@ -26,9 +23,8 @@ from vibrocast.host.cli.options import (
 )
 from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
 from vibrocast.host.cli.sections import OUTPUT, RUN, SectionedCommand, section
-from vibrocast.models import ModelError
 from vibrocast.textures import dataset
-from vibrocast.textures.dataset import DatasetEntry, DatasetError
+from vibrocast.textures.dataset import DatasetEntry
 
 if TYPE_CHECKING:  # modules that measure take a second to load; other commands need not wait for them
     from vibrocast.evaluation.bench import CellCounts
@@ -195,51 +191,44 @@ def bench(
     from vibrocast import workers
     from vibrocast.codec.timing import cpu_name
     from vibrocast.evaluation import bench, cells, cost, external, kinds, results_page, speed, trained
-    from vibrocast.evaluation.cells import BenchError
     from vibrocast.evaluation.comparison import Measurements
-    from vibrocast.evaluation.external import ProgramError
-    from vibrocast.evaluation.points import Failure, PointsError, check_imported, read_imported, write_rows
+    from vibrocast.evaluation.points import Failure, check_imported, read_imported, write_rows
 
     highpass_hz = textures.highpass_of(signal.unit, None if signal.keep_dc else textures.HIGHPASS_HZ)
-    try:
-        programs = external.read_programs(codecs.program_list, codecs.allow_programs) if codecs.program_list else []
-        chosen = cells.methods(codecs.names, programs, trained.known_models(codecs.model_folders))
-        found = dataset.read(recordings, leave_out=out)
-        traces = dataset.split(found.entries, split.part, by=split.split_by)
-        for remark in found.remarks:
-            click.echo(remark, err=True)
-        kinds_of = kinds.kinds(traces, kinds.TABLE)
-        mine = {trace.name for trace in traces}
-        units: dict[str, str] = {}
-        removed: dict[str, float] = {}
+    programs = external.read_programs(codecs.program_list, codecs.allow_programs) if codecs.program_list else []
+    chosen = cells.methods(codecs.names, programs, trained.known_models(codecs.model_folders))
+    found = dataset.read(recordings, leave_out=out)
+    traces = dataset.split(found.entries, split.part, by=split.split_by)
+    for remark in found.remarks:
+        click.echo(remark, err=True)
+    kinds_of = kinds.kinds(traces, kinds.TABLE)
+    mine = {trace.name for trace in traces}
+    units: dict[str, str] = {}
+    removed: dict[str, float] = {}
 
-        def load(trace: DatasetEntry) -> textures.Recording:
-            passed = dataset.load_highpassed(trace, highpass_hz, signal.stream_rate_hz, unit=signal.unit)
-            units[trace.name], removed[trace.name] = passed.recording.unit, passed.removed_energy
-            return passed.recording
+    def load(trace: DatasetEntry) -> textures.Recording:
+        passed = dataset.load_highpassed(trace, highpass_hz, signal.stream_rate_hz, unit=signal.unit)
+        units[trace.name], removed[trace.name] = passed.recording.unit, passed.removed_energy
+        return passed.recording
 
-        imported: tuple[list[Point], list[Timing]] = ([], [])
-        if peers:
-            imported = read_imported(peers)
-            check_imported(peers, found.entries, mine, load)
-        results = bench.results_folder(out)
-        held_out = results_page.read_held_out(results)
-        write_rows(results / "skipped.csv", found.skipped, dataset.Skipped)
-        tell(
-            f"{len(traces)} recordings, {len(chosen)} curves, {sum(len(each.settings) for each in chosen)} settings",
-            recordings=len(traces),
-            curves=len(chosen),
-        )
-        work: Any = partial(workers.on_cores, processes=workers.cores())
-        if run.scheduler:
-            work = partial(workers.on_cluster, address=run.scheduler, version=workers.program_version)
-        with bench.Journal(results / bench.JOURNAL) as journal, progress.bar("measuring") as update:
-            report_progress = progress_reporter(update)
-            measured = bench.run(traces, load, chosen, run.repeats, journal, work, report_progress)
-    except workers.WorkersError as error:
-        raise click.ClickException(str(error)) from error
-    except (BenchError, CodecError, DatasetError, ModelError, ModelImageError, PointsError, ProgramError) as error:
-        raise BadInput(str(error)) from error
+    imported: tuple[list[Point], list[Timing]] = ([], [])
+    if peers:
+        imported = read_imported(peers)
+        check_imported(peers, found.entries, mine, load)
+    results = bench.results_folder(out)
+    held_out = results_page.read_held_out(results)
+    write_rows(results / "skipped.csv", found.skipped, dataset.Skipped)
+    tell(
+        f"{len(traces)} recordings, {len(chosen)} curves, {sum(len(each.settings) for each in chosen)} settings",
+        recordings=len(traces),
+        curves=len(chosen),
+    )
+    work: Any = partial(workers.on_cores, processes=workers.cores())
+    if run.scheduler:
+        work = partial(workers.on_cluster, address=run.scheduler, version=workers.program_version)
+    with bench.Journal(results / bench.JOURNAL) as journal, progress.bar("measuring") as update:
+        report_progress = progress_reporter(update)
+        measured = bench.run(traces, load, chosen, run.repeats, journal, work, report_progress)
 
     failures = [each for each in measured if isinstance(each, Failure)]
     good = [each for each in measured if isinstance(each, cells.Measured)]

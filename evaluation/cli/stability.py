@@ -7,14 +7,11 @@ from pathlib import Path
 import click
 
 from vibrocast import progress
-from vibrocast.codec import CodecError
-from vibrocast.device_protocol.model_image import ModelImageError
+from vibrocast.errors import InputError
 from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import FOLDER, INPUT
-from vibrocast.host.cli.options import BadInput, command_run, own_models_option
-from vibrocast.models import ModelError
+from vibrocast.host.cli.options import command_run, own_models_option
 from vibrocast.textures import Recording, TextureError, dataset
-from vibrocast.textures.dataset import DatasetError
 
 MAX_FAILURES = 5
 """That the command prints; the page has all."""
@@ -48,24 +45,20 @@ def stability(
     transport, speed of the hand, actuator and trained models. A failure is a result: the maps show it.
     """
     from vibrocast.evaluation import trained
-    from vibrocast.evaluation.cells import BenchError
     from vibrocast.evaluation.stability import page
     from vibrocast.evaluation.stability.all_maps import MAPS, make_maps
     from vibrocast.evaluation.stability.maps import Scope, methods
-    from vibrocast.evaluation.stability.peers import PeersError, read_peers
+    from vibrocast.evaluation.stability.peers import read_peers
 
-    try:
-        chosen = methods(None if names is None else names.split(","), trained.known_models(model_folders))
-        peers = read_peers(peers_edge) if peers_edge else []
-        chosen_maps = [] if map_names is None else map_names.split(",")
-        if unknown := set(chosen_maps) - {each.name for each in MAPS}:
-            raise BadInput(f"no map {min(unknown)!r}; choose from {', '.join(each.name for each in MAPS)}")
-        if "recordings" in chosen_maps and recordings is None:
-            raise BadInput("the map of recordings needs them; give a folder or manifest: --recordings")
-        own = load_all(recordings) if recordings else ()
-        page.folder_in(out)  # so that a folder that cannot be written is an error before the measurement
-    except (BenchError, CodecError, DatasetError, ModelError, ModelImageError, PeersError, page.PageError) as error:
-        raise BadInput(str(error)) from error
+    chosen = methods(None if names is None else names.split(","), trained.known_models(model_folders))
+    peers = read_peers(peers_edge) if peers_edge else []
+    chosen_maps = [] if map_names is None else map_names.split(",")
+    if unknown := set(chosen_maps) - {each.name for each in MAPS}:
+        raise InputError(f"no map {min(unknown)!r}; choose from {', '.join(each.name for each in MAPS)}")
+    if "recordings" in chosen_maps and recordings is None:
+        raise InputError("the map of recordings needs them; give a folder or manifest: --recordings")
+    own = load_all(recordings) if recordings else ()
+    page.folder_in(out)  # so that a folder that cannot be written is an error before the measurement
     with progress.bar("testing") as update:
         cells, failures = make_maps(out, Scope(chosen, quick, own), command_run(), peers, update, chosen_maps)
     outcomes = Counter("as required" if cell.sound else OUTCOMES[cell.outcome] for cell in cells)
@@ -81,7 +74,7 @@ def stability(
 def load_all(recordings: Path) -> tuple[Recording, ...]:
     """Return the recordings of a folder or manifest that load; the others, and what is skipped, are listed on stderr.
 
-    Raises DatasetError where none loads.
+    Raises InputError where none loads.
     """
     found = dataset.read(recordings)
     for remark in found.remarks:
@@ -93,5 +86,5 @@ def load_all(recordings: Path) -> tuple[Recording, ...]:
         except TextureError as error:
             click.echo(f"left out: {entry.name}: {error}", err=True)
     if not loaded:
-        raise DatasetError(f"{recordings}: no recording of it can be loaded; correct them as listed")
+        raise InputError(f"{recordings}: no recording of it can be loaded; correct them as listed")
     return tuple(loaded)

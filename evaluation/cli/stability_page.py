@@ -4,10 +4,9 @@ from pathlib import Path
 
 import click
 
-from vibrocast.evaluation.points import PointsError
+from vibrocast.errors import InputError
 from vibrocast.evaluation.stability import page
 from vibrocast.evaluation.stability.all_maps import MAPS
-from vibrocast.evaluation.stability.cell_files import CellsError
 from vibrocast.evaluation.stability.peers import PEERS
 
 
@@ -19,7 +18,7 @@ def main(out: Path) -> None:
         page.redraw(out, [*MAPS, PEERS])
     except OSError as error:
         raise click.ClickException(f"{error.filename}: {error.strerror}; give the --out of a stability run") from error
-    except (CellsError, PointsError, page.PageError) as error:
+    except InputError as error:
         raise click.ClickException(str(error)) from error
 
 

@@ -4,6 +4,7 @@ import csv
 from collections.abc import Sequence
 from pathlib import Path
 
+from vibrocast.errors import InputError
 from vibrocast.evaluation.stability.known_causes import explanation
 from vibrocast.evaluation.stability.maps import Map
 from vibrocast.evaluation.stability.trials import Outcome, Verdict
@@ -11,10 +12,6 @@ from vibrocast.files import atomic_write
 
 _BEFORE = ("method", "case", "setting")
 _AFTER = ("effect", "cause", "remedy")
-
-
-class CellsError(ValueError):
-    """A file that holds no cells of its map; the message says why and what to do."""
 
 
 def write_cells(path: Path, each: Map, cells: Sequence[Verdict]) -> None:
@@ -41,12 +38,12 @@ def write_cells(path: Path, each: Map, cells: Sequence[Verdict]) -> None:
 
 
 def read_cells(path: Path, each: Map) -> list[Verdict]:
-    """Return the cells of a file of write_cells. Raises CellsError where it is none, OSError."""
+    """Return the cells of a file of write_cells. Raises InputError where it is none, OSError."""
     with path.open(newline="", encoding="utf-8") as file:
         try:
             return [_cell(each, row) for row in csv.DictReader(file)]
         except (csv.Error, KeyError, TypeError, ValueError) as error:
-            raise CellsError(f"{path}: no cells of this map ({error!r}); run `vibrocast stability` again") from error
+            raise InputError(f"{path}: no cells of this map ({error!r}); run `vibrocast stability` again") from error
 
 
 def _cell(each: Map, row: dict[str, str]) -> Verdict:

@@ -6,7 +6,7 @@ from functools import lru_cache, partial
 import numpy as np
 
 from vibrocast.codec import linear_prediction
-from vibrocast.evaluation.cells import BenchError
+from vibrocast.errors import InputError
 from vibrocast.evaluation.stability.maps import Group, Map, Place, Rule, Scope, figure, with_methods
 from vibrocast.evaluation.stability.signals import RATE_HZ, Signal
 from vibrocast.evaluation.stability.trials import Measured, Trial, graded
@@ -51,7 +51,7 @@ def _through_line_spectral_frequencies(predictors: Signal, bits: int) -> Signal:
     order = predictors.shape[1]
     steps = 2**bits
     if steps < order:
-        raise BenchError(f"{bits} bits cannot keep {order} line spectral frequencies apart; give more bits")
+        raise InputError(f"{bits} bits cannot keep {order} line spectral frequencies apart; give more bits")
     fixed = ([1.0], [1.0, 0.0, -1.0]) if order % 2 else ([1.0, 1.0], [1.0, -1.0])  # roots at 1 and -1
     rising = np.arange(order)
     quantised = np.empty_like(predictors)
@@ -90,7 +90,7 @@ def quantised_pole_radii(predictors: Signal, quantiser: str, bits: int) -> Signa
     """Return the magnitude of each predictor's largest pole (n,), after quantisation with `bits` a coefficient.
 
     `predictors`: (n, order), stable. `quantiser`: one of QUANTISERS; `slp` uses reflection coefficients, because the
-    direct form may become unstable. Raises BenchError if the bits are too few for the order.
+    direct form may become unstable. Raises InputError if the bits are too few for the order.
     """
     return pole_radii(QUANTISERS[quantiser](predictors, bits))
 

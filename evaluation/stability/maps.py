@@ -7,8 +7,9 @@ from typing import NamedTuple, TypeVar
 
 from vibrocast.codec import CODECS
 from vibrocast.codec.interface import Setting
+from vibrocast.errors import InputError
 from vibrocast.evaluation import trained
-from vibrocast.evaluation.cells import BenchError, Method, families, setting_text
+from vibrocast.evaluation.cells import Method, families, setting_text
 from vibrocast.evaluation.stability.trials import Outcome, Trial, Verdict
 from vibrocast.models import Model
 from vibrocast.pages import listed
@@ -166,7 +167,7 @@ class Map:
 def methods(names: Collection[str] | None, models: Sequence[Model]) -> tuple[Method, ...]:
     """Return the codecs of these names, each with its first set of rate points, and the families of models.
 
-    A name is that of a family, or of a codec, which includes its families; None means all. Raises BenchError for other
+    A name is that of a family, or of a codec, which includes its families; None means all. Raises InputError for other
     names, and where no method is left.
     """
     of_codecs = [
@@ -177,7 +178,7 @@ def methods(names: Collection[str] | None, models: Sequence[Model]) -> tuple[Met
     every = [*of_codecs, *families(models)]
     known = {name for method in every for name in (method.name, str(method.coder))}
     if names is not None and not (names and set(names) <= known):
-        raise BenchError(f"{','.join(names)!r} is no list of codecs; choose from {', '.join(sorted(known))}")
+        raise InputError(f"{','.join(names)!r} is no list of codecs; choose from {', '.join(sorted(known))}")
     return tuple(method for method in every if names is None or {method.name, method.coder} & set(names))
 
 

@@ -19,7 +19,7 @@ from vibrocast.evaluation.trained import runtimes
 from vibrocast.host.controller import Controller as Host
 from vibrocast.host.player import play
 from vibrocast.simulated_device.controller import Controller
-from vibrocast.simulated_device.faulty_link import MemoryLink
+from vibrocast.simulated_device.memory_link import MemoryLink
 
 PLACES_PERCENT = tuple(5.0 * place for place in range(21))
 CHANGED, CUT = "byte changed, CRC and hash fit", "cut, CRC and hash fit"
@@ -79,7 +79,7 @@ def measure_hash(rate_point: RatePoint) -> Measured:
 
 
 def measure_crc(rate_point: RatePoint) -> Measured:
-    """Read an image with one byte changed. Raises ModelImageError."""
+    """Read an image with one byte changed. Raises ModelError."""
     image = bytearray(rate_point.trained.image)
     image[len(image) // 2] ^= 0x55
     ModelImage.unpack(bytes(image))

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from vibrocast import pages
+from vibrocast.errors import InputError
 from vibrocast.evaluation.points import read_row, write_rows
 from vibrocast.evaluation.stability import pictures
 from vibrocast.evaluation.stability.cell_files import read_cells, write_cells
@@ -22,10 +23,6 @@ _MAX_METHODS = 5
 _FAMILY = 3
 """So many methods of one prefix are named together."""
 _BAD_FIRST = sorted(Outcome, key=list(Outcome).index, reverse=True)
-
-
-class PageError(ValueError):
-    """The page cannot be written where it should be; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -63,12 +60,12 @@ class Boundary:
 
 
 def folder_in(out: Path) -> Path:
-    """Make the folder of the maps in `out` and return it. Raises PageError where a page of other origin stands there,
+    """Make the folder of the maps in `out` and return it. Raises InputError where a page of other origin stands there,
     OSError where the folder cannot be made.
     """
     page = out / PAGE
     if page.exists() and not page.read_bytes().startswith(TITLE.encode()):
-        raise PageError(f"{page}: would be overwritten, but is no page of stability; choose another --out")
+        raise InputError(f"{page}: would be overwritten, but is no page of stability; choose another --out")
     folder = out / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     return folder
@@ -95,8 +92,7 @@ def write(
 def redraw(out: Path, maps: Sequence[Map]) -> list[Failure]:
     """Write the page and its pictures again from the CSV files of an earlier run; return the failures.
 
-    Raises OSError where one cannot be read or written, CellsError or PointsError where one is no such file, PageError
-    as folder_in.
+    Raises OSError where one cannot be read or written, InputError where one is no such file, and as folder_in.
     """
     folder = folder_in(out)
     description = read_row(folder / "description.csv", Description)

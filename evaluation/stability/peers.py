@@ -5,6 +5,7 @@ import math
 import re
 from pathlib import Path
 
+from vibrocast.errors import InputError
 from vibrocast.evaluation.stability.maps import Group, Map, Place, Rule, hardest
 from vibrocast.evaluation.stability.signals import FAILED_SNR_DB, NEARLY_SILENT, SILENT
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Verdict
@@ -15,23 +16,19 @@ _EXIT_CODE = re.compile(r"rc=(-?\d+)")
 _PATH = re.compile(r"\s?\S*/\S*")
 
 
-class PeersError(ValueError):
-    """A file of measured peers that cannot be used; the message says why."""
-
-
 def read_peers(path: Path) -> list[Verdict]:
     """Read a CSV file with at least the columns of _COLUMNS, each codec's settings from coarse to fine.
 
-    Raises PeersError where it is no such file, OSError where it cannot be read.
+    Raises InputError where it is no such file, OSError where it cannot be read.
     """
     with path.open(newline="", encoding="utf-8") as file:
         try:
             rows = list(csv.DictReader(file))
             if not rows or any(row.get(name) is None for row in rows for name in _COLUMNS):
-                raise PeersError(f"{path}: a row lacks one of {', '.join(_COLUMNS)}; fill it")
+                raise InputError(f"{path}: a row lacks one of {', '.join(_COLUMNS)}; fill it")
             return _cells(rows)
         except (csv.Error, ValueError) as error:
-            raise PeersError(f"{path}: no table of hard signals ({error}); give a CSV file") from error
+            raise InputError(f"{path}: no table of hard signals ({error}); give a CSV file") from error
 
 
 def _cells(rows: list[dict[str, str]]) -> list[Verdict]:

@@ -21,9 +21,9 @@ from vibrocast.host.player import BUFFER_S, play
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.output.rendering import render
 from vibrocast.simulated_device.controller import FLASH_BYTES, Controller, Settings
-from vibrocast.simulated_device.faulty_link import MemoryLink
 from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
 from vibrocast.simulated_device.flash import FlashMemory
+from vibrocast.simulated_device.memory_link import MemoryLink
 
 SECONDS = 5.0
 LOOPS = 4

@@ -7,26 +7,15 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 
-from vibrocast.codec import CodecError
-from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.device_protocol.messages import MessageError
-from vibrocast.device_protocol.model_image import ModelImageError
 from vibrocast.device_protocol.transports import TransportError
+from vibrocast.errors import InputError
 from vibrocast.host.controller import ControllerError
-from vibrocast.textures import TextureError
 from vibrocast.workers import cores, on_cores
 
 LIMIT_S = 240.0
 """A trial that takes more processor time hangs. Most take a second, coding of an hour up to 20."""
-CLEAR_ERRORS = (
-    CodecError,
-    ControllerError,
-    MessageError,
-    ModelImageError,
-    StreamError,
-    TextureError,
-    TransportError,
-)
+CLEAR_ERRORS = (ControllerError, InputError, MessageError, TransportError)
 """Errors that tell a person what to do; any other that comes out of a trial is a crash."""
 
 

@@ -8,10 +8,11 @@ import click
 import numpy as np
 
 from vibrocast import models, progress
+from vibrocast.errors import InputError
 from vibrocast.files import atomic_folder
 from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import FOLDER, INPUT
-from vibrocast.host.cli.options import BadInput, command_run
+from vibrocast.host.cli.options import command_run
 
 FILES = {models.CARD, "card.md", "curves.csv", "curves.png", models.ANALYSIS, "synthesis.onnx"}
 """The files in the folder of a model, in addition to its image."""
@@ -25,10 +26,10 @@ def checked_name(ctx: click.Context, param: click.Parameter, value: str | None) 
 
 
 def reject_replacing_others(folder: Path) -> None:
-    """Raise BadInput for a folder that holds anything but a model. Raises OSError where it cannot be looked into."""
+    """Raise InputError for a folder that holds anything but a model. Raises OSError where it cannot be looked into."""
     held = {path.name for path in folder.iterdir() if path.suffix != models.IMAGE_SUFFIX} if folder.exists() else set()
     if held and (models.CARD not in held or held - FILES):
-        raise BadInput(f"{folder} holds other files than a model's, and would be replaced; give another --out")
+        raise InputError(f"{folder} holds other files than a model's, and would be replaced; give another --out")
 
 
 @click.command()
@@ -83,38 +84,34 @@ def export(
     The command writes the folder as a whole, and replaces a folder that holds a model.
     """
     from vibrocast.export import configuration, model_card, package, training_curves, training_data
-    from vibrocast.export.checkpoint import ModelError, load
-    from vibrocast.export.graphs import GraphError
+    from vibrocast.export.checkpoint import load
 
+    loaded = load(checkpoint)
     try:
-        loaded = load(checkpoint)
-        try:
-            trained_as = configuration.parsed(loaded.training)
-        except configuration.ConfigurationError as error:
-            raise ModelError(
-                f"{checkpoint}: the configuration in it is damaged: {error}; train the model again"
-            ) from error
-        if (done := loaded.progress["step"]) < trained_as.training.steps:
-            raise ModelError(
-                f"{checkpoint}: its training was cut at step {done} of {trained_as.training.steps}; continue it with "
-                "`vibrocast train --resume`"
-            )
-        name = name or trained_as.name
-        out = out or Path(name)
-        reject_replacing_others(out)
-        # An error is better known before the work than after.
-        out.parent.mkdir(parents=True, exist_ok=True)
-        commands = training_command or f"vibrocast train {trained_as.name}.toml", command_run()
-        with progress.bar("exporting") as update:
-            update(0, "reading the training's data")
-            traces = training_data.load(trained_as.sources, data_folder, trained_as.training.rate_hz)
-            trained, held_back = training_data.split(traces, trained_as.held_back, trained_as.seed)
-            signals = [trace.samples.astype(np.float64) for trace in trained]
-            update(0, "integers")
-            made = package.make(loaded, name, model_version, runtime, signals)
-            card = model_card.made(loaded, made, trained, held_back, commands, update)
-    except (ModelError, GraphError) as error:
-        raise BadInput(str(error)) from error
+        trained_as = configuration.parsed(loaded.training)
+    except InputError as error:
+        raise models.ModelError(
+            f"{checkpoint}: the configuration in it is damaged: {error}; train the model again"
+        ) from error
+    if (done := loaded.progress["step"]) < trained_as.training.steps:
+        raise models.ModelError(
+            f"{checkpoint}: its training was cut at step {done} of {trained_as.training.steps}; continue it with "
+            "`vibrocast train --resume`"
+        )
+    name = name or trained_as.name
+    out = out or Path(name)
+    reject_replacing_others(out)
+    # An error is better known before the work than after.
+    out.parent.mkdir(parents=True, exist_ok=True)
+    commands = training_command or f"vibrocast train {trained_as.name}.toml", command_run()
+    with progress.bar("exporting") as update:
+        update(0, "reading the training's data")
+        traces = training_data.load(trained_as.sources, data_folder, trained_as.training.rate_hz)
+        trained, held_back = training_data.split(traces, trained_as.held_back, trained_as.seed)
+        signals = [trace.samples.astype(np.float64) for trace in trained]
+        update(0, "integers")
+        made = package.make(loaded, name, model_version, runtime, signals)
+        card = model_card.made(loaded, made, trained, held_back, commands, update)
     with atomic_folder(out) as partial:
         for file, data in {**made.files, **training_curves.files(loaded.curves)}.items():
             (partial / file).write_bytes(data)

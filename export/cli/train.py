@@ -11,7 +11,6 @@ import click
 from vibrocast import progress
 from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import FOLDER, INPUT
-from vibrocast.host.cli.options import BadInput
 
 
 @click.command()
@@ -62,32 +61,26 @@ def train(
     Trust it: whoever runs it, or its workers, can run any program as you on this machine.
     """
     from vibrocast.export import configuration, training
-    from vibrocast.export.checkpoint import ModelError
     from vibrocast.textures import dataset
 
-    try:
-        chosen = configuration.read(config)
-        if split == "trace":
-            if data_folder is None:
-                raise click.UsageError("--split trace trains on all recordings of a folder; name it by --data")
-            chosen = configuration.by_trace(chosen)
-        data = (data_folder or config.parent).resolve()
-        for source in chosen.folder:
-            for remark in dataset.read(data / source.folder).remarks:
-                click.echo(f"{source.name}: {remark}", err=True)
-        trainings = {
-            one.name: partial(training.train, one, data, out.resolve() / one.name, resume)
-            for one in configuration.each_of(chosen)
-        }
-        if len(trainings) == 1 and not scheduler:
-            with progress.bar("training") as update:
-                (outcome,) = (run(update) for run in trainings.values())
-            tell(str(outcome), trainings=[str(outcome)])
-            return
-    except (configuration.ConfigurationError, dataset.DatasetError, ModelError) as error:
-        raise BadInput(str(error)) from error
-    except training.TrainingError as error:
-        raise click.ClickException(str(error)) from error
+    chosen = configuration.read(config)
+    if split == "trace":
+        if data_folder is None:
+            raise click.UsageError("--split trace trains on all recordings of a folder; name it by --data")
+        chosen = configuration.by_trace(chosen)
+    data = (data_folder or config.parent).resolve()
+    for source in chosen.folder:
+        for remark in dataset.read(data / source.folder).remarks:
+            click.echo(f"{source.name}: {remark}", err=True)
+    trainings = {
+        one.name: partial(training.train, one, data, out.resolve() / one.name, resume)
+        for one in configuration.each_of(chosen)
+    }
+    if len(trainings) == 1 and not scheduler:
+        with progress.bar("training") as update:
+            (outcome,) = (run(update) for run in trainings.values())
+        tell(str(outcome), trainings=[str(outcome)])
+        return
     run_sweep({name: partial(run, _silent, 1) for name, run in trainings.items()}, scheduler)
 
 
@@ -101,19 +94,16 @@ def run_sweep(trainings: dict[str, Any], scheduler: str | None) -> None:
     tasks: Iterator[Any] = iter(trainings.items())
     failed = []
     ended: list[str] = []
-    try:
-        with progress.bar("training") as update, closing(work(tasks)) as outcomes:
-            update(0, f"0 of {len(trainings)}")
-            for done, (name, outcome) in enumerate(outcomes, 1):
-                if isinstance(outcome, Exception):
-                    failed.append(name)
-                    click.echo(f"failed: {name}: {outcome}", err=True)
-                else:
-                    ended.append(str(outcome))
-                    tell(str(outcome), trainings=ended)
-                update(done / len(trainings), f"{done} of {len(trainings)}")
-    except workers.WorkersError as error:
-        raise click.ClickException(str(error)) from error
+    with progress.bar("training") as update, closing(work(tasks)) as outcomes:
+        update(0, f"0 of {len(trainings)}")
+        for done, (name, outcome) in enumerate(outcomes, 1):
+            if isinstance(outcome, Exception):
+                failed.append(name)
+                click.echo(f"failed: {name}: {outcome}", err=True)
+            else:
+                ended.append(str(outcome))
+                tell(str(outcome), trainings=ended)
+            update(done / len(trainings), f"{done} of {len(trainings)}")
     if failed:
         raise click.ClickException(
             f"{len(failed)} of {len(trainings)} trainings failed: {', '.join(failed)}; correct them and add --resume"

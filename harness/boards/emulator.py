@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 from vibrocast import extras
+from vibrocast.errors import VibrocastError
 from vibrocast.firmware.elf import Elf
 from vibrocast.simulated_device.flash import FlashMemory
 
@@ -21,7 +22,7 @@ _FRAME_BYTES = 104
 _ENTRY_AND_EXIT_CYCLES = 24
 
 
-class EmulationError(Exception):
+class EmulationError(VibrocastError):
     """The image did something that stops a processor."""
 
 

@@ -8,13 +8,12 @@ import click
 from rich.console import Console
 from rich.table import Table
 
-from vibrocast import progress
+from vibrocast import errors, progress
 from vibrocast.files import plain
 from vibrocast.host import devices
-from vibrocast.host.cli import exit_codes
 from vibrocast.host.cli.answers import add, tell, wants_json
 from vibrocast.host.cli.option_types import FOLDER
-from vibrocast.host.cli.options import BadInput, device_option
+from vibrocast.host.cli.options import device_option
 
 if TYPE_CHECKING:
     from vibrocast.harness.conformance import Report
@@ -34,15 +33,13 @@ def conformance(address: str, out: Path | None, no_flash: bool, quick: bool) -> 
     The exit code is 0 if the controller conforms, and 1 if it does not. It is 3 if no controller answers, and 6 if this
     machine was too busy to decide.
     """
-    from vibrocast.harness.conformance import PAGE, NotTestable, SuiteInterrupted, TappedLink, run_suite
+    from vibrocast.harness.conformance import PAGE, SuiteInterrupted, TappedLink, run_suite
 
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)  # an error is better known before the tests than after
     try:
         with devices.reach(address) as transport, progress.bar("testing") as update:
             report = run_suite(TappedLink(transport, may_flash=not no_flash), quick, update)
-    except NotTestable as error:
-        raise BadInput(str(error)) from error
     except SuiteInterrupted as interruption:
         add(interruption.report.facts())
         raise
@@ -54,7 +51,7 @@ def conformance(address: str, out: Path | None, no_flash: bool, quick: bool) -> 
         report.write(out)
         tell(f"report: {out / PAGE}")
     if not report.conforming:
-        code = exit_codes.HOST_BUSY if report.undecided else exit_codes.FAILED
+        code = errors.HOST_BUSY if report.undecided else errors.FAILED
         add({"error": report.summary, "exit_code": code})
         raise click.exceptions.Exit(code)
 

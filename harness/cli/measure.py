@@ -9,11 +9,24 @@ from typing import Any
 
 import click
 
-from vibrocast.harness import ACTUATOR, JSON, NAMES, PAGE
+from vibrocast.errors import REGRESSION
+from vibrocast.harness.results import (
+    ACTUATOR,
+    JSON,
+    NAMES,
+    PAGE,
+    compare,
+    described,
+    deviations,
+    figures,
+    read_results,
+    warnings,
+)
 from vibrocast.host.cli.answers import add, figures_so_far, tell
+from vibrocast.host.cli.errors import CommandError
 from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import FOLDER, INPUT
-from vibrocast.host.cli.options import Regression, allow_programs_option, fail_where_missed
+from vibrocast.host.cli.options import allow_programs_option, fail_where_missed
 
 TRACE = "trace.pcapng"
 MAX_SHOWN = 6
@@ -85,7 +98,7 @@ def measure(
     The exit code is 5 if the run is worse than the earlier one, or cannot be compared with it. It is 1 if a measurement
     failed, or the controller played something else than was sent, and 4 if a limit of the bench file was missed.
     """
-    from vibrocast.harness import compare, described, deviations, figures, measure_bench, read_results, warnings
+    from vibrocast.harness.run import measure_bench
     from vibrocast.host.bench_file import choose_controller, read_bench
 
     bench = None if bench_path is None else read_bench(bench_path, allow_programs)
@@ -109,8 +122,9 @@ def measure(
         )
     if worse := [f"{change.name} ({change.problem})" for change in changes if change.regressed]:
         more = f"; and {len(worse) - MAX_SHOWN} more" if len(worse) > MAX_SHOWN else ""
-        raise Regression(
-            f"not as in {earlier}: {'; '.join(worse[:MAX_SHOWN])}{more}; compare both reports, then measure again"
+        raise CommandError(
+            f"not as in {earlier}: {'; '.join(worse[:MAX_SHOWN])}{more}; compare both reports, then measure again",
+            REGRESSION,
         )
     if wrong := list(deviations(results.document())):
         raise click.ClickException(

@@ -5,18 +5,19 @@ from pathlib import Path
 import click
 
 from vibrocast import progress
+from vibrocast.errors import InputError
 from vibrocast.harness import recorder
 from vibrocast.host.cli.answers import tell
-from vibrocast.host.cli.option_types import OutputFile, positive
+from vibrocast.host.cli.option_types import OutputFile, Whole, positive
 from vibrocast.textures import sidecar
-from vibrocast.textures.sensitivity import EXAMPLES, Sensitivity, SensitivityError, parse
+from vibrocast.textures.sensitivity import EXAMPLES, Sensitivity, parse
 
 
 def parsed_sensitivity(ctx: click.Context, param: click.Parameter, value: str | None) -> Sensitivity | None:
     """Return the sensitivity of a sensor, or raise click.BadParameter."""
     try:
         return None if value is None else parse(value)
-    except SensitivityError as error:
+    except InputError as error:
         raise click.BadParameter(str(error), ctx, param) from error
 
 
@@ -39,6 +40,7 @@ def checked_axes(ctx: click.Context, param: click.Parameter, value: str | None) 
 )
 @click.option("--volts-full-scale", type=positive("V"), help="Give the volts at the input that are digital full scale.")
 @click.option("--axes", callback=checked_axes, metavar="XYZ", help="Name the axis of each channel, such as xyz.")
+@click.option("--rate-hz", type=Whole("Hz", 20, 10**6), help="Set the sample rate. Default: that of the input.")
 @click.option("--seconds", type=positive("s"), help="Set the duration. Default: until Ctrl-C.")
 @click.option("--keep-dc", is_flag=True, help=f"Keep offset and drift below {recorder.DRIFT_HZ:g} Hz.")
 def record(
@@ -47,6 +49,7 @@ def record(
     sensitivity: Sensitivity | None,
     volts_full_scale: float | None,
     axes: str,
+    rate_hz: int | None,
     seconds: float | None,
     keep_dc: bool,
 ) -> None:
@@ -58,7 +61,7 @@ def record(
     beside = sidecar.path_of(out)
     if beside.exists() and not sidecar.is_one(beside):
         raise click.UsageError(f"{beside} is another file than a sidecar; give OUT another name")
-    opened = recorder.open_source(address, sensitivity, volts_full_scale, axes=axes)
+    opened = recorder.open_source(address, sensitivity, volts_full_scale, axes=axes, rate_hz=rate_hz)
     with opened as source, progress.bar("recording", details_only=True) as update:
         recorded = recorder.record(
             source,

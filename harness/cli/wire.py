@@ -15,12 +15,13 @@ from vibrocast import progress, textures
 from vibrocast.device_protocol.messages import Start, Status, pack
 from vibrocast.device_protocol.trace import TracedFrame, read_trace
 from vibrocast.device_protocol.transports import Transport, TransportError
+from vibrocast.errors import InputError
 from vibrocast.files import plain
 from vibrocast.harness.frame_lines import line
 from vibrocast.host import devices
 from vibrocast.host.cli.answers import tell, wants_json
 from vibrocast.host.cli.option_types import INPUT, Number, OutputFile
-from vibrocast.host.cli.options import BadInput, checked_address, link_option, tell_address
+from vibrocast.host.cli.options import checked_address, link_option, tell_address
 from vibrocast.host.tracing import tracer
 
 if TYPE_CHECKING:
@@ -110,7 +111,9 @@ def serve(address: str, link: Path | None, faults: "Sequence[Fault]", see: "See 
     from vibrocast.simulated_device.serial_port import has_pseudo_terminals, serial_port
 
     if any(fault.cut for fault in faults) and not has_pseudo_terminals():
-        raise TransportError("a cut cable needs pseudo-terminals, which this system lacks; leave out `cut`")
+        raise TransportError(
+            "a cut cable needs pseudo-terminals, which this system lacks", action="leave out `cut`", parameter="cut"
+        )
     with devices.reach(address) as transport:
         remote = RemoteDevice(transport)
 
@@ -169,13 +172,13 @@ def replay(trace: Path, out: Path | None, address: str | None) -> None:
 
 
 def decode_last(frames: Sequence[TracedFrame], trace: Path, out: Path) -> None:
-    """Decode the last stream of a trace into a file. Raises BadInput, StreamError, CodecError, OSError."""
+    """Decode the last stream of a trace into a file. Raises InputError, StreamError, CodecError, OSError."""
     from vibrocast.codec.stream import write_recording
     from vibrocast.harness.trace_streams import streams_of
 
     streams = streams_of(frames)
     if not streams:
-        raise BadInput(f"{trace}: no stream was set up in it; trace the whole command")
+        raise InputError(f"{trace}: no stream was set up in it; trace the whole command")
     stream = streams[-1].stream()
     with progress.bar("decoding") as update:
         write_recording(out, stream, progress=update)

@@ -9,6 +9,7 @@ import pytest
 
 from vibrocast.device_protocol.messages import PROTOCOL_MAJOR, MessageError
 from vibrocast.device_protocol.transports import TransportError
+from vibrocast.errors import BAD_INPUT, VibrocastError
 from vibrocast.files import plain
 from vibrocast.harness.conformance import fixtures
 from vibrocast.harness.conformance.probe import NotConforming, Probe, Unreachable
@@ -39,8 +40,10 @@ class SuiteInterrupted(KeyboardInterrupt):
         self.report = report
 
 
-class NotTestable(Exception):
+class NotTestable(VibrocastError):
     """The controller does not answer Hello correctly, so nothing else can be tested."""
+
+    exit_code = BAD_INPUT
 
 
 def run_suite(

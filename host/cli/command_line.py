@@ -28,7 +28,7 @@ class VibrocastCommand(click.Group):
     """A group whose errors, expected or not, are one line on stderr and an exit code."""
 
     def main(self, *arguments: Any, **extra: Any) -> NoReturn:
-        """Run the command line, and exit with one of `exit_codes`."""
+        """Run the command line, and exit with one of the codes of `vibrocast.errors`."""
         extra["standalone_mode"] = False
         try:
             sys.exit(super().main(*arguments, **extra))

@@ -6,12 +6,12 @@ from pathlib import Path
 import click
 
 from vibrocast import models, progress
+from vibrocast.errors import InputError
 from vibrocast.files import plain
 from vibrocast.host import devices, uploader
 from vibrocast.host.cli.answers import add, tell, wants_json
 from vibrocast.host.cli.option_types import INPUT, OutputFile
 from vibrocast.host.cli.options import (
-    BadInput,
     actuator_option,
     chosen_model,
     device_option,
@@ -94,7 +94,7 @@ def simulate(actuator: str, link: Path | None, flash_file: Path | None, public_k
     from vibrocast.simulated_device.serial_port import serial_port
 
     if flash_file and flash_file.exists() and not (flash_file.is_file() and flash_file.stat().st_size == FLASH_BYTES):
-        raise BadInput(f"{flash_file}: no flash memory, which has {FLASH_BYTES} bytes; name a new file")
+        raise InputError(f"{flash_file}: no flash memory, which has {FLASH_BYTES} bytes; name a new file")
     flash_memory = FlashMemory(FLASH_BYTES, path=flash_file)
     key = None if public_key is None else read_public_key(public_key)
     settings = Settings(actuator=ACTUATORS[actuator], public_key=key)

@@ -1,18 +1,6 @@
-"""Exit codes of the `vibrocast` command."""
+"""How the `vibrocast` command ends where a signal interrupts it."""
 
 import signal
-
-FAILED = 1
-"""The device, or the command itself, failed."""
-BAD_INPUT = 2
-NO_DEVICE = 3
-"""No controller answers at the address, or it was lost for good."""
-LIMIT_MISSED = 4
-"""The run ended, and missed one of its limits."""
-REGRESSION = 5
-"""The run is worse than the earlier one, or cannot be compared with it."""
-HOST_BUSY = 6
-"""This machine was too busy to decide."""
 
 signalled: int | None = None
 """The signal that has interrupted the command."""

@@ -6,10 +6,10 @@ import click
 
 from vibrocast import textures
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ
-from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.files import atomic_write
 from vibrocast.host.cli.answers import tell, tell_profile
-from vibrocast.host.cli.option_types import OutputFile, Whole, positive
+from vibrocast.host.cli.option_types import Number, OutputFile, Whole, positive
+from vibrocast.textures.recording import Signal
 
 
 @click.command()
@@ -20,31 +20,36 @@ from vibrocast.host.cli.option_types import OutputFile, Whole, positive
 )
 @click.option("--seconds", type=positive("s"), default=4.0, show_default=True, help="Set the duration.")
 @click.option(
-    "--rate-hz",
-    type=Whole("Hz", 1, MAX_RATE_HZ),
-    default=DEFAULT_STREAM_RATE_HZ,
-    show_default=True,
-    help="Set the sample rate.",
-)
-@click.option(
     "--hand-speed-mm-s",
     type=positive("mm/s"),
     default=50.0,
     show_default=True,
-    help="Set the speed of the hand.",
+    help="Set the mean speed of the hand.",
 )
-def generate(kind: str, out: Path, seed: int, seconds: float, rate_hz: int, hand_speed_mm_s: float) -> None:
+@click.option(
+    "--speed-variation",
+    type=Number("FRACTION", 0, 2),
+    default=0.0,
+    show_default=True,
+    help="Vary the speed by this fraction of its mean, once a second.",
+)
+def generate(kind: str, out: Path, seed: int, seconds: float, hand_speed_mm_s: float, speed_variation: float) -> None:
     """Generate a texture (.wav) or its height profile (.csv).
 
     KIND is a physical model of a surface or of taps. The suffix of OUT chooses the format.
     """
     if out.suffix.lower() == ".csv":
-        profile = textures.surface_profile(kind, seed, seconds, hand_speed_mm_s, rate_hz)
+        if speed_variation:
+            raise click.UsageError("a height profile is the same at any speed; drop --speed-variation")
+        profile = textures.surface_profile(kind, seed, seconds, hand_speed_mm_s, DEFAULT_STREAM_RATE_HZ)
         with atomic_write(out) as partial:
             textures.save_profile(partial, profile)
         tell_profile(out, profile)
         return
-    recording = textures.GENERATORS[kind](seed, seconds, hand_speed_mm_s, rate_hz)
+    speed_mm_s: float | Signal = hand_speed_mm_s
+    if speed_variation:
+        speed_mm_s = textures.varying_speed(seconds, DEFAULT_STREAM_RATE_HZ, hand_speed_mm_s, speed_variation)
+    recording = textures.GENERATORS[kind](seed, seconds, speed_mm_s, DEFAULT_STREAM_RATE_HZ)
     with atomic_write(out) as partial:
         full_scale = textures.save(partial, recording, sixteen_bit=True)
     tell(

@@ -6,12 +6,13 @@ import click
 
 from vibrocast import models
 from vibrocast.device_protocol.model_image import MAX_NUMBER
+from vibrocast.errors import InputError
 from vibrocast.files import atomic_write, plain
 from vibrocast.firmware import keys as key_files
 from vibrocast.host import signatures
 from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import INPUT, OutputFile, Whole, reject_overwriting
-from vibrocast.host.cli.options import BadInput, chosen_model
+from vibrocast.host.cli.options import chosen_model
 from vibrocast.host.cli.steps import files_of
 
 KEY_SUFFIX = ".pem"
@@ -41,7 +42,7 @@ def new(key: Path) -> None:
     public_path = key.with_suffix(PUBLIC_SUFFIX)
     for path in (key, public_path):
         if path.exists():
-            raise BadInput(f"{path} exists, and a key cannot be made again; name another file")
+            raise InputError(f"{path} exists, and a key cannot be made again; name another file")
     key_files.write_private_key(key, private_key)
     key_files.write_public_key(public_path, public_key)
     shown = public_key.hex()

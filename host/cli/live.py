@@ -15,14 +15,13 @@ from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, chosen_codec
 from vibrocast.codec.live_format import live_format
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.device_protocol.messages import Status
-from vibrocast.host import devices, uploader
+from vibrocast.errors import InputError
+from vibrocast.host import devices, playback, uploader
 from vibrocast.host import live as streaming
-from vibrocast.host import playback as end_to_end
 from vibrocast.host.bench_limits import BenchLimits, missed
 from vibrocast.host.cli.answers import add, tell
 from vibrocast.host.cli.option_types import Number, Whole, positive
 from vibrocast.host.cli.options import (
-    BadInput,
     Chosen,
     actuator_option,
     bench_actuator,
@@ -221,12 +220,10 @@ def live(
         try:
             result = streaming.play(stream, coded.blocks(blocks), progress=show)
             if not result.packets:
-                raise BadInput("standard input ended before its first sample; check the program that writes to it")
-            member = end_to_end.member(controller, address, actuator)
+                raise InputError("standard input ended before its first sample; check the program that writes to it")
+            member = playback.member(controller, address, actuator)
             quality = coded.quality(member, model, result)
             timing = watch.timing(member)
-        except streaming.LiveError as error:
-            raise BadInput(str(error)) from error
         finally:
             # Of a stream that was cut, too, but then at once.
             watch.close()
@@ -247,9 +244,9 @@ def texture_format(texture: textures.Recording) -> codec.SignalFormat:
 
 
 def raw_format(samples: SampleOptions, rate_hz: int) -> codec.SignalFormat:
-    """Return the format of raw samples. Raises BadInput without standard input, and click.UsageError without a unit."""
+    """Return the format of raw samples. Raises InputError without standard input, click.UsageError without a unit."""
     if sys.stdin is None:
-        raise BadInput("standard input is closed; pipe samples into it, or name a texture")
+        raise InputError("standard input is closed; pipe samples into it, or name a texture")
     if samples.unit is None:
         raise click.UsageError("missing --unit; state the unit of the samples, or drive for a drive signal")
     unit, factor = textures.INPUT_UNITS[samples.unit]

@@ -1,4 +1,4 @@
-"""Options that several subcommands share, how they are read, and the error of bad input."""
+"""Options that several subcommands share, and how they are read."""
 
 import functools
 import json
@@ -18,10 +18,10 @@ from vibrocast.codec.rate_controlled import RateTarget
 from vibrocast.codec.stream import MAX_GAIN_DB
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.device_protocol.messages import ActuatorDescription
-from vibrocast.device_protocol.model_image import ModelImageError
+from vibrocast.errors import LIMIT_MISSED
 from vibrocast.host import devices
 from vibrocast.host.cli.answers import wants_json
-from vibrocast.host.cli.exit_codes import BAD_INPUT, LIMIT_MISSED, REGRESSION
+from vibrocast.host.cli.errors import CommandError
 from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, positive
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import Actuator
@@ -37,35 +37,17 @@ def command_run() -> str:
     return shlex.join(["vibrocast", *sys.argv[1:]]).encode(errors="backslashreplace").decode()
 
 
-class BadInput(click.ClickException):
-    """Input that cannot be used."""
-
-    exit_code = BAD_INPUT
-
-
-class LimitMissed(click.ClickException):
-    """A run that missed limits of the bench file."""
-
-    exit_code = LIMIT_MISSED
-
-
-class Regression(click.ClickException):
-    """A run that is worse than an earlier one."""
-
-    exit_code = REGRESSION
-
-
 def fail_where_missed(missed: Sequence[str]) -> None:
-    """Raise LimitMissed with the lines of `bench_limits.missed`, if there are any."""
+    """Raise CommandError with the lines of `bench_limits.missed`, if there are any."""
     if missed:
-        raise LimitMissed(f"limits missed: {'; '.join(missed)}; see [limits] in the bench file")
+        raise CommandError(f"limits missed: {'; '.join(missed)}; see [limits] in the bench file", LIMIT_MISSED)
 
 
 def chosen_model(ctx: click.Context, param: click.Parameter, value: str | None) -> models.Model | None:
     """Return the model of that name, folder or image file, or raise click.BadParameter with what to do."""
     try:
         return None if value is None else models.find(value)
-    except (models.ModelError, ModelImageError) as error:
+    except models.ModelError as error:
         raise click.BadParameter(str(error), ctx, param) from error
 
 
@@ -214,7 +196,7 @@ def bench_actuator(bench: "Bench | None", chosen: Chosen) -> Actuator | None:
 
 
 def check_bench_actuator(bench: "Bench | None", chosen: Chosen, description: ActuatorDescription) -> None:
-    """Raise BenchFileError where a controller drives another actuator than the bench has there."""
+    """Raise InputError where a controller drives another actuator than the bench has there."""
     if bench is None:
         return
     from vibrocast.host.bench_file import check_actuator

@@ -17,14 +17,14 @@ from vibrocast.codec.stream import Stream, read_stream
 from vibrocast.device_protocol.coded_stream import StreamError, packet_sequence
 from vibrocast.device_protocol.messages import MessageError
 from vibrocast.device_protocol.transports import TransportError
+from vibrocast.errors import FAILED, InputError
 from vibrocast.host import devices, player
 from vibrocast.host.bench_limits import Judged, missed
 from vibrocast.host.cli.answers import add, answer, wants_json
-from vibrocast.host.cli.errors import DeviceFailure, explained
+from vibrocast.host.cli.errors import CommandError, explained
 from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import INPUT, OutputFile, positive, reject_overwriting
 from vibrocast.host.cli.options import (
-    BadInput,
     Chosen,
     QualityOptions,
     RecordingOptions,
@@ -65,8 +65,7 @@ from vibrocast.output import actuator_files
 from vibrocast.output.actuator import ACTUATORS, Actuator
 
 if TYPE_CHECKING:
-    from vibrocast.host import hand_playback as position_playback
-    from vibrocast.host import playback as end_to_end
+    from vibrocast.host import hand_playback, playback
     from vibrocast.host.bench_file import Bench
 
 SILENT_DB = -200.0
@@ -108,7 +107,7 @@ class OutputOptions:
 @section(CODING, grouped("quality", QualityOptions, model_option, snr_db_option))
 @section(CONTROLLER, bench_option, devices_option)
 @grouped(
-    "playback",
+    "options",
     PlaybackOptions,
     section(
         CONTROLLER,
@@ -127,7 +126,7 @@ class OutputOptions:
             "--hand",
             callback=chosen_hand,
             metavar="MM|FILE",
-            help="Stroke a height profile there and back, or move as a CSV file of time_s,position_mm.",
+            help="Stroke a height profile, or follow a CSV file of time_s,position_mm.",
         ),
     ),
 )
@@ -144,7 +143,7 @@ def play(
     file: Path,
     bench: "Bench | None",
     chosen: tuple[Chosen, ...],
-    playback: PlaybackOptions,
+    options: PlaybackOptions,
     outputs: OutputOptions,
     quality: QualityOptions,
     recording: RecordingOptions,
@@ -165,32 +164,31 @@ def play(
     if outputs.plot_path is not None:
         extras.require("plot")
     reject_overwriting([outputs.report_path, outputs.plot_path], [file, *files_of(quality.model)])
-    given = None if playback.actuator_name is None else actuator_files.find(playback.actuator_name)
+    given = None if options.actuator_name is None else actuator_files.find(options.actuator_name)
     names = dict(zip(devices.unique_names([each.address for each in chosen]), chosen, strict=True))
     actuators = {name: given or bench_actuator(bench, each) for name, each in names.items()}
     run = Run(file.name, names, actuators, bench, outputs)
-    if len(chosen) > 1 and (playback.hand or outputs.plot_path):
+    if len(chosen) > 1 and (options.hand or outputs.plot_path):
         raise click.UsageError("--hand and --plot are for one controller; give one --device")
-    if playback.hand is None:
-        figures = play_over_time(run, file, quality, recording, playback)
+    if options.hand is None:
+        figures = play_over_time(run, file, quality, recording, options)
     else:
-        figures = play_under_hand(run, file, quality, recording, playback)
+        figures = play_under_hand(run, file, quality, recording, options)
     fail_where_missed([] if bench is None else missed(bench.limits, figures))
 
 
 def play_under_hand(
-    run: "Run", file: Path, quality: QualityOptions, recording: RecordingOptions, playback: PlaybackOptions
+    run: "Run", file: Path, quality: QualityOptions, recording: RecordingOptions, options: PlaybackOptions
 ) -> Iterable[Judged]:
     """Play a height profile by the position of a hand on one controller, print how it went, and return the figures."""
-    from vibrocast.host import hand_playback as position_playback
-    from vibrocast.host import playback as end_to_end
+    from vibrocast.host import hand_playback, playback
 
-    if playback.gain_db:
+    if options.gain_db:
         raise click.UsageError("a profile under a hand has its own level; drop --gain-db")
-    assert playback.hand is not None, "a hand moves"
+    assert options.hand is not None, "a hand moves"
     ((name, chosen),) = run.names.items()
-    own_actuator(chosen.address, playback.actuator_name)
-    movement = position_playback.chosen_movement(playback.hand, recording.hand_speed_mm_s, playback.loops)
+    own_actuator(chosen.address, options.actuator_name)
+    movement = hand_playback.chosen_movement(options.hand, recording.hand_speed_mm_s, options.loops)
     stream, texture = spatial_stream(file, quality, replace(recording, hand_speed_mm_s=None))
     actuator = run.actuators[name]
     with (
@@ -199,18 +197,18 @@ def play_under_hand(
         progress.bar("playing") as update,
     ):
         check_bench_actuator(run.bench, chosen, controller.description.actuator)
-        member = end_to_end.member(controller, chosen.address, actuator)
+        member = playback.member(controller, chosen.address, actuator)
         sha256 = run.provenance.bench_sha256
-        stroke = position_playback.play_and_compare(member, file.name, stream, movement, texture, sha256, update)
+        stroke = hand_playback.play_and_compare(member, file.name, stream, movement, texture, sha256, update)
     tell_stroke(stroke, run.outputs)
     return stroke.report.judged()
 
 
 def play_over_time(
-    run: "Run", file: Path, quality: QualityOptions, recording: RecordingOptions, playback: PlaybackOptions
+    run: "Run", file: Path, quality: QualityOptions, recording: RecordingOptions, options: PlaybackOptions
 ) -> Iterable[Judged]:
     """Play a recording or a stream on all controllers, print how it went, and return the figures."""
-    from vibrocast.host import playback as end_to_end
+    from vibrocast.host import playback
 
     source = read_source(file, quality, recording)
     channels, rate_hz = (
@@ -223,7 +221,7 @@ def play_over_time(
             name: devices.connect(each.address, actuator=run.actuators[name]) for name, each in run.names.items()
         }
         with devices.open_all(sessions) as (controllers, failures):
-            members: dict[str, end_to_end.Member] = {}
+            members: dict[str, playback.Member] = {}
             for name, controller in controllers.items():
                 check_bench_actuator(run.bench, run.names[name], controller.description.actuator)
                 try:
@@ -232,18 +230,18 @@ def play_over_time(
                 except StreamError as error:
                     failures[name] = error
                 else:
-                    members[name] = end_to_end.member(controller, run.names[name].address, run.actuators[name])
-            outcomes: dict[str, end_to_end.Outcome | Exception] = {}
+                    members[name] = playback.member(controller, run.names[name].address, run.actuators[name])
+            outcomes: dict[str, playback.Outcome | Exception] = {}
             if members:
                 if isinstance(source, Stream):
                     stream, encoding = source, None
                 else:
                     encoding = encoded(source, quality, recording.unit, live=True)
                     stream = encoding.stream
-                stream = stream.with_gain(playback.gain_db)
+                stream = stream.with_gain(options.gain_db)
                 with progress.bar("playing") as update:
                     tell = playing(update, stream.bits_per_second, run.latest)
-                    outcomes = end_to_end.play_together(members, file.name, stream, encoding, playback.loops, tell)
+                    outcomes = playback.play_together(members, file.name, stream, encoding, options.loops, tell)
         outcomes = {name: run.traced((outcomes | failures)[name]) for name in run.names}
         (outcome, *others) = outcomes.values()
         if isinstance(outcome, Exception) and not others:
@@ -279,7 +277,7 @@ class Run:
         """The origin of the reports."""
         return Provenance(None if self.bench is None else self.bench.sha256)
 
-    def traced(self, outcome: "end_to_end.Outcome | Exception") -> "end_to_end.Outcome | Exception":
+    def traced(self, outcome: "playback.Outcome | Exception") -> "playback.Outcome | Exception":
         """Return an outcome whose report names the bench file."""
         if isinstance(outcome, Exception):
             return outcome
@@ -318,7 +316,7 @@ class Run:
         answer(document)
 
 
-def tell_outcome(run: Run, outcome: "end_to_end.Outcome", given: Stream) -> None:
+def tell_outcome(run: Run, outcome: "playback.Outcome", given: Stream) -> None:
     """Print what one controller played, write it and draw it; `given`: the stream before it was fitted.
 
     Raises ControllerError if it played something else than was sent.
@@ -345,41 +343,41 @@ def tell_outcome(run: Run, outcome: "end_to_end.Outcome", given: Stream) -> None
 
 
 def read_source(file: Path, quality: QualityOptions, recording: RecordingOptions) -> Stream | textures.Recording:
-    """Return a .vct file, or a recording that is to be coded. Raises BadInput, CodecError and TextureError."""
-    from vibrocast.host import playback as end_to_end
+    """Return a .vct file, or a recording that is to be coded. Raises InputError, CodecError and TextureError."""
+    from vibrocast.host import playback
 
     source: Stream | textures.Recording
     if file.suffix.lower() == ".vct":
         coded = coded_already(file, quality, replace(recording, unit=None) if recording.unit == "drive" else recording)
         if coded.header.spatial:
-            raise BadInput(f"{file}: coded over position; give --hand, and --hand-speed-mm-s for a stroke")
+            raise InputError(f"{file}: coded over position; give --hand, and --hand-speed-mm-s for a stroke")
         source = playable(coded)
     else:
         source = textures.load(file, **recording.facts())
         if source.axes:
-            raise BadInput(
+            raise InputError(
                 f"{file}: three axes of one texture; encode it with --axis x, y or z, dft321 or norm, or none for one "
                 "actuator for each axis; then play the .vct file"
             )
-    end_to_end.check_unit(source.header.unit if isinstance(source, Stream) else source.unit, recording.unit)
+    playback.check_unit(source.header.unit if isinstance(source, Stream) else source.unit, recording.unit)
     return source
 
 
-def report_each(run: Run, outcomes: "Mapping[str, end_to_end.Outcome | Exception]") -> None:
+def report_each(run: Run, outcomes: "Mapping[str, playback.Outcome | Exception]") -> None:
     """Print a line for each of several controllers, and tell their reports.
 
-    If one failed, or played something else than was sent, raises the error of all that failed; DeviceFailure where
-    theirs differ.
+    If one failed, or played something else than was sent, raises CommandError, with the exit code of all
+    that failed; FAILED where theirs differ.
     """
     run.tell_reports(
         [run.unfinished(name, each) if isinstance(each, Exception) else each.report for name, each in outcomes.items()]
     )
     lines: dict[str, str] = {}
-    failed: dict[str, type[click.ClickException]] = {}
+    failed: dict[str, int] = {}
     for name, each in outcomes.items():
         if isinstance(each, Exception):
             lines[name] = f"FAILED: {each}"
-            failed[name] = type(explained(each, {}))
+            failed[name] = explained(each, {}).exit_code
             continue
         report = each.report
         lines[name] = (
@@ -388,13 +386,14 @@ def report_each(run: Run, outcomes: "Mapping[str, end_to_end.Outcome | Exception
             f"DAC as computed {ANSWERS[report.dac_equals_offline]}"
         )
         if report.differs:
-            failed[name] = DeviceFailure
+            failed[name] = FAILED
     if not wants_json():
         show(lines)
     if failed:
-        kinds = set(failed.values())
-        raise (kinds.pop() if len(kinds) == 1 else DeviceFailure)(
-            f"{len(failed)} of {len(outcomes)} controllers failed: {', '.join(failed)}; the line of each says why"
+        codes = set(failed.values())
+        raise CommandError(
+            f"{len(failed)} of {len(outcomes)} controllers failed: {', '.join(failed)}; the line of each says why",
+            codes.pop() if len(codes) == 1 else FAILED,
         )
 
 
@@ -403,7 +402,7 @@ def spatial_stream(
 ) -> tuple[Stream, textures.Recording | None]:
     """Return a height profile, or a .vct file of one, as a stream over position, and what was coded, where known.
 
-    Raises BadInput for any other.
+    Raises InputError for any other.
     """
     if file.suffix.lower() == ".vct":
         stream, texture = coded_already(file, quality, recording), None
@@ -411,20 +410,19 @@ def spatial_stream(
         encoding = encoded_profile(file, quality, recording)
         stream, texture = encoding.stream, encoding.recording
     if not stream.header.spatial:
-        raise BadInput(f"{file}: coded over time, not over position; encode the profile without --hand-speed-mm-s")
+        raise InputError(f"{file}: coded over time, not over position; encode the profile without --hand-speed-mm-s")
     return stream, texture
 
 
-def tell_stroke(stroke: "position_playback.Stroke", outputs: OutputOptions) -> None:
+def tell_stroke(stroke: "hand_playback.Stroke", outputs: OutputOptions) -> None:
     """Print what was played under a hand, write it and draw it. Raises ControllerError where it is not as computed."""
-    from vibrocast.host import hand_playback as position_playback
-    from vibrocast.host import picture
+    from vibrocast.host import hand_playback, picture
 
     report, played = stroke.report, stroke.played
     if outputs.report_path:
         report.write(outputs.report_path)
     if outputs.plot_path:
-        pictured = position_playback.pictured(played, stroke.expected, stroke.actuator)
+        pictured = hand_playback.pictured(played, stroke.expected, stroke.actuator)
         picture.draw(outputs.plot_path, f"{report.file} on {report.device.address}", *pictured)
     if wants_json():
         add(asdict(report))
@@ -508,7 +506,7 @@ def describe_comparison(equal: bool | None, report: Report) -> str:
     return f"{ANSWERS[equal]}: {report.comparison_note}" if equal is None and report.comparison_note else ANSWERS[equal]
 
 
-def summary(outcome: "end_to_end.Outcome", given: Stream) -> dict[str, object]:
+def summary(outcome: "playback.Outcome", given: Stream) -> dict[str, object]:
     """Return the lines that `play` prints at its end; `given`: the stream before it was fitted to the controller."""
     report = outcome.report
     latency = report.latency_ms

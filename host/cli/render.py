@@ -6,12 +6,12 @@ from pathlib import Path
 import click
 
 from vibrocast import textures
+from vibrocast.errors import InputError
 from vibrocast.files import atomic_write
 from vibrocast.host import devices
 from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, reject_overwriting
 from vibrocast.host.cli.options import (
-    BadInput,
     QualityOptions,
     RecordingOptions,
     gain_option,
@@ -87,16 +87,13 @@ def render(file: Path, out: Path, drive: DriveOptions, quality: QualityOptions, 
             stream.header, stream.decode_integers(), stream.decoder().delay_samples, actuator, loops=1
         )
     except (ValueError, OverflowError) as error:
-        raise BadInput(
+        raise InputError(
             f"{file}: cannot be rendered for {actuator.name} at {actuator.dac_rate_hz} Hz: {error}"
         ) from error
     volts = actuator.volts / 2
     signal = textures.Recording(codes / actuator.full_scale, actuator.dac_rate_hz, "full scale", out.stem)
     with atomic_write(out) as partial:
-        try:
-            textures.save(partial, signal, sixteen_bit=True, note=f"drive of {actuator.name}, 1.0 is {volts:g} V")
-        except textures.TextureError as error:
-            raise textures.TextureError(str(error).replace(str(partial), str(out))) from error
+        textures.save(partial, signal, sixteen_bit=True, note=f"drive of {actuator.name}, 1.0 is {volts:g} V")
     tell(
         f"{out}: {len(codes) / actuator.dac_rate_hz:.3f} s at {actuator.dac_rate_hz} Hz, {signal.channels} channel(s), "
         f"1.0 is {volts:g} V at {actuator.name}",

@@ -10,6 +10,7 @@ import click
 from msgspec import structs
 
 from vibrocast import models, progress
+from vibrocast.errors import InputError
 from vibrocast.files import plain
 from vibrocast.host.cli.answers import answer, tell, wants_json
 from vibrocast.host.cli.devices import upload
@@ -18,7 +19,7 @@ from vibrocast.host.cli.option_types import FOLDER, INPUT
 from vibrocast.host.cli.options import checked_address
 from vibrocast.host.report import write_json
 from vibrocast.planner import choose, comparison, page, playing
-from vibrocast.planner.plan_file import Plan, PlanError, is_plan, read_plan, write_plan
+from vibrocast.planner.plan_file import Plan, is_plan, read_plan, write_plan
 from vibrocast.planner.scene import read_scene
 
 FORECAST_CSV, FORECAST_JSON = "forecast.csv", "forecast.json"
@@ -109,7 +110,7 @@ def _at(planned: Plan, addresses: Sequence[str]) -> Plan:
 
 
 def _upload(planned: Plan) -> None:
-    """Upload to each controller the model that its textures need. Raises PlanError where they need several."""
+    """Upload to each controller the model that its textures need. Raises InputError where they need several."""
     needed = [
         (controller, name)
         for controller in planned.controllers
@@ -121,7 +122,7 @@ def _upload(planned: Plan) -> None:
     for controller, _ in needed:
         if names.count(controller.name) > 1:
             several = " and ".join(name for each, name in needed if each == controller)
-            raise PlanError(
+            raise InputError(
                 f"{controller.name} runs one model at a time, and its textures need {several}; plan a scene for each "
                 "model, or play simulated controllers, which --play reloads"
             )

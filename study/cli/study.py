@@ -7,11 +7,12 @@ from pathlib import Path
 import click
 
 from vibrocast import extras, progress
+from vibrocast.errors import InputError
 from vibrocast.files import atomic_write
 from vibrocast.host import devices
 from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import FOLDER, INPUT, Whole
-from vibrocast.host.cli.options import BadInput, device_option
+from vibrocast.host.cli.options import device_option
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import Actuator
 from vibrocast.study import stimuli as stimuli_module
@@ -159,9 +160,9 @@ def report(folder: Path) -> None:
 
 
 def chosen_actuator(read: Study) -> Actuator:
-    """Return the actuator that the study file names. Raises BadInput where it names none."""
+    """Return the actuator that the study file names. Raises InputError where it names none."""
     if read.actuator is None:
-        raise BadInput(f"{read.name}: no actuator; name one by the key actuator of the study file")
+        raise InputError(f"{read.name}: no actuator; name one by the key actuator of the study file")
     path = Path(read.folder) / read.actuator
     return actuator_files.find(path if path.is_file() else read.actuator)
 
@@ -182,7 +183,7 @@ def prepared_once(read: Study, actuator: Actuator, study_path: Path, out: Path) 
     folder, kept = out / STIMULI, out / STUDY_FILE
     if (folder / stimuli_module.STIMULI).exists() and kept.exists():
         if kept.read_bytes() != study_path.read_bytes():
-            raise BadInput(f"{out}: results of another study file; give another folder, or {kept}")
+            raise InputError(f"{out}: results of another study file; give another folder, or {kept}")
         return stimuli_module.load(folder, actuator)
     prepared = prepare(read, actuator)
     reject_problems(read, actuator, prepared)
@@ -198,9 +199,9 @@ def keep(out: Path, study_path: Path, prepared: tuple[Stimulus, ...], actuator: 
 
 
 def reject_problems(read: Study, actuator: Actuator, prepared: tuple[Stimulus, ...]) -> None:
-    """Raise BadInput if stimuli cannot be compared."""
+    """Raise InputError if stimuli cannot be compared."""
     if problems := stimuli_module.problems(read, actuator, prepared):
-        raise BadInput("; ".join(f"{each.texture}: {each.text}" for each in problems))
+        raise InputError("; ".join(f"{each.texture}: {each.text}" for each in problems))
 
 
 def participant_folder(out: Path, participant: int) -> Path:
@@ -212,12 +213,12 @@ def participant_folder(out: Path, participant: int) -> Path:
 def open_player(
     address: str, actuator: Actuator, prepared: tuple[Stimulus, ...], read: Study
 ) -> Iterator[StimulusPlayer]:
-    """Open a device for a study, and prepare it for all stimuli. Raises ControllerError, TransportError, BadInput."""
+    """Open a device for a study, and prepare it for all stimuli. Raises ControllerError, TransportError, InputError."""
     from vibrocast.study.device_player import CardPlayer, ControllerPlayer, HandPlayer
 
     hand = read.hand if read.hand is not None and read.hand.plays else None
     if hand is not None and devices.is_sound_card(address):
-        raise BadInput(f"{address} knows no position of the hand; give a controller, or drop plays from [hand]")
+        raise InputError(f"{address} knows no position of the hand; give a controller, or drop plays from [hand]")
     if devices.is_sound_card(address):
         player = CardPlayer(*devices.sound_card_of(address, actuator))
         try:

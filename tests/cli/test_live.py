@@ -11,8 +11,8 @@ import pytest
 from studies.faulty_bench import Misreading, at_half_gain
 from tests import command
 from tests.command import answer, run, succeeds
+from vibrocast.errors import LIMIT_MISSED
 from vibrocast.host import live_watch
-from vibrocast.host.cli.exit_codes import LIMIT_MISSED
 from vibrocast.simulated_device.controller import Controller
 from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
 from vibrocast.simulated_device.serial_port import serial_port

@@ -9,8 +9,7 @@ import pytest
 
 from tests.command import OAK, failure, run
 from vibrocast.device_protocol.transports import TransportError
-from vibrocast.host import devices
-from vibrocast.host import playback as end_to_end
+from vibrocast.host import devices, playback
 from vibrocast.output.actuator import Actuator
 
 play = partial(run, "play", OAK)
@@ -35,7 +34,7 @@ def test_several_controllers_end_with_the_exit_code_that_failures_share(
 def test_a_playback_that_is_cut_leaves_report_and_trace(
     cut: BaseException, exit_code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    play_together = end_to_end.play_together
+    play_together = playback.play_together
 
     def play_and_cut(*arguments: Any) -> Any:
         outcomes = play_together(*arguments)

@@ -18,8 +18,8 @@ from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import image_hash, read_stream, write_recording
 from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader, pack_file
 from vibrocast.device_protocol.encoding import pack_varint
-from vibrocast.device_protocol.model_image import ModelImage, ModelImageError
-from vibrocast.files import InputFileError
+from vibrocast.device_protocol.model_image import ModelError, ModelImage
+from vibrocast.errors import InputError
 
 MODEL = models.find("mdct-textures")
 
@@ -129,7 +129,7 @@ def test_damage_anywhere_is_found(tmp_path: Path) -> None:
         damaged = bytearray(data)
         damaged[position] ^= 0x10
         path.write_bytes(damaged)
-        with pytest.raises((InputFileError, StreamError, CodecError)):
+        with pytest.raises((InputError, StreamError, CodecError)):
             read_stream(path).decode()
 
 
@@ -250,7 +250,7 @@ def test_a_model_that_ships_is_found_by_the_streams_hash(tmp_path: Path) -> None
 
 def test_a_model_that_does_not_fit_is_rejected() -> None:
     path = Path("other.vcmi")
-    with pytest.raises(ModelImageError):
+    with pytest.raises(ModelError):
         encode_recording(noise(), model=models.Model("none", path, b"nonsense"))
     with pytest.raises(CodecError, match="codec number 99"):
         encode_recording(noise(), model=models.Model("other", path, ModelImage(99, "other", "1", "", b"").pack()))

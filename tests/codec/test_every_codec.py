@@ -19,11 +19,10 @@ from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.interface import Choice, Encoder, RateControl, Trial
 from vibrocast.codec.registry import Source
 from vibrocast.codec.rotation import COMMON, OWN, Rotation
-from vibrocast.host import playback as end_to_end
-from vibrocast.host import uploader
+from vibrocast.host import playback, uploader
 from vibrocast.host.controller import Controller
 from vibrocast.simulated_device.controller import Controller as SimulatedController
-from vibrocast.simulated_device.faulty_link import MemoryLink
+from vibrocast.simulated_device.memory_link import MemoryLink
 
 every_codec = pytest.mark.parametrize("name", list(codec.CODECS))
 waveform_codec = pytest.mark.parametrize("name", [name for name, known in codec.CODECS.items() if known.keeps_waveform])
@@ -420,7 +419,7 @@ def test_a_controller_plays_what_was_decoded_here(name: str) -> None:
     controller = Controller(link, link.clock, link.sleep)
     if encoding.stream.image is not None:
         uploader.flash(controller, encoding.stream.image)
-    report = end_to_end.play(controller, "memory", "texture", encoding.stream, encoding, loops=2).report
+    report = playback.play(controller, "memory", "texture", encoding.stream, encoding, loops=2).report
     assert report.codec == name
     assert report.underruns == report.lost_packets == 0
     assert report.decoded_equals_offline is True

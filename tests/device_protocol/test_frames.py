@@ -7,7 +7,8 @@ from cobs import cobs
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vibrocast.device_protocol.frames import DELIMITER, MAX_PAYLOAD_BYTES, FrameError, FrameReader, write_frame
+from vibrocast.device_protocol.frames import DELIMITER, MAX_PAYLOAD_BYTES, FrameReader, write_frame
+from vibrocast.errors import InputError
 
 payloads = st.binary(min_size=1, max_size=600)
 
@@ -32,7 +33,7 @@ def test_every_size_fits(size: int, byte: bytes) -> None:
 
 @pytest.mark.parametrize("payload", [b"", bytes(MAX_PAYLOAD_BYTES + 1)])
 def test_payload_that_does_not_fit_is_rejected(payload: bytes) -> None:
-    with pytest.raises(FrameError, match="send less"):
+    with pytest.raises(InputError, match="send less"):
         write_frame(payload)
 
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from vibrocast.device_protocol.model_image import (
     MAX_NUMBER,
+    ModelError,
     ModelImage,
-    ModelImageError,
     sha256,
     signed_message,
     unsigned,
@@ -30,16 +30,16 @@ def test_round_trip(image: ModelImage) -> None:
 def test_any_changed_byte_is_noticed(image: ModelImage, data: st.DataObject) -> None:
     packed = bytearray(image.pack())
     packed[data.draw(st.integers(0, len(packed) - 1))] ^= data.draw(st.integers(1, 255))
-    with pytest.raises(ModelImageError):
+    with pytest.raises(ModelError):
         ModelImage.unpack(bytes(packed))
 
 
 @given(images, st.data())
 def test_cut_or_longer_is_noticed(image: ModelImage, data: st.DataObject) -> None:
     packed = image.pack()
-    with pytest.raises(ModelImageError):
+    with pytest.raises(ModelError):
         ModelImage.unpack(packed[: data.draw(st.integers(0, len(packed) - 1))])
-    with pytest.raises(ModelImageError, match="instead of"):
+    with pytest.raises(ModelError, match="instead of"):
         ModelImage.unpack(packed + b"\x00")
 
 
@@ -62,13 +62,13 @@ def test_cut_or_longer_is_noticed_behind_a_signature(image: ModelImage, data: st
     signed = with_signature(image.pack(), 1, bytes(64))
     cut = data.draw(st.integers(0, len(signed) - 1).filter(lambda length: length != len(unsigned(signed))))
     for other in (signed[:cut], signed + b"\x00", signed + bytes(68)):
-        with pytest.raises(ModelImageError):
+        with pytest.raises(ModelError):
             ModelImage.unpack(other)
 
 
 @given(st.binary().map(lambda data: b"VCMI\x01" + data))
 def test_fuzz_is_rejected(data: bytes) -> None:
-    with pytest.raises(ModelImageError):
+    with pytest.raises(ModelError):
         ModelImage.unpack(data)
 
 
@@ -81,14 +81,14 @@ def test_fuzz_is_rejected(data: bytes) -> None:
     ],
 )
 def test_values_out_of_range_are_not_packed(image: ModelImage, reason: str) -> None:
-    with pytest.raises(ModelImageError, match=reason):
+    with pytest.raises(ModelError, match=reason):
         image.pack()
 
 
 def test_other_layout_is_named() -> None:
     packed = bytearray(ModelImage(1, "", "", "", b"").pack())
     packed[4] = 9
-    with pytest.raises(ModelImageError, match="layout 9"):
+    with pytest.raises(ModelError, match="layout 9"):
         ModelImage.unpack(bytes(packed))
 
 

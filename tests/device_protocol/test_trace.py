@@ -24,7 +24,8 @@ from vibrocast.device_protocol.messages import (
     StreamData,
     pack,
 )
-from vibrocast.device_protocol.trace import SUFFIXES, FrameSplitter, TracedFrame, TraceError, read_trace, writer
+from vibrocast.device_protocol.trace import SUFFIXES, FrameSplitter, TracedFrame, read_trace, writer
+from vibrocast.errors import InputError
 
 frames = st.lists(
     st.builds(
@@ -88,7 +89,7 @@ def test_any_other_file_is_rejected_or_read_without_harm(
     try:
         for frame in read_trace(path):
             frame.as_json()
-    except TraceError as error:
+    except InputError as error:
         assert "; " in str(error)
 
 

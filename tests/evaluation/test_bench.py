@@ -15,9 +15,10 @@ from tests.evaluation.conftest import here
 from vibrocast import codec, workers
 from vibrocast.codec import CodecError, metrics
 from vibrocast.codec.encoding import encode_recording
+from vibrocast.errors import InputError
 from vibrocast.evaluation import bench, cells
 from vibrocast.evaluation.bench import CellCounts, Journal
-from vibrocast.evaluation.cells import BenchError, Cell, Measured, Method
+from vibrocast.evaluation.cells import Cell, Measured, Method
 from vibrocast.evaluation.comparison import Measurements
 from vibrocast.evaluation.peers import measured_codecs
 from vibrocast.evaluation.points import Failure, Point, Timing, read_rows
@@ -254,7 +255,7 @@ def test_methods_by_codec_and_by_rate_point_set() -> None:
     chosen = cells.methods(["g726", "mdct"])
     assert [method.name for method in chosen] == ["mdct", "mdct-live", "g726"]
     assert chosen == cells.methods(["mdct", "g726"])
-    with pytest.raises(BenchError, match=r"no codec or set of rate points 'mp3'; choose from .*mdct"):
+    with pytest.raises(InputError, match=r"no codec or set of rate points 'mp3'; choose from .*mdct"):
         cells.methods(["mdct", "mp3"])
 
 
@@ -264,7 +265,7 @@ def test_files_of_other_origin_are_left_alone(tmp_path: Path, name: str) -> None
     (tmp_path / "results" / "thesis.tex").touch()
     assert bench.results_folder(tmp_path) == tmp_path / "results"
     (tmp_path / name).write_text("a,b\n1,2\n")
-    with pytest.raises(BenchError, match=f"{name}: would be overwritten"):
+    with pytest.raises(InputError, match=f"{name}: would be overwritten"):
         bench.results_folder(tmp_path)
     (tmp_path / "results" / bench.JOURNAL).touch()
     assert bench.results_folder(tmp_path) == tmp_path / "results"

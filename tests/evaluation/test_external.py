@@ -10,8 +10,9 @@ import pytest
 
 from tests.codec.signals import RATE_HZ, texture
 from vibrocast.codec import Signal
+from vibrocast.errors import InputError
 from vibrocast.evaluation import external
-from vibrocast.evaluation.external import Command, Program, ProgramError
+from vibrocast.evaluation.external import Command, Program
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "programs.toml"
 
@@ -70,7 +71,7 @@ def snr_db(signal: Signal, decoded: Signal) -> float:
 
 
 def failure(program: Program, samples: int = 500) -> str:
-    with pytest.raises(ProgramError) as caught:
+    with pytest.raises(InputError) as caught:
         external.run(program, "", texture(samples), RATE_HZ)
     return str(caught.value)
 
@@ -105,7 +106,7 @@ def test_the_file_is_labelled_with_another_rate() -> None:
     """The stand-in carries the label through: a decoder that returned another rate would be rejected."""
     signal = texture(500)
     assert snr_db(signal, external.run(replace(coder(), label_rate_hz=8000), "0", signal, RATE_HZ).decoded) > 70
-    with pytest.raises(ProgramError, match=r"at 5600 Hz instead of one at 2800 Hz.*mine\.toml"):
+    with pytest.raises(InputError, match=r"at 5600 Hz instead of one at 2800 Hz.*mine\.toml"):
         external.run(coder(speed=2), "0", signal, RATE_HZ)
 
 
@@ -188,7 +189,7 @@ def test_what_is_left_must_be_usable(encoder: str, decoder: str, expected: str) 
 
 @pytest.mark.parametrize("signal", [np.zeros((0, 1)), np.zeros((5, 2)), np.zeros(5), np.full((5, 1), np.nan)])
 def test_signals_that_no_program_takes(signal: Signal) -> None:
-    with pytest.raises(ProgramError, match="one channel of finite numbers"):
+    with pytest.raises(InputError, match="one channel of finite numbers"):
         external.run(COPIER, "", signal, RATE_HZ)
 
 
@@ -235,7 +236,7 @@ BOTH = 'encoder = ["a", "{input}", "{output}"]\ndecoder = ["b", "{input}", "{out
 def test_lists_that_are_wrong_are_rejected(text: str, expected: str, tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_bytes(text.encode("latin-1"))
-    with pytest.raises(ProgramError) as caught:
+    with pytest.raises(InputError) as caught:
         external.read_programs(path)
     assert expected in str(caught.value)
     assert str(path) in str(caught.value)

@@ -6,7 +6,7 @@ from scipy.signal import lfilter
 
 from tests.codec.signals import texture
 from vibrocast.codec import Signal, linear_prediction
-from vibrocast.evaluation.cells import BenchError
+from vibrocast.errors import InputError
 from vibrocast.evaluation.stability import filters
 
 
@@ -51,5 +51,5 @@ def test_fine_quantisers_change_little(order: int) -> None:
 
 
 def test_too_few_bits_for_the_order_are_rejected() -> None:
-    with pytest.raises(BenchError, match="apart"):
+    with pytest.raises(InputError, match="apart"):
         filters.quantised_pole_radii(frames_of_texture(8), "line spectral frequencies", 2)

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from vibrocast.errors import InputError
 from vibrocast.evaluation.kinds import kinds
-from vibrocast.evaluation.points import PointsError
 from vibrocast.textures.dataset import DatasetEntry
 
 TRACES = [
@@ -25,5 +25,5 @@ def test_a_manifest_names_kinds_by_the_ends_of_paths(tmp_path: Path) -> None:
     found = {row.trace: row.kind for row in kinds(TRACES[2:], table)}
     assert found == {"textsense-1.wav": "sound", "vibtac12-3.wav": "sound", "other.wav": "acceleration, tool"}
     table.write_text("a,b\n")
-    with pytest.raises(PointsError, match="no column file, kind"):
+    with pytest.raises(InputError, match="no column file, kind"):
         kinds(TRACES, table)

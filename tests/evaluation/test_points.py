@@ -7,16 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vibrocast.evaluation.points import (
-    Failure,
-    Point,
-    PointsError,
-    Timing,
-    by_codec_and_trace,
-    read_imported,
-    read_rows,
-    write_rows,
-)
+from vibrocast.errors import InputError
+from vibrocast.evaluation.points import Failure, Point, Timing, by_codec_and_trace, read_imported, read_rows, write_rows
 
 SHARED = Path(__file__).parents[2] / ".." / "shared"
 HEADER = "trace,codec,setting,samples,bytes_total,snr_db"
@@ -70,7 +62,7 @@ def test_points_are_sorted_by_codec_and_recording() -> None:
 )
 def test_rejected_with_the_place(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "points.csv").write_text(text)
-    with pytest.raises(PointsError, match=message):
+    with pytest.raises(InputError, match=message):
         read_rows(tmp_path / "points.csv", Point)
 
 
@@ -89,7 +81,7 @@ def test_points_of_another_benchmark_are_imported(tmp_path: Path) -> None:
 @pytest.mark.parametrize("times", ["soon,1", "1,nan", "inf,1", "-1,1"])
 def test_imported_times_that_are_none_are_rejected(tmp_path: Path, times: str) -> None:
     (tmp_path / "peers.csv").write_text(f"{TIMED}\na,peer,,2000,10,5,{times}\n")
-    with pytest.raises(PointsError, match="row 2: encode_s or decode_s"):
+    with pytest.raises(InputError, match="row 2: encode_s or decode_s"):
         read_imported(tmp_path / "peers.csv")
 
 
@@ -99,7 +91,7 @@ def test_any_bytes_are_read_or_rejected(tmp_path_factory: pytest.TempPathFactory
     path.write_bytes((f"{TIMED}\n".encode() if headed else b"") + data)
     try:
         assert all(point.samples > 0 for point in read_imported(path)[0])
-    except PointsError as error:
+    except InputError as error:
         assert str(error)
 
 
@@ -117,5 +109,5 @@ def test_figures_of_a_point() -> None:
 
 
 def test_what_is_no_file_is_rejected_before_it_is_read() -> None:
-    with pytest.raises(PointsError, match="no file"):
+    with pytest.raises(InputError, match="no file"):
         read_imported(Path("/dev/zero"))

@@ -16,8 +16,8 @@ from matplotlib.colors import to_rgb
 from tests.codec.eva_models import tiny_model
 from vibrocast import codec
 from vibrocast.device_protocol.model_image import ModelImage
+from vibrocast.errors import InputError
 from vibrocast.evaluation.cli import stability_page
-from vibrocast.evaluation.cli.stability import stability
 from vibrocast.evaluation.stability import (
     all_maps,
     filters,
@@ -33,10 +33,11 @@ from vibrocast.evaluation.stability import (
     signals,
     transport,
 )
-from vibrocast.evaluation.stability.cell_files import CellsError, read_cells, write_cells
+from vibrocast.evaluation.stability.cell_files import read_cells, write_cells
 from vibrocast.evaluation.stability.known_causes import explanation, known_causes
 from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, methods
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict, attempt, run
+from vibrocast.host.cli.command_line import main
 from vibrocast.output.actuator import LRA, PIEZO_STACK
 from vibrocast.textures import Recording, save
 from vibrocast.textures.generate import wood
@@ -255,7 +256,7 @@ def test_recordings_of_ones_own_are_a_map(tmp_path: Path, monkeypatch: pytest.Mo
     (tmp_path / "own" / "bare.csv").write_text("1\n2\n")
     (tmp_path / "own" / "notes.md").touch()
     arguments = ["--out", str(tmp_path / "out"), "--codecs", "slp", "--maps", "recordings"]
-    result = CliRunner().invoke(stability, [*arguments, "--recordings", str(tmp_path / "own")])
+    result = CliRunner().invoke(main, ["stability", *arguments, "--recordings", str(tmp_path / "own")])
     assert result.exit_code == 0, result.output
     assert "skipped 1 file: notes.md" in result.stderr and "left out: bare: " in result.stderr
     rows = rows_of(tmp_path / "out" / "stability" / "recordings.csv")
@@ -378,7 +379,7 @@ def test_peers_are_measured_and_no_paths_of_theirs_are_kept(tmp_path: Path) -> N
 def test_other_files_are_no_peers(text: str, tmp_path: Path) -> None:
     file = tmp_path / "edge.csv"
     file.write_text(text)
-    with pytest.raises(peers.PeersError):
+    with pytest.raises(InputError):
         peers.read_peers(file)
 
 
@@ -453,7 +454,7 @@ def test_cells_are_read_again_as_they_were_written(tmp_path: Path) -> None:
     write_cells(tmp_path / "loss.csv", LOSS, [*cells, rejected])
     again = read_cells(tmp_path / "loss.csv", LOSS)
     assert again == [*cells, replace(rejected, figures={"off_share": None})]
-    with pytest.raises(CellsError, match=r"run `vibrocast stability` again"):
+    with pytest.raises(InputError, match=r"run `vibrocast stability` again"):
         read_cells(tmp_path / "loss.csv", transport.STALLS)
 
 
@@ -475,7 +476,7 @@ def test_what_cells_show_is_said_in_words() -> None:
 
 def test_a_page_of_other_origin_is_kept(tmp_path: Path) -> None:
     (tmp_path / "stability.md").write_text("mine")
-    result = CliRunner().invoke(stability, ["--out", str(tmp_path), "--codecs", "slp", "--quick"])
+    result = CliRunner().invoke(main, ["stability", "--out", str(tmp_path), "--codecs", "slp", "--quick"])
     assert (result.exit_code, (tmp_path / "stability.md").read_text()) == (2, "mine")
     assert "choose another --out" in result.output
 
@@ -536,7 +537,7 @@ def test_all_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     peers_file = tmp_path / "edge.csv"
     peers_file.write_text(PEERS_CSV)
     arguments = ["--out", str(docs), "--codecs", "mdct", "--quick", "--peers-edge", str(peers_file)]
-    result = CliRunner().invoke(stability, arguments)
+    result = CliRunner().invoke(main, ["stability", *arguments])
     assert result.exit_code == 0, result.output
     text = (docs / "stability.md").read_text()
     assert result.stdout.splitlines()[-1] == f"page: {docs / 'stability.md'}"
@@ -572,5 +573,5 @@ def test_only_what_was_measured_is_drawn_again(tmp_path: Path) -> None:
     ],
 )
 def test_bad_arguments_are_rejected(arguments: list[str], tmp_path: Path) -> None:
-    result = CliRunner().invoke(stability, ["--out", str(tmp_path), *arguments])
+    result = CliRunner().invoke(main, ["stability", "--out", str(tmp_path), *arguments])
     assert result.exit_code != 0

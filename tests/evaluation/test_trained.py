@@ -12,8 +12,9 @@ from tests.codec.eva_models import tiny_model
 from vibrocast import codec, workers
 from vibrocast.codec.eva_image import EvaImage
 from vibrocast.device_protocol.model_image import ModelImage
+from vibrocast.errors import InputError
 from vibrocast.evaluation import bench, cells, cost, speed, trained
-from vibrocast.evaluation.cells import BenchError, Cell, Measured, Method
+from vibrocast.evaluation.cells import Cell, Measured, Method
 from vibrocast.evaluation.points import Failure, Point
 from vibrocast.evaluation.speed import Speed
 from vibrocast.models import Model
@@ -73,9 +74,9 @@ def test_names_stand_for_codecs_rate_point_sets_and_families() -> None:
     assert not {method.name for method in cells.methods([])} & {"eva", "tiny"}
     assert [method.name for method in cells.methods(["eva", "flac"], models=models)] == ["flac", "tiny", "steps"]
     assert [method.name for method in cells.methods(["tiny"], models=models)] == ["tiny"]
-    with pytest.raises(BenchError, match="eva needs a model, and there is none"):
+    with pytest.raises(InputError, match="eva needs a model, and there is none"):
         cells.methods(["eva"])
-    with pytest.raises(BenchError, match="is called 'mdct'; give the family of models another name"):
+    with pytest.raises(InputError, match="is called 'mdct'; give the family of models another name"):
         cells.methods([], models=[replace(tiny_model(), name="mdct")])
 
 

@@ -10,6 +10,7 @@ from vibrocast.codec.graphs import LATENTS, SIGNAL, Transform
 from vibrocast.codec.onnx_check import OPSET
 from vibrocast.export import graphs
 from vibrocast.export.eva import Eva, EvaShape
+from vibrocast.models import ModelError
 
 SHAPE = EvaShape(width=6, latents=5)
 
@@ -53,7 +54,7 @@ def test_graphs_state_their_opset_and_producer() -> None:
 
 def test_graphs_that_differ_from_the_model_are_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(graphs, "PARITY", 0.0)
-    with pytest.raises(graphs.GraphError, match="train it again"):
+    with pytest.raises(ModelError, match="train it again"):
         graphs.graphs_of(model())
 
 

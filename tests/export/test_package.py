@@ -9,8 +9,8 @@ from vibrocast.codec import CodecError
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.eva_image import PRIOR_KINDS, EvaImage, PriorKind
 from vibrocast.device_protocol.model_image import ModelImage
-from vibrocast.export.checkpoint import ModelError
 from vibrocast.export.package import Contents, make
+from vibrocast.models import ModelError
 
 
 def test_files_are_named_by_the_model() -> None:

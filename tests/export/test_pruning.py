@@ -7,12 +7,12 @@ import torch
 from tests.export import tiny
 from tests.export.test_quantise import SIGNALS, random_model
 from vibrocast.codec.graphs import LATENTS, SIGNAL, Transform
-from vibrocast.export.checkpoint import ModelError
 from vibrocast.export.eva import Eva, EvaShape, Gdn
 from vibrocast.export.graphs import graphs_of, padded_noise
 from vibrocast.export.package import make
 from vibrocast.export.priors import FactorisedPrior, probabilities
 from vibrocast.export.pruning import changed, living_latents, pruned
+from vibrocast.models import ModelError
 from vibrocast.textures import Recording
 
 

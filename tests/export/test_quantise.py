@@ -7,10 +7,10 @@ import torch
 from tests.codec.eva_reference_decoder import synthesised
 from tests.codec.signals import texture
 from vibrocast.codec import Signal
-from vibrocast.export.checkpoint import ModelError
 from vibrocast.export.eva import Eva, EvaShape, Gdn
 from vibrocast.export.priors import FactorisedPrior, probabilities
 from vibrocast.export.quantise import quantise
+from vibrocast.models import ModelError
 
 SIGNALS: list[Signal] = [texture(6000, seed=seed)[:, 0] for seed in range(3)]
 

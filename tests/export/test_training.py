@@ -15,13 +15,15 @@ from click.testing import CliRunner, Result
 from msgspec.structs import replace
 
 from vibrocast import textures
+from vibrocast.errors import InputError
 from vibrocast.export import checkpoint, configuration, training, training_data
-from vibrocast.export.checkpoint import Checkpoint, ModelError
-from vibrocast.export.configuration import ArchiveSource, Augmentation, ConfigurationError, HeldBack, by_trace
+from vibrocast.export.checkpoint import Checkpoint
+from vibrocast.export.configuration import ArchiveSource, Augmentation, HeldBack, by_trace
 from vibrocast.export.eva import Eva, EvaShape
 from vibrocast.export.priors import FactorisedPrior, probabilities
 from vibrocast.export.training_data import Excerpts, Trace
 from vibrocast.host.cli.command_line import main
+from vibrocast.models import ModelError
 from vibrocast.textures import TextureError, dataset
 
 TINY = """
@@ -291,7 +293,7 @@ def test_configurations_that_cannot_be_used_are_rejected_with_the_reason(
         "excerpt_samples = 256": "excerpt_samples = 257",
     }
     text = TINY.replace(change, replacements[change]) if change in replacements else TINY.partition("[generator]")[0]
-    with pytest.raises(ConfigurationError, match=reason):
+    with pytest.raises(InputError, match=reason):
         configured(tmp_path, text)
 
 
@@ -381,12 +383,12 @@ def test_a_sweep_trains_every_width_and_lambda_by_name(tmp_path: Path) -> None:
 def test_a_sweep_whose_names_would_be_too_long_to_export_is_rejected(tmp_path: Path) -> None:
     text = TINY.replace("tiny", 41 * "a")
     assert configured(tmp_path, text).name == 41 * "a"
-    with pytest.raises(ConfigurationError, match="at most 41"):
+    with pytest.raises(InputError, match="at most 41"):
         configured(tmp_path, text + "[sweep]\nwidths = [20]\n")
 
 
 def test_steps_of_a_sweep_need_as_many_lambdas(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match="2 steps for 1 lambdas"):
+    with pytest.raises(InputError, match="2 steps for 1 lambdas"):
         configured(tmp_path, TINY + "[sweep]\nlambdas = [1]\nsteps = [2, 3]\n")
 
 

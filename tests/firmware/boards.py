@@ -21,8 +21,8 @@ from vibrocast.host.controller import Controller as Host
 from vibrocast.host.player import play
 from vibrocast.output.actuator import PIEZO_STACK, Actuator, Codes
 from vibrocast.output.rendering import render
-from vibrocast.simulated_device.faulty_link import MemoryLink
 from vibrocast.simulated_device.flash import FlashMemory
+from vibrocast.simulated_device.memory_link import MemoryLink
 
 LEARNED = "eva-16-4"
 MODELS = {"eva": LEARNED}

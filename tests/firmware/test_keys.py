@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vibrocast.files import InputFileError
+from vibrocast.errors import InputError
 from vibrocast.firmware import keys
 
 # RFC 8410, sections 10.1 and 10.3.
@@ -92,7 +92,7 @@ def test_other_files_are_rejected(content: str, tmp_path: Path) -> None:
     path = tmp_path / "key.pem"
     path.write_text(content, encoding="utf-8")
     for read in (keys.read_private_key, keys.read_public_key):
-        with pytest.raises(InputFileError):
+        with pytest.raises(InputError):
             read(path)
 
 
@@ -101,7 +101,7 @@ def test_any_bytes_are_a_key_or_rejected(data: bytes) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(keys, "read_input", lambda *_: data)
         for read in (keys.read_private_key, keys.read_public_key):
-            with pytest.raises(InputFileError):
+            with pytest.raises(InputError):
                 read(Path("key.pem"))
 
 
@@ -112,7 +112,7 @@ def test_keys_for_which_anyone_can_sign_are_rejected(key: str, sign: int, tmp_pa
     point = bytearray.fromhex(key)
     point[-1] |= sign
     keys.write_public_key(path, bytes(point))
-    with pytest.raises(InputFileError, match="anyone can sign"):
+    with pytest.raises(InputError, match="anyone can sign"):
         keys.read_public_key(path)
 
 

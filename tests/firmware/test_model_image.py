@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from tests.device_protocol.test_model_image import images
 from tests.firmware.native import ffi, native, piece_bytes, rejection_text
-from vibrocast.device_protocol.model_image import MAX_NUMBER, ModelImage, ModelImageError, unsigned, with_signature
+from vibrocast.device_protocol.model_image import MAX_NUMBER, ModelError, ModelImage, unsigned, with_signature
 
 
 def check_read_as_in_python(data: bytes) -> None:
@@ -17,7 +17,7 @@ def check_read_as_in_python(data: bytes) -> None:
     assert native.vc_model_image_unsigned_bytes(memory, len(data)) == len(unsigned(data))
     try:
         expected = ModelImage.unpack(data)
-    except ModelImageError:
+    except ModelError:
         assert code == rejection.code == native.VC_IMAGE_REJECTED
         assert rejection_text(rejection)
     else:

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from tests.firmware.native import ffi, native
 from vibrocast import models
-from vibrocast.device_protocol.model_image import ModelImage, ModelImageError
+from vibrocast.device_protocol.model_image import ModelError, ModelImage
 from vibrocast.device_protocol.transports import SerialTransport, TransportError
 from vibrocast.firmware import build as building
 from vibrocast.firmware import keys
@@ -21,7 +21,7 @@ from vibrocast.host import signatures, uploader
 from vibrocast.host.controller import Controller as Host
 from vibrocast.host.controller import ControllerError
 from vibrocast.simulated_device.controller import Controller, Settings
-from vibrocast.simulated_device.faulty_link import MemoryLink
+from vibrocast.simulated_device.memory_link import MemoryLink
 
 PRIVATE_KEY = bytes(range(32))
 KEY = keys.public_key(PRIVATE_KEY)
@@ -60,7 +60,7 @@ def test_a_controller_with_a_key_takes_only_what_its_verifier_calls_signed(
 ) -> None:
     with controller(name, verifier, monkeypatch) as host:
         assert (host.description.public_key, host.request_status().signed_images) == (KEY, True)
-        with pytest.raises(ModelImageError, match="no signature"):
+        with pytest.raises(ModelError, match="no signature"):
             uploader.flash(host, IMAGE)
         with monkeypatch.context() as patch:
             patch.setattr(signatures, "check", lambda image, key: ModelImage.unpack(image))

@@ -15,8 +15,9 @@ from click.testing import CliRunner
 
 from vibrocast.extras import MissingExtraError
 from vibrocast.firmware import build as building
-from vibrocast.firmware.build import TARGETS, BuildError, build, size
+from vibrocast.firmware.build import TARGETS, build, size
 from vibrocast.firmware.elf import Elf
+from vibrocast.firmware.native_core import BuildError
 
 IMAGES = [
     pytest.param(name, marks=[pytest.mark.slow] if name.endswith(("-interrupt", "-qemu")) else [])

@@ -11,8 +11,9 @@ import pytest
 from click.testing import CliRunner
 
 from vibrocast.firmware import build as building
-from vibrocast.firmware.build import BuildError, build
+from vibrocast.firmware.build import build
 from vibrocast.firmware.elf import Elf
+from vibrocast.firmware.native_core import BuildError
 
 FUNCTIONS = {
     *("board_start", "watchdog_feed", "on_fault", "vc_port_read", "vc_port_write", "vc_port_now_us"),

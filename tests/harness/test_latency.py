@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from tests.conftest import RATE_HZ, linked, noise, session, texture
-from vibrocast.harness import Latency, latency, warnings
+from vibrocast.harness import latency
+from vibrocast.harness.latency import Latency
+from vibrocast.harness.results import warnings
 from vibrocast.harness.sensors import TimedRecording
 from vibrocast.host import live
 from vibrocast.host.controller import Controller, ControllerError
@@ -16,8 +18,8 @@ from vibrocast.host.device_clock import ClockFit, DeviceClock
 from vibrocast.output.actuator import PIEZO_STACK, Codes
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
-from vibrocast.simulated_device.faulty_link import MemoryLink, SimulatedTime
 from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
+from vibrocast.simulated_device.memory_link import MemoryLink, SimulatedTime
 from vibrocast.textures import Recording
 
 

@@ -10,7 +10,8 @@ from tests.conftest import session
 from vibrocast import textures
 from vibrocast.codec import SignalFormat
 from vibrocast.device_protocol.messages import Message, SinglePacket
-from vibrocast.harness import LiveRun, measure_latency, run_live
+from vibrocast.harness.latency import measure_latency
+from vibrocast.harness.live_run import LiveRun, run_live
 from vibrocast.host.bench_limits import BenchLimits, missed
 from vibrocast.host.live import LiveStream
 from vibrocast.host.live_watch import CodedSignal, LiveQuality, judged
@@ -18,8 +19,8 @@ from vibrocast.host.playback import Member, actuator_model, member
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
 from vibrocast.simulated_device.device import Device
-from vibrocast.simulated_device.faulty_link import MemoryLink
 from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
+from vibrocast.simulated_device.memory_link import MemoryLink
 
 FORMAT = SignalFormat(2800, "m/s^2", (1.0,), (1.0,))
 ROUGH = textures.GENERATORS["rough"](seconds=1.0)

@@ -6,8 +6,8 @@ from tests.conftest import linked, noise, session, texture
 from vibrocast.harness import load
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
-from vibrocast.simulated_device.faulty_link import MemoryLink
 from vibrocast.simulated_device.faulty_wire import Fault
+from vibrocast.simulated_device.memory_link import MemoryLink
 
 
 class WaitingLink(MemoryLink):

@@ -15,9 +15,9 @@ from scipy.signal import bilinear, lfilter
 from tests import command
 from tests.sound_server import HEADPHONES, PAD, SoundServer
 from vibrocast.device_protocol.transports import TransportError
+from vibrocast.errors import LIMIT_MISSED, NO_DEVICE, REGRESSION
 from vibrocast.harness import measurements
 from vibrocast.harness.latency import Latency
-from vibrocast.host.cli.exit_codes import LIMIT_MISSED, NO_DEVICE, REGRESSION
 from vibrocast.host.device_clock import ClockFit
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import ACTUATORS, Codes

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from vibrocast.files import InputFileError
+from vibrocast.errors import InputError
 from vibrocast.harness import page, results
 from vibrocast.host.bench_limits import BenchLimits, missed
 
@@ -208,7 +208,7 @@ def test_a_figure_is_a_line_with_its_unit(name: str, value: float, line: str) ->
 def test_another_file_is_no_earlier_run(text: str, tmp_path: Path) -> None:
     path = tmp_path / "run.json"
     path.write_text(text)
-    with pytest.raises(InputFileError, match="not the JSON of an earlier `vibrocast measure`"):
+    with pytest.raises(InputError, match="not the JSON of an earlier `vibrocast measure`"):
         results.read_results(path)
 
 
@@ -219,7 +219,7 @@ def test_a_run_with_a_figure_that_is_no_number_is_damaged(number: str, tmp_path:
     text, count = re.subn(r'"snr_db": [\d.]+', f'"snr_db": {number}', path.read_text())
     assert count
     path.write_text(text)
-    with pytest.raises(InputFileError, match=f"{number} is no figure"):
+    with pytest.raises(InputError, match=f"{number} is no figure"):
         results.read_results(path)
 
 

@@ -18,8 +18,7 @@ from vibrocast.device_protocol.frames import DELIMITER, write_frame
 from vibrocast.device_protocol.messages import Configure, HelloResponse, Message, PacketMessage, pack
 from vibrocast.device_protocol.trace import TracedFrame, read_trace
 from vibrocast.harness.wire_view import WireView
-from vibrocast.host import devices
-from vibrocast.host import playback as end_to_end
+from vibrocast.host import devices, playback
 from vibrocast.host.tracing import tracer
 
 
@@ -28,12 +27,12 @@ def frame(message: Message, from_host: bool = True, time_ns: int = 0) -> TracedF
 
 
 @pytest.fixture(scope="module")
-def playback(tmp_path_factory: pytest.TempPathFactory) -> Sequence[TracedFrame]:
+def played(tmp_path_factory: pytest.TempPathFactory) -> Sequence[TracedFrame]:
     """The frames of a texture that was played and read back."""
     path = tmp_path_factory.mktemp("traces") / "played.pcapng"
     encoding = encode_recording(textures.GENERATORS["rough"](seconds=1.0), live=True)
     with tracer.writing(path), devices.connect("sim") as controller:
-        end_to_end.play(controller, "sim", "rough", encoding.stream, encoding)
+        playback.play(controller, "sim", "rough", encoding.stream, encoding)
     return list(read_trace(path))
 
 
@@ -43,8 +42,8 @@ def view_of(frames: Iterable[TracedFrame]) -> WireView:
     return view
 
 
-def test_a_playback_is_shown_as_it_was(playback: Sequence[TracedFrame]) -> None:
-    shown = view_of(playback).document()
+def test_a_playback_is_shown_as_it_was(played: Sequence[TracedFrame]) -> None:
+    shown = view_of(played).document()
     assert shown["state"] == "finished" and shown["codec"] == "mdct" and shown["hints"] == []
     assert not any(shown["counters"].values())
     levels = {name: signal["rms_um"] for name, signal in shown["signals"].items()}
@@ -55,20 +54,20 @@ def test_a_playback_is_shown_as_it_was(playback: Sequence[TracedFrame]) -> None:
     assert max(ms for _, ms in shown["buffer_ms"]) > 100
 
 
-def test_a_lost_packet_and_a_wrong_sample_are_seen(playback: Sequence[TracedFrame]) -> None:
-    sent = [each for each in playback if (found := each.message()) and isinstance(found[1], PacketMessage)]
-    without = view_of(each for each in playback if each is not sent[2]).document()
+def test_a_lost_packet_and_a_wrong_sample_are_seen(played: Sequence[TracedFrame]) -> None:
+    sent = [each for each in played if (found := each.message()) and isinstance(found[1], PacketMessage)]
+    without = view_of(each for each in played if each is not sent[2]).document()
     assert without["counters"]["samples decoded wrongly"] > 0
     assert any("decodes other samples than were sent" in hint for hint in without["hints"])
-    damaged = [TracedFrame(0, False, "x", b"\x01\x02\x03"), *playback]
+    damaged = [TracedFrame(0, False, "x", b"\x01\x02\x03"), *played]
     assert "Frames are damaged on the wire." in view_of(damaged).document()["hints"][0]
 
 
-def test_a_page_that_opens_late_says_so(playback: Sequence[TracedFrame]) -> None:
+def test_a_page_that_opens_late_says_so(played: Sequence[TracedFrame]) -> None:
     configured = next(
-        number for number, each in enumerate(playback) if (found := each.message()) and isinstance(found[1], Configure)
+        number for number, each in enumerate(played) if (found := each.message()) and isinstance(found[1], Configure)
     )
-    late = view_of(playback[configured + 1 :]).document()
+    late = view_of(played[configured + 1 :]).document()
     assert late["note"] == "no stream has been set up while this page was open"
     assert late["signals"] == {} and late["state"] == "finished"
 
@@ -89,8 +88,8 @@ def test_no_frames_break_the_view(drawn: list[tuple[Message, bool]]) -> None:
     [{"dac_rate_hz": 0}, {"dac_rate_hz": 2**32 - 1}, {"volts": 0.0}, {"volts": math.inf}, {"stroke_um": math.nan}],
     ids=str,
 )
-def test_an_impossible_controller_breaks_nothing(changed: dict[str, float], playback: Sequence[TracedFrame]) -> None:
-    frames = list(playback)
+def test_an_impossible_controller_breaks_nothing(changed: dict[str, float], played: Sequence[TracedFrame]) -> None:
+    frames = list(played)
     for number, each in enumerate(frames):
         if (found := each.message()) and isinstance(found[1], HelloResponse):
             hello = replace(found[1], actuator=replace(found[1].actuator, **changed))  # type: ignore[arg-type]
@@ -98,6 +97,6 @@ def test_an_impossible_controller_breaks_nothing(changed: dict[str, float], play
     json.dumps(view_of(frames).document(), allow_nan=False)
 
 
-def test_memory_is_bounded(playback: Sequence[TracedFrame]) -> None:
-    view = view_of(each for _ in range(20) for each in playback)
+def test_memory_is_bounded(played: Sequence[TracedFrame]) -> None:
+    view = view_of(each for _ in range(20) for each in played)
     assert len(json.dumps(view.document())) < 200_000

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vibrocast.host.bench_file import BenchFileError, actuator_toml, choose_controller, read_bench
+from vibrocast.errors import InputError
+from vibrocast.host.bench_file import actuator_toml, choose_controller, read_bench
 from vibrocast.output.actuator import (
     ACTUATORS,
     LRA,
@@ -56,7 +57,7 @@ def test_an_actuator_written_is_the_one_read(actuator: Actuator, tmp_path: Path)
 def test_an_impossible_texture_is_reported_with_its_place(tmp_path: Path) -> None:
     path = tmp_path / "bench.toml"
     path.write_text(CONTROLLER + '[[textures]]\ngenerate = "rough"\nseconds = 600\nrate_hz = 1e7\n')
-    with pytest.raises(BenchFileError, match=r"\[\[textures\]\] 1: 600.0 s at"):
+    with pytest.raises(InputError, match=r"\[\[textures\]\] 1: 600.0 s at"):
         read_bench(path).scene()
 
 
@@ -103,7 +104,7 @@ def test_an_impossible_texture_is_reported_with_its_place(tmp_path: Path) -> Non
 def test_a_mistake_is_reported_with_its_place(text: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "bench.toml"
     path.write_text(text)
-    with pytest.raises(BenchFileError) as raised:
+    with pytest.raises(InputError) as raised:
         read_bench(path)
     assert str(raised.value).startswith(f"{path}: ")
     assert message in str(raised.value)
@@ -124,7 +125,7 @@ def test_no_value_of_a_key_passes_unseen(key: str, value: object, tmp_path_facto
     path.write_text(f"{CONTROLLER}{text}\n{key} = {json.dumps(value)}\n")
     try:
         bench = read_bench(path)
-    except BenchFileError:
+    except InputError:
         return
     assert isinstance(value, (str, int))
     assert isinstance(bench.actuators[0].model, Actuator)
@@ -136,5 +137,5 @@ def test_a_device_is_a_name_an_address_or_an_error() -> None:
     assert choose_controller(bench, "sim-usb").first.name == "right"
     assert choose_controller(bench, "serial:/dev/ttyACM0").first.address == "serial:/dev/ttyACM0"
     assert choose_controller(None, None).first.address == "sim"
-    with pytest.raises(BenchFileError, match="'elsewhere' is no controller"):
+    with pytest.raises(InputError, match="'elsewhere' is no controller"):
         choose_controller(bench, "elsewhere")

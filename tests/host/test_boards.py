@@ -12,10 +12,9 @@ from tests.conftest import session
 from vibrocast import codec, textures
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import Stream
-from vibrocast.host import devices
-from vibrocast.host import playback as end_to_end
+from vibrocast.host import devices, playback
 from vibrocast.host.controller import Controller
-from vibrocast.simulated_device.faulty_link import MemoryLink
+from vibrocast.simulated_device.memory_link import MemoryLink
 from vibrocast.simulated_device.serial_port import has_pseudo_terminals
 
 README = Path(__file__).parents[2] / "README.md"
@@ -37,10 +36,10 @@ def opened(address: str) -> Iterator[Controller]:
     yield session(MemoryLink(device))
 
 
-def check_plays(address: str, stream: Stream) -> end_to_end.Outcome:
+def check_plays(address: str, stream: Stream) -> playback.Outcome:
     """Play a stream, and check that nothing was late and all is as computed."""
     with opened(address) as controller:
-        outcome = end_to_end.play(controller, address, "oak", stream)
+        outcome = playback.play(controller, address, "oak", stream)
     report = outcome.report
     assert report.underruns == report.lost_packets == 0
     assert report.dac_equals_offline is True

@@ -11,7 +11,7 @@ from vibrocast.host import devices
 from vibrocast.host.controller import Controller
 from vibrocast.host.limits import fitted
 from vibrocast.host.stream_session import configure_steps
-from vibrocast.simulated_device.faulty_link import MemoryLink
+from vibrocast.simulated_device.memory_link import MemoryLink
 from vibrocast.textures import Recording
 
 RATES_HZ = (100, 2800, 5600, 8000, 12_000)

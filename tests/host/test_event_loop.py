@@ -16,8 +16,8 @@ from vibrocast.host.event_loop import Pause, Steps, run_all
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.output.rendering import render
 from vibrocast.simulated_device.controller import Controller as SimulatedController
-from vibrocast.simulated_device.faulty_link import MemoryLink, SimulatedTime
 from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
+from vibrocast.simulated_device.memory_link import MemoryLink, SimulatedTime
 from vibrocast.simulated_device.serial_port import serial_port
 from vibrocast.simulated_device.usb_backend import PRODUCT_ID, VENDOR_ID, UsbPort
 

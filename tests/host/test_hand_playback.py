@@ -19,9 +19,8 @@ from vibrocast.codec import profiles
 from vibrocast.codec.stream import Stream, read_stream
 from vibrocast.codec.threshold import read_threshold, threshold_amplitude
 from vibrocast.device_protocol.coded_stream import StreamError
-from vibrocast.files import InputFileError
-from vibrocast.host import hand_playback as position_playback
-from vibrocast.host import playback as end_to_end
+from vibrocast.errors import InputError
+from vibrocast.host import hand_playback, playback
 from vibrocast.host.cli.command_line import main
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.limits import playable
@@ -143,16 +142,16 @@ def test_command_says_what_a_spatial_stream_is(tmp_path: Path) -> None:
 def test_movements_that_cannot_be_read_are_rejected(tmp_path: Path, text: str, reason: str) -> None:
     path = tmp_path / "hand.csv"
     path.write_text(text)
-    with pytest.raises(InputFileError, match=reason):
-        position_playback.read_movement(path)
+    with pytest.raises(InputError, match=reason):
+        hand_playback.read_movement(path)
 
 
 def test_movement_is_read_and_made(tmp_path: Path) -> None:
     path = tmp_path / "hand.csv"
     path.write_text("time_s,position_mm\n2,1\n2.5,3.5\n")
-    movement = position_playback.read_movement(path)
+    movement = hand_playback.read_movement(path)
     assert (movement.seconds, movement.fastest_mm_s) == (0.5, 5.0)
-    strokes = position_playback.back_and_forth(20.0, 100.0, 2)
+    strokes = hand_playback.back_and_forth(20.0, 100.0, 2)
     assert strokes.fastest_mm_s == pytest.approx(100.0, rel=1e-3)
     assert np.max(strokes.positions_mm) == pytest.approx(20.0, rel=1e-3)
     assert strokes.positions_mm[-1] == pytest.approx(0.0, abs=1e-6)
@@ -160,12 +159,12 @@ def test_movement_is_read_and_made(tmp_path: Path) -> None:
 
 def test_the_played_samples_are_the_computed_ones_also_over_a_link_that_loses_frames(stream: Stream) -> None:
     """Lost packets are sent again; where positions are lost as well, only they make a difference."""
-    movement = position_playback.back_and_forth(10.0, 120.0, 1)
+    movement = hand_playback.back_and_forth(10.0, 120.0, 1)
     for lost, alike in ((0.0, True), (0.2, False)):
         _, controller = linked(faults=[Fault(lost=lost, direction="to_controller")], seed=2)
-        played = position_playback.play(controller, stream, movement)
-        expected = position_playback.computed(stream, played, PIEZO_STACK)
-        assert position_playback.as_computed(played, expected, PIEZO_STACK) is alike
+        played = hand_playback.play(controller, stream, movement)
+        expected = hand_playback.computed(stream, played, PIEZO_STACK)
+        assert hand_playback.as_computed(played, expected, PIEZO_STACK) is alike
         first = PIEZO_STACK.dac_rate_hz // 20
         codes = played.dac_codes[first : len(expected.codes) - 2 * first, 0]
         assert np.corrcoef(codes, expected.codes[first : first + len(codes), 0])[0, 1] > 0.9
@@ -175,16 +174,16 @@ def test_the_played_samples_are_the_computed_ones_also_over_a_link_that_loses_fr
 @pytest.mark.parametrize("drift_ppm", [-10_000, 10_000])
 def test_clocks_that_drift_and_sparse_positions_make_no_difference(stream: Stream, drift_ppm: int) -> None:
     times_s = np.arange(0, 4, 0.05)
-    movement = position_playback.Movement(times_s, 10 * np.sin(6 * times_s))
+    movement = hand_playback.Movement(times_s, 10 * np.sin(6 * times_s))
     _, controller = linked(Settings(drift_ppm=drift_ppm))
-    played = position_playback.play(controller, stream, movement)
-    expected = position_playback.computed(stream, played, PIEZO_STACK)
-    assert position_playback.as_computed(played, expected, PIEZO_STACK) is True
+    played = hand_playback.play(controller, stream, movement)
+    expected = hand_playback.computed(stream, played, PIEZO_STACK)
+    assert hand_playback.as_computed(played, expected, PIEZO_STACK) is True
     assert played.status.underruns == 0
     other = replace(played, dac_codes=played.dac_codes + 1)
-    assert position_playback.as_computed(other, expected, PIEZO_STACK) is False
+    assert hand_playback.as_computed(other, expected, PIEZO_STACK) is False
     late = replace(other, status=replace(played.status, underruns=1))
-    assert position_playback.as_computed(late, expected, PIEZO_STACK) is None
+    assert hand_playback.as_computed(late, expected, PIEZO_STACK) is None
 
 
 PAPER_SETTINGS: dict[str, codec.Setting] = {
@@ -215,8 +214,8 @@ def test_the_papers_chain_from_end_to_end(rule: str, material: str, tmp_path: Pa
     # The controller gets it in another codec, 60 dB above the error.
     sent = playable(stream)
     assert (codec.snr_db(stream.decode(), sent.decode()) or 0) > 60
-    movement = position_playback.Movement(np.array([0.0, 0.7]), np.array([0.0, 35.0]))
-    stroke = position_playback.play_and_compare(end_to_end.member(sim, "sim", None), material, stream, movement)
+    movement = hand_playback.Movement(np.array([0.0, 0.7]), np.array([0.0, 35.0]))
+    stroke = hand_playback.play_and_compare(playback.member(sim, "sim", None), material, stream, movement)
     assert stroke.as_computed and stroke.report.stream_bytes == stream.size_bytes
     period = PIEZO_STACK.dac_rate_hz // 5  # 10 mm at 50 mm/s
     made_um, codes = stroke.expected.heights_um[period:, 0], stroke.played.dac_codes[period:].astype(int)
@@ -243,7 +242,7 @@ def test_controllers_that_cannot_are_named(stream: Stream) -> None:
     for samples, reason in ((0, "update its firmware"), (100, "controller holds 100")):
         _, controller = linked(Settings(profile_samples=samples))
         with pytest.raises(ControllerError, match=reason):
-            position_playback.load(controller, stream)
+            hand_playback.load(controller, stream)
 
 
 @pytest.fixture
@@ -289,13 +288,13 @@ def test_a_bench_file_judges_a_profile_under_a_hand(tmp_path: Path) -> None:
 def test_a_profile_that_is_not_played_as_computed_fails(
     equal: bool | None, exit_code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(position_playback, "as_computed", lambda *_: equal)
+    monkeypatch.setattr(hand_playback, "as_computed", lambda *_: equal)
     assert stroked(tmp_path, "").exit_code == exit_code
 
 
 def test_a_controller_that_keeps_no_captures_is_judged_by_the_rest(stream: Stream) -> None:
-    movement = position_playback.back_and_forth(1.0, 500.0, 1)
+    movement = hand_playback.back_and_forth(1.0, 500.0, 1)
     for settings in (Settings(), Settings(capture_samples=0)):
-        member = end_to_end.member(linked(settings)[1], "sim", None)
-        report = position_playback.play_and_compare(member, "short", stream, movement).report
+        member = playback.member(linked(settings)[1], "sim", None)
+        report = hand_playback.play_and_compare(member, "short", stream, movement).report
         assert (report.dac_equals_offline, report.underruns) == (True if settings == Settings() else None, 0)

@@ -34,8 +34,7 @@ from vibrocast.device_protocol.messages import (
 )
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.device_protocol.transports import TransportError
-from vibrocast.host import hand_playback as position_playback
-from vibrocast.host import live
+from vibrocast.host import hand_playback, live
 from vibrocast.host.controller import ControllerError
 from vibrocast.host.player import play
 from vibrocast.host.stream_session import READ_BACK_S, read_capture
@@ -207,9 +206,9 @@ def test_a_hand_whose_controller_keeps_no_time_ends(rate: float, profile: Stream
         return replace(scripted.status(), state=State.PLAYING, position=samples, device_time_us=time_us)
 
     scripted.answer, scripted.swallow = slow, lambda message: isinstance(message, Position)
-    movement = position_playback.back_and_forth(10.0, 50.0, 2)
+    movement = hand_playback.back_and_forth(10.0, 50.0, 2)
     with pytest.raises(ControllerError, match="clock is too slow, or stands still"):
-        position_playback.play(scripted.connect(), profile, movement)
+        hand_playback.play(scripted.connect(), profile, movement)
     assert scripted.now_s < 1.2 * movement.seconds + 10
 
 
@@ -227,7 +226,7 @@ def test_loading_a_profile_ends_though_the_controller_creeps(profile: Stream) ->
 
     scripted.answer = creep
     with pytest.raises(ControllerError, match="does not get through"):
-        position_playback.load(scripted.connect(), profile)
+        hand_playback.load(scripted.connect(), profile)
     assert scripted.now_s < 60
 
 

@@ -18,8 +18,7 @@ from vibrocast.codec.stream import Stream, read_stream
 from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.device_protocol.messages import CodecDescription, Configure, Error, ErrorCode
 from vibrocast.device_protocol.transports import SerialTransport
-from vibrocast.host import limits
-from vibrocast.host import playback as end_to_end
+from vibrocast.host import limits, playback
 from vibrocast.host.cli.command_line import main
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.limits import check_limits, fitted
@@ -51,7 +50,7 @@ def test_a_stream_that_fits_stays_as_it_is() -> None:
 def test_packets_that_are_too_long_are_split_and_play_as_computed() -> None:
     stream = file_of("mdct")
     assert stream.decoder().packet_samples > BUFFER_SAMPLES
-    outcome = end_to_end.play(controller(), "sim", "rough", stream, loops=2)
+    outcome = playback.play(controller(), "sim", "rough", stream, loops=2)
     assert outcome.stream.decoder().packet_samples <= BUFFER_SAMPLES // 2
     assert outcome.report.stream_bytes == outcome.stream.size_bytes
     assert outcome.report.underruns == outcome.report.lost_packets == 0
@@ -75,11 +74,11 @@ def test_each_of_several_controllers_gets_the_stream_that_it_takes() -> None:
         for samples in (1024, 4096, 16_384):
             port = stack.enter_context(PtyPort(SimulatedController(Settings(buffer_samples=samples))))
             session = stack.enter_context(Controller(SerialTransport(port.name)))
-            members[samples] = end_to_end.Member(session, port.name)
-        outcomes = end_to_end.play_together(members, "rough", file_of("mdct"))
+            members[samples] = playback.Member(session, port.name)
+        outcomes = playback.play_together(members, "rough", file_of("mdct"))
     lengths = []
     for outcome in outcomes.values():
-        assert isinstance(outcome, end_to_end.Outcome)
+        assert isinstance(outcome, playback.Outcome)
         assert outcome.report.decoded_equals_offline is outcome.report.dac_equals_offline is True
         lengths.append(outcome.stream.decoder().packet_samples)
     assert lengths == [512, 2048, 8192]
@@ -90,7 +89,7 @@ def test_each_of_several_controllers_gets_the_stream_that_it_takes() -> None:
     [(256, "keeps 256 samples of each capture"), (0, "the controller keeps no captures"), (1 << 19, None)],
 )
 def test_the_report_says_why_nothing_is_compared(capture_samples: int, note: str | None) -> None:
-    report = end_to_end.play(controller(capture_samples=capture_samples), "memory", "rough", file_of("mdct")).report
+    report = playback.play(controller(capture_samples=capture_samples), "memory", "rough", file_of("mdct")).report
     assert report.underruns == 0 and not report.differs
     assert (report.decoded_equals_offline, report.dac_equals_offline) == ((None, None) if note else (True, True))
     assert (report.comparison_note or "") == "" if note is None else note in (report.comparison_note or "")

@@ -12,13 +12,14 @@ from vibrocast.codec.live_format import live_format
 from vibrocast.device_protocol.coded_stream import StreamError, packet_sequence
 from vibrocast.device_protocol.messages import Start, State, Tap
 from vibrocast.device_protocol.transports import TransportError
+from vibrocast.errors import InputError
 from vibrocast.host import live
 from vibrocast.host.live import LiveCoding, LiveStream
 from vibrocast.host.stream_session import read_capture
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
-from vibrocast.simulated_device.faulty_link import MemoryLink
 from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
+from vibrocast.simulated_device.memory_link import MemoryLink
 
 RATE_HZ = 2800
 FORMAT = live_format(RATE_HZ, "um", [10.0])
@@ -201,7 +202,7 @@ def test_a_source_that_does_not_keep_its_rate_is_rejected() -> None:
                 link.sleep(0.05)
             yield np.zeros((16, 1))
 
-    with pytest.raises(live.LiveError, match="the source is not live"):
+    with pytest.raises(InputError, match="the source is not live"):
         live.play(stream, flood())
     assert controller.request_status().state == State.STOPPED
 

@@ -13,8 +13,8 @@ from vibrocast.host import live
 from vibrocast.host.controller import Controller
 from vibrocast.host.live import LiveCoding, LiveResult, LiveStream
 from vibrocast.simulated_device.controller import Controller as SimulatedController
-from vibrocast.simulated_device.faulty_link import MemoryLink
 from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
+from vibrocast.simulated_device.memory_link import MemoryLink
 
 RATE_HZ = 2800
 BLOCK_SAMPLES = 28

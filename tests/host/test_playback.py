@@ -15,8 +15,7 @@ from vibrocast.codec.stream import Stream
 from vibrocast.codec.threshold import over_threshold_db, read_threshold
 from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.device_protocol.messages import CaptureData, SlotState, Tap
-from vibrocast.host import devices
-from vibrocast.host import playback as end_to_end
+from vibrocast.host import devices, playback
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.event_loop import Steps
 from vibrocast.host.playback import Outcome, actuator_model
@@ -33,7 +32,7 @@ SINE = np.sin(np.arange(SAMPLES) / 3.0)
 def play(actuator: Actuator = PIEZO_STACK) -> Outcome:
     encoding = encode_recording(texture(SINE), live=True)
     _, controller = linked(Settings(actuator=actuator))
-    return end_to_end.play(controller, "memory", "sine", encoding.stream, encoding, LOOPS)
+    return playback.play(controller, "memory", "sine", encoding.stream, encoding, LOOPS)
 
 
 def test_every_pass_is_compared() -> None:
@@ -47,11 +46,11 @@ def test_a_model_is_uploaded_only_for_a_stream_that_fits(monkeypatch: pytest.Mon
     def too_long(*_: object) -> Stream:
         raise StreamError("its packets are too long")
 
-    monkeypatch.setattr(end_to_end, "fitted", too_long)
+    monkeypatch.setattr(playback, "fitted", too_long)
     encoding = encode_recording(texture(SINE), live=True, model=models.find("mdct-textures"))
     _, controller = linked()
     with pytest.raises(StreamError, match="too long"):
-        end_to_end.play(controller, "sim", "sine", encoding.stream, encoding)
+        playback.play(controller, "sim", "sine", encoding.stream, encoding)
     controller.open_session()
     assert all(image.state == SlotState.EMPTY for image in controller.description.images)
 
@@ -73,7 +72,7 @@ def test_difference_in_the_last_pass_is_found(tap: Tap, monkeypatch: pytest.Monk
 
 def test_what_would_be_too_long_is_played_without_comparison(monkeypatch: pytest.MonkeyPatch) -> None:
     compared = play()
-    monkeypatch.setattr(end_to_end, "MAX_COMPARED_SAMPLES", LOOPS * SAMPLES)
+    monkeypatch.setattr(playback, "MAX_COMPARED_SAMPLES", LOOPS * SAMPLES)
     outcome = play()
     assert outcome.report.underruns == 0
     assert outcome.report.decoded_equals_offline is outcome.report.dac_equals_offline is None
@@ -131,7 +130,7 @@ def test_touch_is_that_of_the_displacement_asked_for(frequency_hz: int) -> None:
     rate_hz = PIEZO_STACK.dac_rate_hz
     asked_um = 10 * np.sin(2 * np.pi * frequency_hz * np.arange(2 * rate_hz) / rate_hz)[:, None]
     drive = signal.lfilter(*PIEZO_STACK.inverse(), asked_um / PIEZO_STACK.excursion_um, axis=0)
-    touch = end_to_end.touch_of(PIEZO_STACK, np.rint(drive * PIEZO_STACK.full_scale).astype(np.int16))
+    touch = playback.touch_of(PIEZO_STACK, np.rint(drive * PIEZO_STACK.full_scale).astype(np.int16))
     frequencies_hz, levels_db = over_threshold_db(asked_um, rate_hz, read_threshold())
     assert touch.level_db == pytest.approx(max(levels_db), abs=0.1)
     assert touch.frequency_hz == pytest.approx(frequencies_hz[np.argmax(levels_db)])

@@ -10,13 +10,12 @@ from vibrocast import models, textures
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.live_format import live_format
 from vibrocast.device_protocol.messages import State
-from vibrocast.host import live, uploader
-from vibrocast.host import playback as end_to_end
+from vibrocast.host import live, playback, uploader
 from vibrocast.host.controller import Controller
 from vibrocast.host.live import LiveStream
 from vibrocast.simulated_device.controller import Settings
-from vibrocast.simulated_device.faulty_link import MemoryLink
 from vibrocast.simulated_device.faulty_wire import Fault
+from vibrocast.simulated_device.memory_link import MemoryLink
 
 OAK = Path(__file__).parents[2] / "examples/oak.wav"
 BITS_PER_S = 0.8 * 115_200
@@ -35,7 +34,7 @@ def test_a_texture_plays_without_a_gap_while_it_is_read_back(settings: Settings)
     link, controller = connect(settings)
     encoding = encode_recording(textures.load(OAK), live=True)
     began_s = link.clock()
-    report = end_to_end.play(controller, "slow", OAK.name, encoding.stream, encoding).report
+    report = playback.play(controller, "slow", OAK.name, encoding.stream, encoding).report
     assert (report.underruns, report.lost_packets, report.bad_frames, report.bad_frames_back) == (0, 0, 0, 0)
     assert report.reconnects == 0
     assert not report.differs

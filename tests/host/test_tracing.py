@@ -16,7 +16,7 @@ from vibrocast.host import devices, tracing
 from vibrocast.host.cli.command_line import main
 from vibrocast.host.tracing import TappedTransport, Tracer
 from vibrocast.simulated_device.controller import Controller
-from vibrocast.simulated_device.faulty_link import MemoryLink
+from vibrocast.simulated_device.memory_link import MemoryLink
 
 
 def test_frames_of_both_directions_are_seen() -> None:

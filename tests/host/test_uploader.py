@@ -19,7 +19,7 @@ from vibrocast.device_protocol.messages import (
     Message,
     SlotState,
 )
-from vibrocast.device_protocol.model_image import ModelImage, ModelImageError, sha256
+from vibrocast.device_protocol.model_image import ModelError, ModelImage, sha256
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.firmware import keys
 from vibrocast.host import signatures
@@ -49,7 +49,7 @@ def test_image_without_the_signature_that_the_controller_needs_is_not_sent() -> 
     scripted = ScriptedController()
     scripted.description = replace(scripted.description, public_key=keys.public_key(bytes(32)))
     for image in (IMAGE, signatures.signed(IMAGE, b"x" * 32, 1)):
-        with pytest.raises(ModelImageError, match="signature"):
+        with pytest.raises(ModelError, match="signature"):
             flash(scripted.connect(), image)
     assert not any(isinstance(message, FlashBegin) for message in scripted.handled)
 
@@ -171,6 +171,6 @@ def test_controller_without_a_free_slot_is_an_error() -> None:
 
 def test_file_that_is_no_image_is_rejected_before_anything_is_sent() -> None:
     scripted = ScriptedController()
-    with pytest.raises(ModelImageError):
+    with pytest.raises(ModelError):
         flash(scripted.connect(), IMAGE[:-1])
     assert len(scripted.handled) == 1

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vibrocast import codec, models
-from vibrocast.device_protocol.model_image import ModelImage, ModelImageError, sha256
+from vibrocast.device_protocol.model_image import ModelError, ModelImage, sha256
 
 MAX_BYTES = 1_000_000
 
@@ -118,7 +118,7 @@ def test_what_is_no_model_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(models.ModelError, match=r"give one of .*mdct-textures"):
         models.find(str(tmp_path / "missing"))
     (tmp_path / "text.vcmi").write_text("no image")
-    with pytest.raises(ModelImageError, match=r"text.vcmi: not a model image"):
+    with pytest.raises(ModelError, match=r"text.vcmi: not a model image"):
         models.find(str(tmp_path / "text.vcmi"))
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(models.ModelError, match="no file"):

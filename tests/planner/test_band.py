@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from vibrocast.codec.threshold import over_threshold_db, read_threshold, sites, threshold_amplitude
+from vibrocast.errors import InputError
 from vibrocast.output.actuator import LRA, PIEZO_STACK
-from vibrocast.planner.band import MARGIN_DB, BandError, band_of, error_over_threshold_db, max_um
+from vibrocast.planner.band import MARGIN_DB, band_of, error_over_threshold_db, max_um
 from vibrocast.textures import Profile, Recording
 
 THRESHOLD = read_threshold()
@@ -45,7 +46,7 @@ def test_what_the_actuator_cannot_make_is_not_worth_coding() -> None:
     felt = tone(40.0, 30.0)
     assert band_of(felt, PIEZO_STACK, THRESHOLD, (50, 50), False).highest > 40
     weak = type(LRA)(**{**vars(LRA), "stroke_um": 0.1})
-    with pytest.raises(BandError, match="at best, the actuator's reach lies"):
+    with pytest.raises(InputError, match="at best, the actuator's reach lies"):
         band_of(felt, weak, THRESHOLD, (50, 50), False)
 
 
@@ -108,5 +109,5 @@ def test_a_profile_over_position_is_coded_for_its_slowest_and_its_fastest_hand()
 def test_what_is_too_short_or_too_slow_is_no_trouble() -> None:
     click = Recording(np.ones((1, 1)), 2800, "full scale", "click")
     assert band_of(click, PIEZO_STACK, THRESHOLD, (50, 50), False).rate >= 100
-    with pytest.raises(BandError, match="recorded at 25 Hz, but controllers play at least 100 Hz"):
+    with pytest.raises(InputError, match="recorded at 25 Hz, but controllers play at least 100 Hz"):
         band_of(Recording(np.ones((9, 1)), 25, "full scale", "slow"), PIEZO_STACK, THRESHOLD, (50, 50), False)

@@ -10,9 +10,9 @@ import pytest
 from msgspec import structs
 
 from tests.planner.scenes import ASKED, CONTROLLER, scene
+from vibrocast.errors import InputError
 from vibrocast.planner.candidates import Candidate, CodingOption, Evaluator
-from vibrocast.planner.choose import PlanningError, TextureChoice, _Search, choose, plan
-from vibrocast.planner.scene import SceneError
+from vibrocast.planner.choose import TextureChoice, _Search, choose, plan
 from vibrocast.textures import Recording, save
 
 
@@ -118,7 +118,7 @@ def test_an_impossible_scene_names_the_limit_and_a_value_that_works(
 ) -> None:
     read = scene(tmp_path, **changed)
     evaluator = choice.evaluator  # of the same texture: what it has measured is measured already
-    with pytest.raises(PlanningError) as raised:
+    with pytest.raises(InputError) as raised:
         choose(evaluator, read)
     named = re.search(
         rf"with {re.escape(limit)} = [\d.e+]+; .* needs {limit.split()[-1]} = ([\d.e+]+); ", str(raised.value)
@@ -153,7 +153,7 @@ def test_an_impossible_scene_names_the_limit_and_a_value_that_works(
 def test_an_impossible_scene_says_how_near_it_comes(
     changed: dict[str, str], message: str, choice: TextureChoice, tmp_path: Path
 ) -> None:
-    with pytest.raises(PlanningError, match=message):
+    with pytest.raises(InputError, match=message):
         choose(choice.evaluator, scene(tmp_path, **changed))
 
 
@@ -162,7 +162,7 @@ def test_an_impossible_scene_says_how_near_it_comes(
 def test_the_quality_that_the_error_offers_can_be_planned(rate_limit_bps: int, tmp_path: Path) -> None:
     read = scene(tmp_path, asked=f"[asked]\nsnr_db = 30\n{rate_limit_bps = }\n")
     evaluator = Evaluator(read, read.textures[0])
-    with pytest.raises(PlanningError, match=r"or lower snr_db to [\d.]+$") as raised:
+    with pytest.raises(InputError, match=r"or lower snr_db to [\d.]+$") as raised:
         choose(evaluator, read)
     lower = float(str(raised.value).split()[-1])
     assert choose(evaluator, replace(read, asked=structs.replace(read.asked, snr_db=lower))).chosen.meets
@@ -194,7 +194,7 @@ def test_a_texture_may_be_coded_for_touch_where_the_required_quality_gains(tmp_p
 def test_a_texture_that_nobody_can_feel_is_an_error(tmp_path: Path) -> None:
     save(tmp_path / "weak.wav", Recording(np.random.default_rng(0).normal(size=(2800, 1)), 2800, "full scale", ""))
     read = scene(tmp_path, texture='[[textures]]\nfile = "weak.wav"\nunit = "nm"\nfull_scale = 0.001\n')
-    with pytest.raises(PlanningError, match="weak: no part of it can be felt: at best, the texture lies"):
+    with pytest.raises(InputError, match="weak: no part of it can be felt: at best, the texture lies"):
         plan(read)
 
 
@@ -212,7 +212,7 @@ def test_a_profile_is_planned_over_position(tmp_path: Path) -> None:
     assert planned.over_position and planned.buffer_ms == 0
     assert planned.encode().stream.header.unit == "um over position"
     assert planned.forecast.delay_ms < 50
-    with pytest.raises(SceneError, match="rendered by the hand's position up to 300 mm/s"):
+    with pytest.raises(InputError, match="rendered by the hand's position up to 300 mm/s"):
         scene(
             tmp_path,
             texture='[[textures]]\nfile = "profile.csv"\n',

@@ -13,7 +13,7 @@ from tests.planner.scenes import scene
 from vibrocast.planner import page
 from vibrocast.planner.choose import TextureChoice, plan
 from vibrocast.planner.plan_file import PlannedTexture
-from vibrocast.planner.scene import Scene
+from vibrocast.planner.scene import MEASURES, Scene
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +70,7 @@ def candidate(quality: float | None, cost: float) -> Any:
     return SimpleNamespace(quality=quality, cost=cost)
 
 
-FAR_DB, FAR_COST = page.FAR["snr_db"], page.FAR_COST
+FAR_DB, FAR_COST = MEASURES["snr_db"].far, page.FAR_COST
 NEAR = [
     ("snr_db", 12.0, 1.5, True),
     ("snr_db", 10 + FAR_DB, 1.5, True),

@@ -9,10 +9,10 @@ from msgspec import structs
 
 from tests.planner.scenes import scene
 from vibrocast.codec.threshold import sites
+from vibrocast.errors import InputError
 from vibrocast.planner.plan_file import (
     Forecast,
     Plan,
-    PlanError,
     PlannedController,
     PlannedTexture,
     prepared,
@@ -78,7 +78,7 @@ def test_what_is_written_is_read_again(tmp_path: Path) -> None:
     capped = structs.replace(written.textures[0], rate_mode="capped", capped_rate_bps=2450, packet_snr_db=9.5)
     write_plan(tmp_path / "out" / "capped.toml", replace(written, textures=(capped,)))
     assert read_plan(tmp_path / "out" / "capped.toml").textures == (capped,)
-    with pytest.raises(PlanError, match="the plan has no texture 'oak'; choose from wood"):
+    with pytest.raises(InputError, match="the plan has no texture 'oak'; choose from wood"):
         read.texture("oak")
 
 
@@ -136,7 +136,7 @@ def test_a_mistake_in_a_plan_is_an_error_of_one_line(before: str, after: str, me
     text = path.read_text()
     assert before in text
     path.write_text(text.replace(before, after))
-    with pytest.raises(PlanError) as raised:
+    with pytest.raises(InputError) as raised:
         read_plan(path)
     assert str(raised.value).startswith(f"{path}: ") and message in str(raised.value)
 
@@ -147,10 +147,10 @@ def test_files_that_changed_after_planning_are_reported(tmp_path: Path) -> None:
     source = Source((file,), None, {})
     texture = structs.replace(plan(tmp_path).textures[0], name="oak", source=source, sha256=source.sha256())
     file.write_text("1\n3\n")
-    with pytest.raises(PlanError, match=r"oak: .*oak.csv changed since the plan was made; plan the scene again"):
+    with pytest.raises(InputError, match=r"oak: .*oak.csv changed since the plan was made; plan the scene again"):
         texture.recording()
     file.unlink()
-    with pytest.raises(PlanError, match=r"oak: .*oak.csv does not exist; restore it, or plan the scene again"):
+    with pytest.raises(InputError, match=r"oak: .*oak.csv does not exist; restore it, or plan the scene again"):
         texture.recording()
 
 
@@ -158,4 +158,3 @@ def test_a_plan_is_a_bench(tmp_path: Path) -> None:
     bench = plan(tmp_path).bench()
     assert bench.first.address == "cortex-m4"
     assert bench.actuator("one") == plan(tmp_path).actuators[0].model
-    assert len(bench.scene()) == 1

@@ -12,8 +12,9 @@ from msgspec import structs
 from tests.planner.scenes import CONTROLLER, scene
 from vibrocast import textures
 from vibrocast.codec.rate_controlled import added_bytes
+from vibrocast.errors import InputError
 from vibrocast.planner import choose, comparison, playing
-from vibrocast.planner.plan_file import Plan, PlanError, PlannedTexture, read_plan, write_plan
+from vibrocast.planner.plan_file import Plan, PlannedTexture, read_plan, write_plan
 
 SIMULATED = CONTROLLER.replace("cortex-m4", "sim-usb")
 TWO = (
@@ -149,5 +150,5 @@ def test_a_plan_for_another_controller_is_rejected(
 ) -> None:
     pytest.importorskip("unicorn")
     plan = planned(tmp_path)
-    with pytest.raises(PlanError, match=message):
+    with pytest.raises(InputError, match=message):
         playing.play(replace(plan, textures=(change(plan.textures[0]),)))

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 
 from tests.planner.scenes import ACTUATOR, ASKED, CONTROLLER, TEXTURE, scene, written
 from vibrocast.codec.threshold import sites
+from vibrocast.errors import InputError
 from vibrocast.planner.candidates import Evaluator
-from vibrocast.planner.scene import SceneError, read_scene
+from vibrocast.planner.scene import read_scene
 from vibrocast.textures import Recording, save
 
 
@@ -80,7 +81,7 @@ def test_a_folder_is_a_texture_for_each_recording_and_a_list_is_played_together(
 )  # fmt: skip
 def test_a_mistake_is_reported_with_its_place(changed: dict[str, str], message: str, tmp_path: Path) -> None:
     path = written(tmp_path, **changed)
-    with pytest.raises(SceneError) as raised:
+    with pytest.raises(InputError) as raised:
         read_scene(path)
     assert str(raised.value).startswith(f"{path}: ")
     assert message in str(raised.value)
@@ -97,7 +98,7 @@ def test_a_profile_over_a_range_of_speeds_needs_a_controller_that_knows_the_hand
     profile = "position_um,height_um\n" + "".join(f"{10 * place},{place % 7}\n" for place in range(100))
     (tmp_path / "profile.csv").write_text(profile)
     changed = {"texture": '[[textures]]\nfile = "profile.csv"\n', "hand": "[hand]\nspeed_mm_s = [0, 300]\n"}
-    with pytest.raises(SceneError, match="profile is a height profile, and the hand moves at 0 to 300 mm/s"):
+    with pytest.raises(InputError, match="profile is a height profile, and the hand moves at 0 to 300 mm/s"):
         scene(tmp_path, **changed)
     knows = scene(tmp_path, **changed, controller=CONTROLLER + "reads_position = true\n")
     assert knows.textures[0].channels == 1
@@ -131,7 +132,7 @@ def test_no_value_makes_anything_but_a_scene_or_an_error(key: str, value: object
     changed = {part: text} if part != "first" else {"texture": text + TEXTURE}
     try:
         read = read_scene(written(tmp_path, **changed))
-    except SceneError:
+    except InputError:
         return
     assert read.textures
 
@@ -160,14 +161,14 @@ def test_an_offset_changes_no_plan_but_of_a_drive_signal(tmp_path: Path) -> None
 def test_three_axes_need_a_choice(tmp_path: Path) -> None:
     save(tmp_path / "axes.csv", Recording(np.ones((900, 3)), 2800, "um", "axes", ("X", "Y", "Z")))
     table = '[[textures]]\nfile = "axes.csv"\n'
-    with pytest.raises(SceneError, match=r"three axes of one texture; pass `reduce`"):
+    with pytest.raises(InputError, match=r"three axes of one texture; pass `reduce`"):
         scene(tmp_path, texture=table)
     (texture,) = scene(tmp_path, texture=table + 'reduce = "norm"\n').textures
     assert texture.channels == 1
 
 
 def test_an_actuator_that_the_firmware_lacks_is_rejected_before_planning(tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match=r"cortex-m4 drives piezo-stack, compiled in: .*; plan for that, or for sim"):
+    with pytest.raises(InputError, match=r"cortex-m4 drives piezo-stack, compiled in: .*; plan for that, or for sim"):
         scene(tmp_path, actuator='[[actuators]]\nmodel = "lra"\n')
     on_sim = '[[controllers]]\nname = "one"\naddress = "sim"\n'
     assert scene(tmp_path, controller=on_sim, actuator='[[actuators]]\nmodel = "lra"\n').actuators[0].model.quality

@@ -24,9 +24,9 @@ from vibrocast.output.rendering import (
     render,
 )
 from vibrocast.simulated_device.controller import Controller, Settings
-from vibrocast.simulated_device.faulty_link import MemoryLink
 from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
 from vibrocast.simulated_device.flash import FlashMemory, PowerCut
+from vibrocast.simulated_device.memory_link import MemoryLink
 
 REFRESH_S = 0.25
 

@@ -5,14 +5,8 @@ from pathlib import Path
 import pytest
 
 from tests.simulated_device.bench import Echo
-from vibrocast.simulated_device.faulty_wire import (
-    Fault,
-    FaultsFileError,
-    FaultyWire,
-    FrameDamage,
-    RemoteDevice,
-    read_faults,
-)
+from vibrocast.errors import InputError
+from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire, FrameDamage, RemoteDevice, read_faults
 
 FRAMES = [bytes([number, 1, 2, 3, 0]) for number in range(1, 201)]
 
@@ -101,7 +95,7 @@ def test_a_schedule_is_read_and_its_mistakes_are_named(tmp_path: Path) -> None:
         "": "faults is missing",
     }.items():
         path.write_text(text)
-        with pytest.raises(FaultsFileError, match=message):
+        with pytest.raises(InputError, match=message):
             read_faults(path)
 
 

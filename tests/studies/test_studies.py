@@ -22,7 +22,7 @@ from tests.study.stub_run import chromium
 from vibrocast import codec, models, pages, textures
 from vibrocast.codec import eva
 from vibrocast.evaluation import cost, points
-from vibrocast.harness import MinLatency
+from vibrocast.harness.latency import MinLatency
 from vibrocast.simulated_device.serial_port import has_pseudo_terminals
 
 ROOT = Path(__file__).parents[2]

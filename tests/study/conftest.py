@@ -23,4 +23,4 @@ def made(folder: Path) -> tuple[Stimulus, ...]:
 @pytest.fixture
 def no_lingering(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let a server close its pages soon after the end of its run."""
-    monkeypatch.setattr("vibrocast.study.server._LINGER_S", 0.2)
+    monkeypatch.setattr("vibrocast.study.server._LINGER_S", 0.3)

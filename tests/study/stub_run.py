@@ -11,6 +11,7 @@ from pathlib import Path
 
 from vibrocast.host.controller import ControllerError
 from vibrocast.study.server import Aids, serve
+from vibrocast.study.session import Session
 from vibrocast.study.trials import (
     Break,
     Choices,
@@ -19,7 +20,6 @@ from vibrocast.study.trials import (
     Paused,
     Question,
     Rejected,
-    Run,
     Screen,
     Sliders,
     State,
@@ -66,7 +66,7 @@ def mushra(number: int = 1, sliders: int = 5, total: int | None = 9, **others: o
     )
 
 
-class StubRun:
+class StubRun(Session):
     """Leads through screens.
 
     `file`: keeps the number of screens passed and the answers over a restart. `seconds`: for which a texture plays.
@@ -118,7 +118,7 @@ class StubRun:
 
     def play(self, label: str) -> None:
         with self._lock:
-            current = self._trial()
+            current = self._present()
             labels = [interval.label for interval in current.intervals]
             if label not in labels:
                 raise Rejected("no such interval")
@@ -154,7 +154,7 @@ class StubRun:
 
     def answer(self, values: tuple[int, ...]) -> bool | None:
         with self._lock:
-            current = self._trial()
+            current = self._present()
             if len(self.plays()) < len(current.intervals):
                 raise Rejected("feel every texture first")
             if isinstance(current.response, Choices):
@@ -212,7 +212,7 @@ class StubRun:
                 warnings=self.warnings,
             )
 
-    def _trial(self) -> Trial:
+    def _present(self) -> Trial:
         screen = self.screen()
         if not isinstance(screen, Trial):
             raise Rejected("there is no trial")
@@ -230,7 +230,7 @@ LOST = ControllerError("serial:/dev/ttyACM0 does not answer; check its cable")
 
 
 @contextmanager
-def served(run: Run, aids: Aids | None = None) -> Iterator[tuple[str, str]]:
+def served(run: Session, aids: Aids | None = None) -> Iterator[tuple[str, str]]:
     """Serve a run in a thread; yield the addresses of participant and experimenter. The run ends with the block."""
     lines: list[str] = []
     both = threading.Event()

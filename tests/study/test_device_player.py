@@ -102,7 +102,7 @@ def test_a_stream_that_no_controller_decodes_goes_in_another_coding(player: Cont
 @pytest.mark.skipif(not has_pseudo_terminals(), reason="this system has no pseudo-terminals")
 def test_a_pulled_cable_is_an_error_and_never_a_hang(made: tuple[Stimulus, ...]) -> None:
     with PtyPort(SimulatedController()) as port, SerialTransport(port.name) as transport:
-        player = ControllerPlayer(Controller(transport), reconnect_s=0.2)
+        player = ControllerPlayer(Controller(transport))
         player.start(made[0])
         port.unplug()
         with pytest.raises((TransportError, ControllerError)):

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from vibrocast.codec.threshold import read_threshold, threshold_amplitude
+from vibrocast.errors import InputError
 from vibrocast.study import statistics
 from vibrocast.study.methods import GRADES
 from vibrocast.study.observer import Observer, ObserverSettings, Skin
 from vibrocast.study.staircases import Bayesian, TransformedUpDown
-from vibrocast.study.trials import Choices, Interval, Sliders, StudyError, Trial
+from vibrocast.study.trials import Choices, Interval, Sliders, Trial
 from vibrocast.textures import generate
 
 RATE_HZ = 2800.0
@@ -121,7 +122,7 @@ def test_the_rate_and_a_still_channel_do_not_matter() -> None:
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_a_displacement_that_is_no_number_is_rejected(value: float) -> None:
-    with pytest.raises(StudyError, match="no numbers"):
+    with pytest.raises(InputError, match="no numbers"):
         observer().distance(Skin(np.full((10, 1), value), RATE_HZ), skin(tone(100, 20)))
 
 

@@ -12,13 +12,14 @@ import pytest
 from scipy import stats
 
 from tests.study.small_study import stimuli_of, study_of
+from vibrocast.errors import InputError
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.study import analysis, stimuli
 from vibrocast.study.report import write_report
 from vibrocast.study.session import LOG, RESULTS, RUN
 from vibrocast.study.simulation import SIMULATED, SkinOf, simulate_participant
 from vibrocast.study.study_file import METHODS, read_study
-from vibrocast.study.trials import RESULT_COLUMNS, StudyError
+from vibrocast.study.trials import RESULT_COLUMNS
 
 PARTICIPANTS = 4
 SIMULATION = "Simulated observers, not people"
@@ -246,7 +247,7 @@ def test_a_folder_that_holds_no_results_of_one_study_is_rejected(name: str, tmp_
     folder = copied(tmp_path)
     change_folder, message = FLAWS[name]
     change_folder(folder)
-    with pytest.raises(StudyError, match=message):
+    with pytest.raises(InputError, match=message):
         analysis.analyse(folder)
 
 

@@ -13,8 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.study.stub_run import CONDITIONS, LOST, WELCOME, StubRun, mushra, served, trial
+from vibrocast.errors import InputError
 from vibrocast.study.server import CALL_THE_EXPERIMENTER, NOISE_RATE_HZ, Aids, StudyPages, serve
-from vibrocast.study.trials import Break, Message, Question, Run, Screen, StudyError
+from vibrocast.study.session import Session
+from vibrocast.study.trials import Break, Message, Question, Screen
 
 pytestmark = pytest.mark.usefixtures("no_lingering")
 SCREENS: tuple[Screen, ...] = (WELCOME, Question("age", "Your age?"), trial(1), Break(60.0, 1, 3), mushra(2))
@@ -23,7 +25,7 @@ SCREENS: tuple[Screen, ...] = (WELCOME, Question("age", "Your age?"), trial(1), 
 class Client:
     """A browser that sends requests to the application itself, and knows the screen which it shows."""
 
-    def __init__(self, run: Run, aids: Aids | None = None) -> None:
+    def __init__(self, run: Session, aids: Aids | None = None) -> None:
         self.pages = StudyPages(run, aids or Aids())
         self.application = self.pages.application()
 
@@ -310,7 +312,7 @@ def test_an_address_in_use_is_one_line() -> None:
     run = StubRun([trial(1)])
     with served(run) as (participant, _):
         port = int(participant.rstrip("/").rsplit(":", 1)[1])
-        with pytest.raises(StudyError, match=f"cannot serve pages at 127.0.0.1, port {port}"):
+        with pytest.raises(InputError, match=f"cannot serve pages at 127.0.0.1, port {port}"):
             serve(StubRun([trial(1)]), port=port)
-    with pytest.raises(StudyError, match="give another host or port"):
+    with pytest.raises(InputError, match="give another host or port"):
         serve(StubRun([trial(1)]), host="no.such.host.invalid", port=0)

@@ -13,24 +13,14 @@ import pytest
 
 from tests.study.small_study import CONDITIONS, stimuli_of, study_of, text_of
 from vibrocast.device_protocol.transports import TransportError
+from vibrocast.errors import InputError
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.study import stimuli
 from vibrocast.study.device_player import SilentPlayer
 from vibrocast.study.methods import DESIGNS
 from vibrocast.study.session import LOG, RESULTS, RUN, Session
 from vibrocast.study.study_file import METHODS, Study, read_study
-from vibrocast.study.trials import (
-    Break,
-    Choices,
-    Message,
-    Paused,
-    Question,
-    Rejected,
-    Sliders,
-    Stimulus,
-    StudyError,
-    Trial,
-)
+from vibrocast.study.trials import Break, Choices, Message, Paused, Question, Rejected, Sliders, Stimulus, Trial
 
 QUESTIONS = """
 [[questions]]
@@ -269,12 +259,12 @@ def test_an_answer_cut_while_it_was_written_is_asked_again(lost: int, folder: Pa
 
 def test_results_of_another_study_are_rejected(folder: Path, tmp_path: Path) -> None:
     opened(study_of(folder, "abx"), folder, tmp_path).close()
-    with pytest.raises(StudyError, match="another study_sha256"):
+    with pytest.raises(InputError, match="another study_sha256"):
         opened(study_of(folder, "abx", "pause_seconds = 1\n"), folder, tmp_path)
-    with pytest.raises(StudyError, match="another participant"):
+    with pytest.raises(InputError, match="another participant"):
         opened(study_of(folder, "abx"), folder, tmp_path, participant=2)
     (tmp_path / RUN).write_text("{")
-    with pytest.raises(StudyError, match="damaged"):
+    with pytest.raises(InputError, match="damaged"):
         opened(study_of(folder, "abx"), folder, tmp_path)
 
 
@@ -372,7 +362,7 @@ def _interrupt(_number: int, _frame: object) -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
 @pytest.mark.parametrize("how", ["SIGKILL", "SIGTERM"])
-@pytest.mark.parametrize("point", [0, 5, 6, 7, 15])  # of four trials of three presentations and an answer each
+@pytest.mark.parametrize("point", [0, 6, 15])  # of four trials of three presentations and an answer each
 def test_no_answer_is_lost_wherever_the_program_is_killed(how: str, point: int, folder: Path, tmp_path: Path) -> None:
     study_of(folder, "abx")
     stimuli.save(folder / "stimuli", stimuli_of("abx", folder), PIEZO_STACK)

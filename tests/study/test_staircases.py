@@ -6,10 +6,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from vibrocast.study.staircases import LAPSE_RATE, Bayesian, Estimate, TransformedUpDown
+from vibrocast.study.staircases import LAPSE_RATE, Bayesian, Staircase, TransformedUpDown
+from vibrocast.study.statistics import Interval
 
 LOWEST_DB, HIGHEST_DB = -60.0, 0.0
-Staircase = TransformedUpDown | Bayesian
 
 
 def up_down(down: int = 2, reversals: int = 12) -> TransformedUpDown:
@@ -20,7 +20,7 @@ def bayesian(enough_db: float = 0.0) -> Bayesian:
     return Bayesian(LOWEST_DB, HIGHEST_DB, 80, enough_db)
 
 
-def run(staircase: Staircase, middle_db: float, slope_per_db: float, seed: int) -> tuple[Estimate, float, int]:
+def run(staircase: Staircase, middle_db: float, slope_per_db: float, seed: int) -> tuple[Interval, float, int]:
     """Let an observer with a logistic psychometric function answer.
 
     Returns the estimate, the level at which the observer reaches the staircase's target, and the number of trials.
@@ -74,7 +74,7 @@ def test_levels_stay_within_their_range() -> None:
 
 
 def test_too_few_reversals_give_no_threshold() -> None:
-    assert up_down().threshold() == Estimate(None, None, None)
+    assert up_down().threshold() == Interval(None, None, None)
 
 
 @pytest.mark.parametrize("down", [2, 3])

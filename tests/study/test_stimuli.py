@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from tests.study.small_study import CODED, REFERENCE, stimuli_of, study_of, text_of
+from vibrocast.errors import InputError
 from vibrocast.output.actuator import LRA, PIEZO_STACK
 from vibrocast.output.rendering import render
 from vibrocast.study import stimuli
 from vibrocast.study.stimuli import skin_level_db
 from vibrocast.study.study_file import METHODS, Study, read_study
-from vibrocast.study.trials import Stimulus, StudyError
+from vibrocast.study.trials import Stimulus
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "examples" / "studies").glob("*.toml"))
@@ -92,13 +93,13 @@ def test_kept_stimuli_are_the_same_and_changed_ones_are_rejected(folder: Path, t
         return {**vars(each), "facts": facts}
 
     assert list(map(finite, loaded)) == list(map(finite, made))
-    with pytest.raises(StudyError, match="another actuator"):
+    with pytest.raises(InputError, match="another actuator"):
         stimuli.load(kept, LRA)
     (kept / "002.vct").write_bytes((kept / "003.vct").read_bytes())
-    with pytest.raises(StudyError, match=r"002\.vct has changed"):
+    with pytest.raises(InputError, match=r"002\.vct has changed"):
         stimuli.load(kept)
     (kept / "stimuli.json").write_text(json.dumps({"actuator": asdict(PIEZO_STACK), "stimuli": [{}]}))
-    with pytest.raises(StudyError, match="not the stimuli"):
+    with pytest.raises(InputError, match="not the stimuli"):
         stimuli.load(kept)
 
 
@@ -134,7 +135,7 @@ def test_a_wrong_study_file_is_rejected(old: str, new: str, said: str, tmp_path:
     assert old in text
     path = tmp_path / "wrong.toml"
     path.write_text(text.replace(old, new, 1 if old == "[[textures]]" else -1))
-    with pytest.raises(StudyError) as error:
+    with pytest.raises(InputError) as error:
         read_study(path).recordings()
     assert said in str(error.value)
     assert "\n" not in str(error.value)
@@ -150,7 +151,7 @@ def test_methods_ask_for_their_conditions(tmp_path: Path) -> None:
         ("abx", REFERENCE + CODED + REFERENCE.replace("recording", "other"), "only one can"),
     ):
         path.write_text(text_of("abx").replace('"abx"', f'"{method}"').partition("[[conditions]]")[0] + conditions)
-        with pytest.raises(StudyError) as error:
+        with pytest.raises(InputError) as error:
             read_study(path)
         assert said in str(error.value)
 

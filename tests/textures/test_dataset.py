@@ -10,8 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vibrocast import textures
+from vibrocast.errors import InputError
 from vibrocast.textures import TextureError
-from vibrocast.textures.dataset import DatasetEntry, DatasetError, entries, load, load_highpassed, read, split
+from vibrocast.textures.dataset import DatasetEntry, entries, load, load_highpassed, read, split
 from vibrocast.textures.generate import wood
 
 REFERENCE = [
@@ -82,13 +83,13 @@ def test_a_name_that_is_no_text_is_escaped(tmp_path: Path) -> None:
 
 
 def test_folders_without_recordings_are_rejected(tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match="no such folder"):
+    with pytest.raises(InputError, match="no such folder"):
         entries(tmp_path / "missing")
-    with pytest.raises(DatasetError, match="no recordings"):
+    with pytest.raises(InputError, match="no recordings"):
         entries(tmp_path)
     (tmp_path / "picture.png").touch()
     (tmp_path / "folder.wav").mkdir()
-    with pytest.raises(DatasetError, match="no recordings"):
+    with pytest.raises(InputError, match="no recordings"):
         entries(tmp_path)
 
 
@@ -120,7 +121,7 @@ def test_the_parts_share_nothing_and_make_the_whole(wanted: list[str], seed: int
     materials = {entry.material for entry in everything}
     by = "material" if by_material else "recording"
     if by_material and len(materials) == 1:
-        with pytest.raises(DatasetError, match="only one material"):
+        with pytest.raises(InputError, match="only one material"):
             split(everything, "test", seed, by)
         return
     train, test = (split(everything, part, seed, by) for part in ("train", "test"))
@@ -134,9 +135,9 @@ def test_the_parts_share_nothing_and_make_the_whole(wanted: list[str], seed: int
 
 
 def test_what_cannot_be_split_is_rejected() -> None:
-    with pytest.raises(DatasetError, match="only one recording"):
+    with pytest.raises(InputError, match="only one recording"):
         split(named(["single"]), "test")
-    with pytest.raises(DatasetError, match="first: its name does not state the material"):
+    with pytest.raises(InputError, match="first: its name does not state the material"):
         split(named(["first", "second"]), "train", by="material")
 
 
@@ -228,13 +229,13 @@ def test_what_a_manifest_states_must_not_contradict_the_file(tmp_path: Path) -> 
 )
 def test_a_wrong_manifest_is_rejected_by_row_and_column(tmp_path: Path, text: str, message: str) -> None:
     textures.save(tmp_path / "a.wav", wood(0, 0.1))
-    with pytest.raises(DatasetError, match=message):
+    with pytest.raises(InputError, match=message):
         read(manifest(tmp_path, text))
 
 
 def test_other_files_are_no_data_sets(tmp_path: Path) -> None:
     (tmp_path / "a.wav").touch()
-    with pytest.raises(DatasetError, match="neither a folder nor a manifest"):
+    with pytest.raises(InputError, match="neither a folder nor a manifest"):
         read(tmp_path / "a.wav")
 
 
@@ -247,23 +248,23 @@ def test_the_split_of_a_manifest_goes_before_any_other() -> None:
     assert [[entry.name for entry in split(everything, part)] for part in ("train", "test")] == [["b"], ["a"]]
     assert len(split(everything, "all")) == 3
     assert len(split(everything, "test", by="material")) == 1
-    with pytest.raises(DatasetError, match="marks no recording as train"):
+    with pytest.raises(InputError, match="marks no recording as train"):
         split(everything[:1], "train")
 
 
 def test_materials_of_a_manifest_are_never_torn() -> None:
     everything = stated(*((f"{number:02}", "cork" if number % 4 else "felt", "", "") for number in range(20)))
     assert {entry.material for entry in split(everything, "test")} == {"felt"}
-    with pytest.raises(DatasetError, match='split by "material"'):
+    with pytest.raises(InputError, match='split by "material"'):
         split(everything, "test", by="recording")
-    with pytest.raises(DatasetError, match="x: its name does not state the material"):
+    with pytest.raises(InputError, match="x: its name does not state the material"):
         split([*everything, DatasetEntry("x", Path("x"))], "test")
 
 
 def test_a_split_by_subject() -> None:
     everything = stated(*((f"{number:02}", "cork", "anna" if number % 4 else "ben", "") for number in range(20)))
     assert {entry.subject for entry in split(everything, "test", by="subject")} == {"ben"}
-    with pytest.raises(DatasetError, match="x: states no subject"):
+    with pytest.raises(InputError, match="x: states no subject"):
         split([*everything, DatasetEntry("x", Path("x"))], "test", by="subject")
 
 

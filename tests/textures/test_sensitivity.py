@@ -4,7 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vibrocast.textures.sensitivity import Sensitivity, SensitivityError, parse
+from vibrocast.errors import InputError
+from vibrocast.textures.sensitivity import Sensitivity, parse
 
 
 @pytest.mark.parametrize(
@@ -28,7 +29,7 @@ def test_a_sensitivity_is_per_unit(text: str, per_unit: float, unit: str, in_vol
     "text", ["", "10.2", "mV/g", "-1mV/g", "0mV/g", "1e999mV/g", "1mV/parsec", "1kV/g", "1mV/drive", "1mV/(g", "nan/g"]
 )
 def test_anything_else_is_rejected(text: str) -> None:
-    with pytest.raises(SensitivityError):
+    with pytest.raises(InputError):
         parse(text)
 
 
@@ -36,5 +37,5 @@ def test_anything_else_is_rejected(text: str) -> None:
 def test_any_text_is_a_sensitivity_or_rejected(text: str) -> None:
     try:
         assert parse(text).per_unit > 0
-    except SensitivityError:
+    except InputError:
         return

@@ -35,7 +35,7 @@ from vibrocast.host import uploader
 from vibrocast.host.controller import Controller as Host
 from vibrocast.output.actuator import PIEZO_STACK, Codes
 from vibrocast.output.rendering import render
-from vibrocast.simulated_device.faulty_link import MemoryLink
+from vibrocast.simulated_device.memory_link import MemoryLink
 
 START_US, BOARD_DAC_HZ = 300_000, 3000
 

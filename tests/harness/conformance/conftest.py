@@ -12,8 +12,8 @@ from vibrocast.harness.conformance.tapped_link import TappedLink
 from vibrocast.host import devices
 from vibrocast.simulated_device.controller import FLASH_BYTES, Controller, Settings
 from vibrocast.simulated_device.device import Device
-from vibrocast.simulated_device.faulty_link import MemoryLink
 from vibrocast.simulated_device.flash import FlashMemory
+from vibrocast.simulated_device.memory_link import MemoryLink
 
 # A board with little memory.
 SMALL_SIZES = {

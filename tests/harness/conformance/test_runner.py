@@ -40,7 +40,7 @@ from vibrocast.host.cli.command_line import main
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.simulated_device.controller import Controller, Settings
 from vibrocast.simulated_device.device import Device
-from vibrocast.simulated_device.faulty_link import MemoryLink, SimulatedTime
+from vibrocast.simulated_device.memory_link import MemoryLink, SimulatedTime
 
 MODULES = sorted(Path(conformance.__file__).parent.glob("test_*.py"))
 PROTOCOL = page.PAGE.with_name("protocol.md")

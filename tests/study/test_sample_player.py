@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vibrocast.output import sample_player
 from vibrocast.output.actuator import VOICE_COIL, Codes
-from vibrocast.output.sample_player import SamplePlayer
 from vibrocast.output.sound_card import Card
+from vibrocast.study import sample_player
+from vibrocast.study.sample_player import SamplePlayer
 
 ACTUATOR = replace(VOICE_COIL, dac_rate_hz=48_000)
 CARD = Card("imagined", 2, 48_000, True, "none", None)
