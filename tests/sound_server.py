@@ -32,6 +32,7 @@ _PIPEWIRE_PACKAGES = {
     "dbus-run-session": "dbus-daemon",
     "pactl": "pulseaudio-utils",
 }
+_PULSEAUDIO = "pulseaudio -n --daemonize=no --exit-idle-time=-1 --use-pid-file=no --no-cpu-limit"
 _PIPEWIRE = "pipewire & sleep 0.5; wireplumber & pipewire-pulse & wait"
 
 
@@ -48,24 +49,11 @@ class SoundServer:
             pytest.skip(f"no {kind}; install the Debian packages {' '.join(sorted(missing))}")
         self._folder = tempfile.mkdtemp(prefix="vibrocast-sound-")
         socket = Path(self._folder) / ("native" if kind == "PulseAudio" else "pulse/native")
-        self.environment = {
-            "XDG_RUNTIME_DIR": self._folder,
-            "PULSE_SERVER": f"unix:{socket}",
-            "HOME": self._folder,
-        }
+        folders = dict.fromkeys(("XDG_RUNTIME_DIR", "HOME"), self._folder)
+        self.environment = {**folders, "PULSE_SERVER": f"unix:{socket}"}
         command = ["dbus-run-session", "--", "sh", "-c", _PIPEWIRE]
         if kind == "PulseAudio":
-            module = f"module-native-protocol-unix socket={socket} auth-anonymous=1"
-            command = [
-                "pulseaudio",
-                "-n",
-                "--daemonize=no",
-                "--exit-idle-time=-1",
-                "--use-pid-file=no",
-                "--no-cpu-limit",
-                "-L",
-                module,
-            ]
+            command = [*_PULSEAUDIO.split(), "-L", f"module-native-protocol-unix socket={socket} auth-anonymous=1"]
         # A group of processes of its own, which ends as a whole.
         self._process = subprocess.Popen(
             command,

@@ -239,22 +239,6 @@ def run_text(text: str, folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "text",
-    [
-        "```console\n$ echo two \\\n    words\ntwo words\n```",
-        "```console\n$ printf '1\\n2\\n3 x\\n'\n2\n...\n3 ...\n```",
-        "```console\n$ vibrocast decode no.vct a.wav\n"
-        "error: no.vct: No such file or directory; check the name and your permissions\n```",
-        "```console\n$ sh -c 'echo serial:abc; sleep 60' &\nserial:xyz\n$ echo serial:xyz\nserial:xyz\n$ kill %1\n```",
-        "```python\nn = 3\n```\nThen:\n```python\nprint(n)\n```\n```text\n3\n```",
-        '1. A step:\n\n    ```console title="needs hardware"\n    $ false | vibrocast live - --rate-hz 1\n    ```',
-    ],
-)
-def test_accepts(text: str, tmp_path: Path) -> None:
-    run_text(text, tmp_path)
-
-
-@pytest.mark.parametrize(
     ("text", "message"),
     [
         ("```console\n$ false\n```", "exit code 1"),

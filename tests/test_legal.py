@@ -5,8 +5,6 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "reference" / "third_party_licences.md"
 PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -28,33 +26,14 @@ def dependencies() -> set[str]:
     return {normalised(name) for name in names} - {"vibrocast"}
 
 
-def licences_by_package() -> dict[str, str]:
-    """Return what the page states as the licence of each package that has a row of its own."""
-    rows = re.findall(r"^\| `([\w.-]+)` \| ([^|]+) \|", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
-    return {normalised(name): licence.strip() for name, licence in rows}
+def licensed_packages() -> set[str]:
+    """Return the packages that have a row of their own with a licence on the page."""
+    rows = re.findall(r"^\| `([\w.-]+)` \| *[^|\s][^|]*\|", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
+    return set(map(normalised, rows))
 
 
-@pytest.mark.parametrize("package", sorted(dependencies()))
-def test_every_dependency_has_its_licence_on_the_page(package: str) -> None:
-    assert licences_by_package().get(package), f"add a row for {package} to {PAGE.relative_to(ROOT)}"
-
-
-def test_the_page_names_what_is_under_the_gpl() -> None:
-    text = PAGE.read_text(encoding="utf-8")
-    for name in ("x264", "x265", "QEMU", "LGPL-2.1"):
-        assert name in text
-    assert "GPL-2.0" in licences_by_package()["unicorn"]
-
-
-def test_the_licence_is_apache_2_of_the_authors() -> None:
-    text = (ROOT / "LICENSE").read_text(encoding="utf-8")
-    assert "Apache License\n                           Version 2.0, January 2004" in text
-    assert re.search(r"^   Copyright \d{4} the vibrocast authors$", text, re.MULTILINE)
-    assert "[name of copyright owner]" not in text
-    project = PROJECT["project"]
-    assert project["license"] == "Apache-2.0"
-    assert project["license-files"] == ["LICENSE"]
-    assert project["authors"] == [{"name": "the vibrocast authors"}]
+def test_every_dependency_has_its_licence_on_the_page() -> None:
+    assert dependencies() - licensed_packages() == set(), f"add rows to {PAGE.relative_to(ROOT)}"
 
 
 def test_the_citation_agrees_with_the_project() -> None:

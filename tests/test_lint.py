@@ -51,11 +51,6 @@ def test_help_texts_open_with_a_verb_and_are_short() -> None:
     assert found == [f"x play --{option}:0: {problem}" for option, problem in wrong.items()]
 
 
-@pytest.mark.parametrize(("subject", "count"), [(72 * "x", 0), (73 * "x", 1)])
-def test_subjects_are_short(subject: str, count: int) -> None:
-    assert len(list(lint.subject_findings(subject))) == count
-
-
 @pytest.mark.parametrize(
     ("text", "row", "fits"),
     [

@@ -45,7 +45,6 @@ def test_defaults_are_filled_in_and_whole_numbers_are_numbers() -> None:
     [
         ({}, "boards is missing; it must be tables: begin each with [[boards]]"),
         ({"boards": []}, "boards must be tables: begin each with [[boards]], not []"),
-        ({"boards": [3]}, "boards must be tables: begin each with [[boards]], not 3"),
         ({"boards": [BOARD], "one": True}, "there is no key one; did you mean on?"),
         ({"boards": [BOARD], "colour": 1}, "there is no key colour; choose from boards, on"),
         ({"boards": [BOARD], "on": 1}, "on must be true or false, not 1"),
@@ -67,7 +66,6 @@ def test_a_mistake_is_one_line_with_table_and_key(values: object, message: str) 
     [
         ({"rate_hz": 8}, "rate_hz = 8 is out of range: sample rate in Hz, a number from 20 to 1e+06; "
          "are the units mixed up? 8000 would be possible"),
-        ({"rate_hz": -1}, "rate_hz = -1 is out of range: sample rate in Hz, a number from 20 to 1e+06"),
         ({"rate_hz": float("nan")}, "rate_hz must be sample rate in Hz, a number from 20 to 1e+06, not nan"),
         ({"rate_hz": True}, "rate_hz must be sample rate in Hz, a number from 20 to 1e+06, not True"),
         ({"rate_hz": 10**70}, "rate_hz = 1e+70 is out of range: sample rate in Hz, a number from 20 to 1e+06"),
@@ -76,7 +74,6 @@ def test_a_mistake_is_one_line_with_table_and_key(values: object, message: str) 
         ({"gains": [1, 10]}, "gains = 10 is out of range: a whole number from 1 to 9"),
         ({"gains": [1, "a"]}, "gains must be a list, each a whole number from 1 to 9, not 'a'"),
         ({"gains": [2.5]}, "gains must be a list, each a whole number from 1 to 9, not 2.5"),
-        ({"gains": 1}, "gains must be a list, each a whole number from 1 to 9, not 1"),
         ({"mode": "faster"}, "mode must be one of fast, slow, not 'faster'"),
         ({"mode": "fast", "gains": [1, 2]}, "mode = 'fast' takes one gain - at most"),
         ({"hz": 1, "\n": 2}, "there is no key hz; choose from rate_hz, gains, mode"),
@@ -94,6 +91,8 @@ def test_a_wrong_value_is_reported_with_the_right_ones(drive: object, message: s
     [
         (b"a = \xff", "not a TOML file: "),
         (b"a = = 1", "not a TOML file: "),
+        (b"a = " + 5000 * b"1", "not a TOML file: "),
+        (b"a = " + 5000 * b"[", "not a TOML file: "),
         (b"# " + (1 << 20) * b"x", "longer than any"),
     ],
 )

@@ -147,6 +147,7 @@ def test_an_address_without_a_scheduler_is_rejected(address: str, monkeypatch: p
         list(on_cluster(tasks(), address, version))
 
 
+@pytest.mark.slow
 def test_a_scheduler_without_workers_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workers, "PATIENCE_S", 0.2)
     with cluster(workers=0) as running, pytest.raises(WorkersError, match="has no workers"):

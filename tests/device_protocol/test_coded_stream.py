@@ -95,11 +95,6 @@ def test_missing_packet_is_found() -> None:
         pack_file(HEADER, [numbered(payloads)[0], numbered(payloads)[2]])
 
 
-def test_short_files_are_one_packet_without_length_and_number() -> None:
-    payload = bytes(300)
-    assert len(pack_file(HEADER, numbered([payload]))) == len(HEADER.pack()) + len(payload) + 2
-
-
 @pytest.mark.parametrize("gain", [0.0, -1.0, math.inf, math.nan, 1.001, 1e39, 1e-46])
 def test_gain_that_cannot_be_stored_is_rejected(gain: float) -> None:
     with pytest.raises(StreamError, match="gain"):

@@ -13,16 +13,9 @@ from vibrocast.export.package import Contents, make
 from vibrocast.models import ModelError
 
 
-def test_files_are_named_by_the_model() -> None:
-    package = tiny.package()
-    assert package.files == {
-        "tiny.vcmi": package.image,
-        "analysis.onnx": package.graphs.analysis,
-        "synthesis.onnx": package.graphs.synthesis,
-    }
-
-
-@pytest.mark.parametrize("contents", ["core", "onnx", "both"])
+@pytest.mark.parametrize(
+    "contents", [pytest.param("core", marks=pytest.mark.slow), pytest.param("onnx", marks=pytest.mark.slow), "both"]
+)
 def test_an_image_holds_the_requested_parts(contents: Contents) -> None:
     package, both = tiny.package(contents), EvaImage.unpack(tiny.model("both").tables)
     image = EvaImage.unpack(ModelImage.unpack(package.image).payload)
@@ -40,6 +33,7 @@ def test_a_runtime_that_an_image_does_not_have_is_rejected(contents: Contents, m
         )
 
 
+@pytest.mark.slow
 def test_numbered_models_are_a_family() -> None:
     assert tiny.package(name="eva-16-4").family == "eva-16"
     assert tiny.package(name="tiny").family == "tiny"

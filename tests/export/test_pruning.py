@@ -53,13 +53,6 @@ def test_the_dead_zone_of_a_training_is_in_the_graph() -> None:
     assert np.any(np.abs(before) > 2) and np.max(np.abs(after - before)) < 0.16
 
 
-def test_the_graphs_of_a_pruned_model_have_its_living_latents() -> None:
-    model = model_with_dead([0, 4])
-    smaller, _ = pruned(model, FactorisedPrior(6), living_latents(model, 0.0, SIGNALS), 0.0)
-    graph = Transform(graphs_of(smaller, [64]).analysis, SIGNAL, LATENTS)
-    assert graph.result_channels == 4
-
-
 def test_recordings_that_pruning_changes_are_counted() -> None:
     model = random_model(EvaShape(8, 6))
     recording = Recording(0.1 * SIGNALS[0][:, None], 2800.0, "full scale", "a")

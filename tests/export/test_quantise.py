@@ -100,11 +100,6 @@ def test_probabilities_are_those_of_the_prior() -> None:
                 assert 0 <= negative <= stays
 
 
-def test_the_same_model_and_signals_give_the_same_image() -> None:
-    model, prior = random_model(EvaShape(4, 8)), FactorisedPrior(8)
-    assert quantise(model, prior, SIGNALS).pack() == quantise(model, prior, SIGNALS).pack()
-
-
 @pytest.mark.parametrize("signals", [[], [np.zeros(5000)], [np.zeros(0)]])
 def test_calibration_without_a_signal_is_rejected(signals: list[Signal]) -> None:
     with pytest.raises(ModelError, match="no signal"):

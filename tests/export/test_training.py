@@ -245,7 +245,7 @@ def test_a_manifest_is_a_source_of_its_materials(tmp_path: Path) -> None:
     assert {len(trace.samples) for trace in traces} == {1400}
 
 
-def test_files_left_out_of_a_data_set_are_reported_and_a_wrong_manifest_rejected(tmp_path: Path) -> None:
+def test_files_left_out_of_a_data_set_are_reported(tmp_path: Path) -> None:
     (tmp_path / "own").mkdir()
     textures.save(tmp_path / "own" / "a.wav", textures.GENERATORS["rough"](seed=1, seconds=0.5))
     (tmp_path / "own" / "notes.md").touch()
@@ -253,48 +253,27 @@ def test_files_left_out_of_a_data_set_are_reported_and_a_wrong_manifest_rejected
     (tmp_path / "own.toml").write_text(text + '[[folder]]\nfolder = "own"\n')
     result = run(tmp_path / "own.toml", "--out", tmp_path / "out")
     assert "own: skipped 1 file: notes.md (of another kind)" in result.stderr
-    (tmp_path / "own.csv").write_text("file,unit\nown/a.wav,furlong\n")
-    (tmp_path / "own.toml").write_text(text + '[[folder]]\nfolder = "own.csv"\n')
-    result = run(tmp_path / "own.toml", "--out", tmp_path / "out")
-    assert result.exit_code == 2 and "row 2, unit: unknown unit 'furlong'" in result.stderr
 
 
 @pytest.mark.parametrize(
-    ("change", "reason"),
+    ("old", "new", "reason"),
     [
-        ('name = "tiny"', "name is missing"),
-        ("steps = 40", r"\[training\]: there is no key step; did you mean steps\?"),
-        ("width = 16", r"\[model\]: width = 4 is out of range: a whole number from 16 to 128"),
-        ("lambda = 30", r"\[model\]: lambda must be a number from 0.001 to 1e\+06, not 'many'"),
-        ('kinds = ["rough", "taps", "wood"]', "kinds must be one of grating, .*, not 'glass'"),
-        ("lambda = 30\n", r"\[model\]: lambda is missing"),
-        ("[generator]", r"\[held_back\]: share must be a number from 0.01 to 0.9, not nan"),
-        ("[training]", "not a TOML file"),
-        ("batch = 4", "not a TOML file"),
-        ("validation_excerpts = 8", "not a TOML file"),
-        ("excerpt_samples = 256", "multiple of 16"),
-        (TINY.partition("[generator]")[2], "nothing to train on"),
+        ('name = "tiny"', "", "name is missing"),
+        ("steps = 40", "step = 40", r"\[training\]: there is no key step; did you mean steps\?"),
+        ("width = 16", "width = 4", r"\[model\]: width = 4 is out of range: a whole number from 16 to 128"),
+        ("lambda = 30", 'lambda = "many"', r"\[model\]: lambda must be a number from 0.001 to 1e\+06, not 'many'"),
+        ('"rough", "taps", "wood"', '"glass"', "kinds must be one of grating, .*, not 'glass'"),
+        ("lambda = 30\n", "", r"\[model\]: lambda is missing"),
+        ("[generator]", "[held_back]\nshare = nan\n[generator]", "share must be a number from 0.01 to 0.9, not nan"),
+        ("excerpt_samples = 256", "excerpt_samples = 257", "multiple of 16"),
+        (TINY[TINY.index("[generator]") :], "", "nothing to train on"),
     ],
 )
 def test_configurations_that_cannot_be_used_are_rejected_with_the_reason(
-    change: str, reason: str, tmp_path: Path
+    old: str, new: str, reason: str, tmp_path: Path
 ) -> None:
-    replacements = {
-        'name = "tiny"': "",
-        "steps = 40": "step = 40",
-        "width = 16": "width = 4",
-        "lambda = 30": 'lambda = "many"',
-        "lambda = 30\n": "",
-        'kinds = ["rough", "taps", "wood"]': 'kinds = ["glass"]',
-        "[generator]": "[held_back]\nshare = nan\n[generator]",
-        "[training]": "[training",
-        "batch = 4": f"batch = {5000 * '1'}",
-        "validation_excerpts = 8": f"x = {5000 * '['}",
-        "excerpt_samples = 256": "excerpt_samples = 257",
-    }
-    text = TINY.replace(change, replacements[change]) if change in replacements else TINY.partition("[generator]")[0]
     with pytest.raises(InputError, match=reason):
-        configured(tmp_path, text)
+        configured(tmp_path, TINY.replace(old, new))
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 import re
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -91,9 +90,6 @@ def test_errors_say_what_to_do(program: Path, tmp_path: Path) -> None:
     assert "give that image" in decoded(program, eva, tmp_path, other)[1]
 
 
-Reader = Callable[[Any, Any, int], int]
-
-
 def opened(data: bytes, memory_bytes: int = 1 << 18, packet_bytes: int = 65535, piece: int = 1 << 20) -> Any:
     """Return a vc_stream over bytes, its status of opening, and what keeps its memory."""
     left = bytearray(data)
@@ -134,7 +130,7 @@ def test_packets_of_a_link_are_decoded_and_missing_ones_concealed() -> None:
     source = coded("mdct")
     stream, _, kept = opened(bytes(source))
     samples = ffi.new("int16_t[]", stream.packet_samples * stream.channels)
-    known = codec.decoder(header_of(source)[0], header_of(source)[1], 2)
+    known = codec.decoder(source.header.codec_identifier, source.header.configuration, 2)
     for number, packet in enumerate(source.packets):
         given = None if number == 2 else packet
         status = native.vc_stream_feed(stream, given or ffi.NULL, len(given or b""))
@@ -146,10 +142,6 @@ def test_packets_of_a_link_are_decoded_and_missing_ones_concealed() -> None:
         np.testing.assert_array_equal(np.frombuffer(ffi.buffer(samples), "<i2").reshape(-1, 2), want)
     assert native.vc_stream_feed(stream, b"\x80", 1) == native.VC_BAD_PACKET
     assert kept
-
-
-def header_of(stream: Stream) -> tuple[int, bytes]:
-    return stream.header.codec_identifier, stream.header.configuration
 
 
 def test_every_status_has_a_sentence() -> None:

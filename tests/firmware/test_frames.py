@@ -77,15 +77,6 @@ def test_reads_any_bytes_as_the_reader_in_python(pieces: list[bytes], cuts: list
         assert reader.bad_frames == expected.bad_frames
 
 
-@pytest.mark.parametrize("size", [1, 2, 3, 5, 8])
-def test_no_wrong_bit_of_a_short_frame_goes_unseen(size: int) -> None:
-    frame = write_frame(bytes(range(1, size + 1)))
-    for at, bit in itertools.product(range(len(frame) - 1), range(8)):
-        reader = CFrameReader()
-        assert reader.feed(with_byte(frame, at, frame[at] ^ 1 << bit)) == []
-        assert reader.bad_frames > 0
-
-
 @pytest.mark.parametrize("length", [*range(MAX_PAYLOAD_BYTES + 15, MAX_PAYLOAD_BYTES + 25)])
 @pytest.mark.parametrize("code", [1, 2])
 def test_longest_frames_and_too_long_ones_differ_as_in_python(length: int, code: int) -> None:

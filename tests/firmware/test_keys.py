@@ -121,7 +121,3 @@ def test_signatures_are_those_of_rfc_8032() -> None:
     assert (keys.public_key(private), keys.sign(private, message)) == (public, signature)
     assert keys.is_signed(signature, public, message)
     assert not keys.is_signed(signature, public, message + b"x")
-
-
-def test_no_new_key_is_like_another() -> None:
-    assert len({keys.new_private_key() for _ in range(100)}) == 100

@@ -67,12 +67,6 @@ def test_a_port_that_calls_another_unknown_function_gets_the_linkers_words(
         rebuilt(lambda source: without_marks(source).replace("board_start();", "clock_start();"))
 
 
-@pytest.mark.slow
-def test_a_port_with_all_functions_is_linked(rebuilt: Rebuilt) -> None:
-    image = Elf(rebuilt(without_marks))
-    assert {"main", "vc_port_read", "vc_loop_turn"} <= set(image.functions.values())
-
-
 @pytest.fixture
 def small_board(rebuilt: Rebuilt, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Path]:
     """Return a function that builds a target of the page for a board with 128 KiB of flash and 64 KiB of RAM."""

@@ -231,15 +231,6 @@ def test_the_shipped_figures_are_what_is_counted(programs: Programs) -> None:
         assert 100 * max(counts) * firmware.RATE_HZ / M4F.clock_hz < percent
 
 
-def test_what_a_decoder_rejects_is_an_error(programs: Programs) -> None:
-    damaged = CodedSignal("mdct", 2800, 32, (1.0,), b"", (b"\x01",))
-    with pytest.raises(ValueError, match="does not take the configuration"):
-        emulated_core.decode(programs["M4F", 0], M4F, damaged)
-    headless = CodedSignal("mdct", 2800, 32, (1.0,), golden("mdct").configuration[:1] + b"\0\0", (b"",))
-    with pytest.raises(ValueError, match="does not take a packet"):
-        emulated_core.decode(programs["M4F", 0], M4F, headless)
-
-
 def test_loads_and_sizes_are_measured_of_any_decoder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(firmware, "CORES", {"M4F": M4F})
     loads = list(firmware.measure_loads(tmp_path, ["mdct"], ["wood"], 0.1))

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from scipy import signal
 
 from studies import papers, pvc_slp, texture_paper
 from studies.texture_paper import Result
@@ -17,7 +16,6 @@ from vibrocast.evaluation.comparison import Measurements
 from vibrocast.evaluation.cost import CodecCost
 from vibrocast.evaluation.points import Point
 from vibrocast.evaluation.speed import Speed
-from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.textures.generate import wood
 
 SNRS_DB = (0.0, 4.0, 8.0, 12.0, 16.0, 20.0, 24.0)
@@ -77,17 +75,6 @@ def test_a_verdict_that_hangs_on_the_reading_of_the_anchor_is_not_decidable(
     assert {(row.won, row.traces, row.best) for row in rows if row.codec == "eva-16"} == {(2, 2, "a")}
 
 
-def test_savings_at_low_rates_are_those_of_the_lowest_band() -> None:
-    """A codec that saves bits at low rates alone, and one that saves as many at all."""
-    rows = []
-    for name, percents in (("slp", (-20.0, -10.0)), ("slp-bin", (-10.0, -10.0)), ("slp-plain", (5.0, 10.0))):
-        for band, percent in zip((pvc_slp.BANDS[0], pvc_slp.BANDS[-1]), percents, strict=True):
-            rows.append(
-                pvc_slp.Sensitivity(name, "eva", "snr_db", band.low, band.high, percent, percent, percent, "", 1, 2)
-            )
-    assert papers._at_low_rates(rows) == [True, False, False]
-
-
 def test_another_codec_never_stands_in_for_a_family_that_is_missing() -> None:
     assert papers.families(measured(0.9)) == ["eva-64", "eva-16"]
     measurements = measured(0.9)
@@ -97,11 +84,6 @@ def test_another_codec_never_stands_in_for_a_family_that_is_missing() -> None:
     claims = list(papers.eva_claims(without))
     assert [claim.reproduced for claim in claims[:-1]] == [papers.NOT_YET] * 8
     assert all(claim.here == "" for claim in claims[:3])
-
-
-def test_times_are_not_called_reproduced() -> None:
-    (time,) = (claim for claim in papers.eva_claims(measured(0.9)) if "encode" in claim.claim)
-    assert time.here == "slp 2 s (core); eva-64 2 s (core), 1 times" and time.reproduced == papers.NOT_COMPARABLE
 
 
 def test_ratios_and_zeros_are_held_against_the_paper_where_its_listeners_noticed_nothing() -> None:
@@ -125,17 +107,6 @@ def test_the_model_of_the_display_is_the_papers() -> None:
     corner_db, falls, deviation_db = papers.display()
     assert corner_db == pytest.approx(-3.01, abs=0.02) and falls
     assert deviation_db < 0.06
-
-
-@pytest.mark.parametrize("frequency_hz", [100, 200, 270, 400])
-def test_the_displacement_follows_between_the_samples_of_the_dac_too(frequency_hz: int) -> None:
-    """The hold included: 16 instants for each sample of the DAC, without freqz."""
-    sine = 0.2 * np.sin(2 * np.pi * frequency_hz * np.arange(2 * 3000) / 3000)
-    codes = np.rint(PIEZO_STACK.full_scale * signal.lfilter(*PIEZO_STACK.inverse(), sine)).astype(np.int16)
-    moved_um = PIEZO_STACK.displacement_um(codes[:, None], 16)[-16 * 3000 :, 0]
-    turn = np.exp(-2j * np.pi * frequency_hz * np.arange(16 * 3000) / (16 * 3000))
-    gain = 2 * np.abs(np.mean(moved_um * turn)) / (0.2 * PIEZO_STACK.excursion_um)
-    assert abs(20 * np.log10(gain)) < 0.06
 
 
 def test_positions_in_steps_of_the_papers_sensor_change_the_heights_hardly() -> None:

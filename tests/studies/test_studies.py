@@ -221,21 +221,3 @@ def test_the_screenshots_are_taken_again(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.output
     assert {path.stem for path in tmp_path.iterdir()} == set(study_screenshots.SCREENSHOTS)
     assert all(path.read_bytes().startswith(b"\x89PNG\r\n\x1a\n") for path in tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    ("arguments", "exit_code", "problem"),
-    [
-        (("--out", "OUT", "--profiles", "BAD"), 1, "bad.csv"),
-        (("--out", "BAD/bad.csv/out"), 1, "Not a directory"),
-    ],
-)
-def test_errors_are_one_line(arguments: Sequence[str], exit_code: int, problem: str, tmp_path: Path) -> None:
-    from studies import texture_paper
-
-    (tmp_path / "BAD").mkdir()
-    (tmp_path / "BAD" / "bad.csv").write_text("nothing\n")
-    paths = [str(tmp_path / each) if each.isupper() or "/" in each else each for each in arguments]
-    done = CliRunner().invoke(texture_paper.main, paths)
-    assert (done.exit_code, problem in done.output) == (exit_code, True)
-    assert isinstance(done.exception, SystemExit)

@@ -41,9 +41,8 @@ def test_a_constant_is_silence_and_not_the_rounding_of_it() -> None:
     assert not np.any(passed)
 
 
-@pytest.mark.parametrize("unit", ["um"])
-def test_a_position_is_kept(unit: str) -> None:
-    recording = acceleration(np.ones((9, 1)), unit)
+def test_a_position_is_kept() -> None:
+    recording = acceleration(np.ones((9, 1)), "um")
     assert highpass(recording).recording is recording
     assert highpass(recording).highpass_hz is None
 

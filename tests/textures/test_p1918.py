@@ -11,7 +11,6 @@ from hypothesis.extra.numpy import arrays
 from vibrocast.textures import TextureError, load
 from vibrocast.textures.axes import dft321
 
-SHARED = Path(__file__).parents[2] / ".." / "shared"
 NAME = "Direct_-_1spike_Probe_-_cork_-_slow"
 AXES = np.random.default_rng(0).normal(size=(300, 3))
 
@@ -119,13 +118,3 @@ def test_reduction_of_one_moving_axis_is_that_axis() -> None:
     still = np.zeros((300, 3))
     still[:, 1] = AXES[:, 0]
     np.testing.assert_allclose(dft321(still)[:, 0], AXES[:, 0], atol=1e-12)
-
-
-@pytest.mark.skipif(not SHARED.is_dir(), reason="the development recordings are not here")
-def test_the_reference_recording_loads() -> None:
-    (path,) = (SHARED / "data" / "p1918_reference").iterdir()
-    recording = load(path, unit="g")
-    assert recording.rate_hz == 2800
-    assert recording.samples[0, 0] == pytest.approx(5.7914079e-02 * 9.80665)
-    with pytest.raises(TextureError, match="no file for axis Y, Z"):
-        load(path.parent, unit="g")

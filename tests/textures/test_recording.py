@@ -26,11 +26,8 @@ def test_each_channel_has_its_axis() -> None:
     ("samples", "rate_hz", "unit", "message"),
     [
         (np.zeros((0, 1)), 2800.0, "um", "no samples"),
-        (np.zeros((5, 0)), 2800.0, "um", "no samples"),
         (np.zeros(5), 2800.0, "um", "float64"),
-        (np.zeros((5, 1), np.float32), 2800.0, "um", "float64"),
         (np.zeros((5, 17)), 2800.0, "um", "17 channels"),
-        (np.zeros((5, 1)), 0.0, "um", "sample rate"),
         (np.zeros((5, 1)), float("nan"), "um", "sample rate"),
         (np.zeros((5, 1)), 0.009, "um", "sample rate 0.009 Hz; it must be 0.01 to 1e[+]07 Hz"),
         (np.zeros((5, 1)), 2.0**31, "um", "sample rate 2.14748e[+]09 Hz"),

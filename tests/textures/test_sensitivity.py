@@ -13,9 +13,7 @@ from vibrocast.textures.sensitivity import Sensitivity, parse
     [
         ("10.2mV/g", 10.2e-3 / 9.80665, "m/s^2", True),
         ("1mV/(m/s^2)", 1e-3, "m/s^2", True),
-        ("1 mV / m/s2", 1e-3, "m/s^2", True),
         ("0.3mV/um", 0.3e-3, "um", True),
-        ("5V/mm", 5e-3, "um", True),
         (".5uV/nm", 0.5e-3, "um", True),
         ("256/g", 256 / 9.80665, "m/s^2", False),
         ("1/(m/s^2)", 1.0, "m/s^2", False),
