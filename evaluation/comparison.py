@@ -125,6 +125,12 @@ class Measurements:
         return sorted(self.drawn["trace"].unique())
 
     @cached_property
+    def rate_hz(self) -> float | None:
+        """The sample rate of all recordings; None where they differ, or none is known."""
+        rates_hz = self.drawn["rate_hz"].drop_nulls().unique().to_list()
+        return rates_hz[0] if len(rates_hz) == 1 else None
+
+    @cached_property
     def compared(self) -> list[str]:
         """The recordings that count in means and BD-rates: those with a block that is long and loud enough for ST-SIM.
 
@@ -547,8 +553,7 @@ def at_needed_snr(measurements: Measurements) -> pl.DataFrame:
     percents = {codec: (percent, count) for codec, percent, count in compared.rows()}
     delays = measurements.drawn.group_by("codec").agg(pl.min("delay_ms").alias("low"), pl.max("delay_ms").alias("high"))
     measured_ms = {codec: (low, high) for codec, low, high in delays.rows()}
-    rates_hz = measurements.drawn["rate_hz"].drop_nulls().unique().to_list()
-    rate_hz = rates_hz[0] if len(rates_hz) == 1 else None
+    rate_hz = measurements.rate_hz
     found = []
     for codec, bits in reached.items():
         peer, owner, delay_ms = named(codec), measured_codecs().get(measurements.owner(codec)), measured_ms[codec]

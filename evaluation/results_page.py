@@ -217,8 +217,7 @@ def _written(path: Path, make: Callable[[Measurements], pl.DataFrame], measureme
 
 def _charts(folder: Path, measurements: Measurements, means: Sequence[Any], reached: Sequence[Any]) -> dict[str, Any]:
     anchor = measurements.anchor
-    rates_hz = measurements.drawn["rate_hz"].drop_nulls().unique().to_list()
-    rate_hz = rates_hz[0] if len(rates_hz) == 1 else None
+    rate_hz = measurements.rate_hz
     curves = {scale: comparison.mean_curves(measurements, scale) for scale in (*RATE_SCALES, ST_SIM_8000)}
     write_table(folder / f"quality_against_rate_{ST_SIM_8000.field}.csv", curves[ST_SIM_8000])
     every, pair = tuple(measurements.curves), tuple(measurements.paper_pair)

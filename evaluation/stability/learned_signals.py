@@ -14,7 +14,7 @@ from vibrocast.codec.stream import Stream
 from vibrocast.evaluation.bd_rate import fewest_bits
 from vibrocast.evaluation.stability import maps, signals
 from vibrocast.evaluation.stability.maps import Group, Map, Place, RatePoint, Rule, Scope, figure, rate_points
-from vibrocast.evaluation.stability.signals import FAILED_SNR_DB, FAR_LOUDER_DB, RATE_HZ, encoded, texture
+from vibrocast.evaluation.stability.signals import FAILED_SNR_DB, FAR_LOUDER_DB, RATE_HZ, SECONDS, encoded, texture
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict, graded
 from vibrocast.evaluation.trained import runtimes
 from vibrocast.textures.generate import grating, ridges, rough, stick_slip, taps, wood
@@ -26,21 +26,11 @@ HELD_RATIO, FAILED_RATIO = 1.25, 2.0
 QUIETER_DB = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0)
 OFF_LEVEL_DB = (-60.0, -48.0, -36.0, -24.0, -12.0, -6.0, 0.0, 6.0, 12.0, 24.0, 36.0)
 LOST_DB = 3.0
-_SECONDS = 2.0
-_SAMPLES = round(_SECONDS * RATE_HZ)
 _CLICKS = 12
 
 
-def _time_s() -> Signal:
-    return np.arange(_SAMPLES).reshape(-1, 1) / RATE_HZ
-
-
-def _sine(frequency_hz: float) -> Signal:
-    return np.asarray(np.sin(2 * np.pi * frequency_hz * _time_s()))
-
-
 def _noise() -> Signal:
-    return np.random.default_rng(0).normal(size=(_SAMPLES, 1))
+    return np.random.default_rng(0).normal(size=signals.time_s().shape)
 
 
 def _below(limit_hz: float) -> Signal:
@@ -56,19 +46,19 @@ def _clicks(samples: Signal) -> Signal:
 
 
 SIGNALS: dict[str, Callable[[], Signal]] = {
-    "wood": lambda: wood(3, _SECONDS).samples,
-    "wood at half the speed": lambda: wood(3, _SECONDS, 25.0).samples,
-    "wood at twice the speed": lambda: wood(3, _SECONDS, 100.0).samples,
-    "wood, inverted": lambda: -wood(3, _SECONDS).samples,
-    "wood with clicks": lambda: _clicks(wood(3, _SECONDS).samples),
-    "sandpaper": lambda: rough(3, _SECONDS).samples,
-    "leather": lambda: stick_slip(3, _SECONDS).samples,
-    "ridges": lambda: ridges(3, _SECONDS).samples,
-    "grating": lambda: grating(3, _SECONDS).samples,
-    "taps": lambda: taps(3, _SECONDS).samples,
-    "sine of 60 Hz": partial(_sine, 60.0),
-    "sine of 250 Hz": partial(_sine, 250.0),
-    "sine of 1000 Hz": partial(_sine, 1000.0),
+    "wood": lambda: wood(3, SECONDS).samples,
+    "wood at half the speed": lambda: wood(3, SECONDS, 25.0).samples,
+    "wood at twice the speed": lambda: wood(3, SECONDS, 100.0).samples,
+    "wood, inverted": lambda: -wood(3, SECONDS).samples,
+    "wood with clicks": lambda: _clicks(wood(3, SECONDS).samples),
+    "sandpaper": lambda: rough(3, SECONDS).samples,
+    "leather": lambda: stick_slip(3, SECONDS).samples,
+    "ridges": lambda: ridges(3, SECONDS).samples,
+    "grating": lambda: grating(3, SECONDS).samples,
+    "taps": lambda: taps(3, SECONDS).samples,
+    "sine of 60 Hz": partial(signals.sine, 60.0),
+    "sine of 250 Hz": partial(signals.sine, 250.0),
+    "sine of 1000 Hz": partial(signals.sine, 1000.0),
     "white noise": _noise,
     "noise below 100 Hz": partial(_below, 100.0),
     "noise below 400 Hz": partial(_below, 400.0),
@@ -114,7 +104,7 @@ def measure_kind(rate_point_set: Sequence[RatePoint], name: str) -> Measured:
 
 def measure_quiet(rate_point: RatePoint, quieter_db: float) -> Measured:
     """Code a texture whose second half is quieter, and grade that half as a signal. Raises CodecError."""
-    samples = texture(seconds=2 * _SECONDS)
+    samples = texture(seconds=2 * SECONDS)
     second = slice(len(samples) // 2, len(samples))
     samples[second] *= 10 ** (-quieter_db / 20)
     heard, stream = signals.decoded(samples, RATE_HZ, rate_point)

@@ -47,6 +47,7 @@ DRIFT_RMS = 8.0
 """Of a drift: how far it goes to either side, relative to the texture's RMS value."""
 SWING_HZ = 0.3
 
+RATES_HZ = (1000, 1560, 4000, 5600, 8000, 10_000)
 HOUR_S = 3600
 MAX_S = 60.0
 """Of a recording: what is coded."""
@@ -75,12 +76,18 @@ def texture(rate_hz: int = RATE_HZ, seconds: float = SECONDS, channels: int = 1)
     return np.asarray(PEAK * samples / np.abs(samples).max(axis=0))
 
 
-def _time_s() -> Signal:
+def time_s() -> Signal:
+    """Return the times of a signal's samples (n, 1), in seconds."""
     return np.arange(round(SECONDS * RATE_HZ)).reshape(-1, 1) / RATE_HZ
 
 
+def sine(frequency_hz: float) -> Signal:
+    """Return a full-scale sine (n, 1)."""
+    return np.asarray(np.sin(2 * np.pi * frequency_hz * time_s()))
+
+
 def _impulse() -> Signal:
-    samples = np.zeros_like(_time_s())
+    samples = np.zeros_like(time_s())
     samples[len(samples) // 2] = -1.0
     return samples
 
@@ -94,12 +101,8 @@ def _click_above() -> Signal:
 
 def _sweep() -> Signal:
     """A sine from 10 Hz to half the sample rate."""
-    phase = 2 * np.pi * np.cumsum(np.linspace(10, RATE_HZ / 2, len(_time_s()))) / RATE_HZ
+    phase = 2 * np.pi * np.cumsum(np.linspace(10, RATE_HZ / 2, len(time_s()))) / RATE_HZ
     return PEAK * np.sin(phase).reshape(-1, 1)
-
-
-def _noise() -> Signal:
-    return np.random.default_rng(0).uniform(-1, 1, _time_s().shape)
 
 
 def _of_bits(bits: int) -> Signal:
@@ -113,19 +116,10 @@ def _with(value: float) -> Signal:
     return samples
 
 
-def _with_gravity() -> Signal:
-    """A texture of an accelerometer that lies flat."""
-    return texture() + GRAVITY_M_S2
-
-
-def _on_a_ramp() -> Signal:
+def _drifting(course: Signal) -> Signal:
+    """The texture on a course (n, 1) from -1 to 1, which goes DRIFT_RMS to either side."""
     samples = texture()
-    return samples + DRIFT_RMS * np.std(samples) * np.linspace(-1, 1, len(samples))[:, None]
-
-
-def _on_a_swing() -> Signal:
-    samples = texture()
-    return np.asarray(samples + DRIFT_RMS * np.std(samples) * np.sin(2 * np.pi * SWING_HZ * _time_s()))
+    return samples + DRIFT_RMS * np.std(samples) * course
 
 
 def tactile_part(samples: Signal, rate_hz: int = RATE_HZ) -> Signal:
@@ -137,22 +131,22 @@ def _high_passed(make: Callable[[], Signal]) -> Signal:
     return tactile_part(make())
 
 
-DRIFTING = {
-    "texture with gravity": _with_gravity,
-    "texture on a ramp": _on_a_ramp,
-    "texture on a slow swing": _on_a_swing,
+DRIFTING: dict[str, Callable[[], Signal]] = {
+    "texture with gravity": lambda: texture() + GRAVITY_M_S2,  # of an accelerometer that lies flat
+    "texture on a ramp": lambda: _drifting(np.linspace(-1, 1, len(time_s()))[:, None]),
+    "texture on a slow swing": lambda: _drifting(sine(SWING_HZ)),
 }
 CONDITIONS: dict[str, Condition] = {
     "texture": Condition(texture),
-    "silence": Condition(lambda: 0 * _time_s()),
-    "constant 0.5": Condition(lambda: 0 * _time_s() + 0.5),
+    "silence": Condition(lambda: 0 * time_s()),
+    "constant 0.5": Condition(lambda: 0 * time_s() + 0.5),
     "one impulse": Condition(_impulse),
-    "full-scale square of 50 Hz": Condition(lambda: np.where(_time_s() * 50 % 1 < 0.5, 1.0, -1.0)),
-    "full-scale square of 1400 Hz": Condition(lambda: np.where(np.arange(len(_time_s())) % 2 == 0, 1.0, -1.0)[:, None]),
-    "full-scale sine of 5 Hz": Condition(lambda: np.sin(2 * np.pi * 5 * _time_s())),
-    "full-scale sine of 250 Hz": Condition(lambda: np.sin(2 * np.pi * 250 * _time_s())),
+    "full-scale square of 50 Hz": Condition(lambda: np.where(time_s() * 50 % 1 < 0.5, 1.0, -1.0)),
+    "full-scale square of 1400 Hz": Condition(lambda: np.where(np.arange(len(time_s())) % 2 == 0, 1.0, -1.0)[:, None]),
+    "full-scale sine of 5 Hz": Condition(partial(sine, 5.0)),
+    "full-scale sine of 250 Hz": Condition(partial(sine, 250.0)),
     "sweep from 10 to 1400 Hz": Condition(_sweep),
-    "full-scale white noise": Condition(_noise),
+    "full-scale white noise": Condition(lambda: np.random.default_rng(0).uniform(-1, 1, time_s().shape)),
     "texture clipped at a third": Condition(lambda: np.clip(texture(), -PEAK / 3, PEAK / 3)),
     "texture at +60 dB": Condition(lambda: 1000 * texture()),
     "texture at -60 dB": Condition(lambda: 0.001 * texture()),
@@ -165,8 +159,7 @@ CONDITIONS: dict[str, Condition] = {
     "texture of 8 bits": Condition(partial(_of_bits, 8)),
     "texture of 4 bits": Condition(partial(_of_bits, 4)),
     "texture on 16 channels": Condition(partial(texture, channels=16)),
-    **{f"texture at {rate_hz} Hz": Condition(partial(texture, rate_hz), rate_hz) for rate_hz in (1000, 1560, 4000)},
-    **{f"texture at {rate_hz} Hz": Condition(partial(texture, rate_hz), rate_hz) for rate_hz in (5600, 8000, 10_000)},
+    **{f"texture at {rate_hz} Hz": Condition(partial(texture, rate_hz), rate_hz) for rate_hz in RATES_HZ},
     "1 sample": Condition(lambda: texture()[100:101]),
     "2 samples": Condition(lambda: texture()[100:102]),
     "31 samples": Condition(lambda: texture()[100:131]),

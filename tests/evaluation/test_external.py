@@ -129,24 +129,18 @@ def test_a_missing_end_counts_as_silence_and_a_wrong_length_is_rejected() -> Non
     assert "400 samples instead of 1000" in message
 
 
-def test_a_missing_program_is_named_with_what_to_do() -> None:
-    message = failure(replace(COPIER, decoder=(("no-such-program", "{input}"),)))
-    assert message == "copier: no-such-program not found; install it or correct its path in mine.toml"
-
-
-def test_a_file_that_is_no_program(tmp_path: Path) -> None:
-    path = tmp_path / "broken"
-    path.write_bytes(b"\0\1\2")
-    path.chmod(0o755)
-    assert "cannot be started" in failure(replace(COPIER, encoder=((str(path),),)))
-
-
-def test_a_failing_program_is_quoted() -> None:
-    script = "import sys; sys.exit('first line\\nno such quality\\n')"
-    message = failure(replace(COPIER, encoder=python(script)))
-    assert message.endswith("ended with code 1: no such quality")
-    killed = failure(replace(COPIER, encoder=python("import os; os.kill(os.getpid(), 9)")))
-    assert killed.endswith("was killed by signal 9")
+def test_a_program_that_cannot_be_run_or_fails_is_named_and_quoted(tmp_path: Path) -> None:
+    broken = tmp_path / "broken"
+    broken.write_bytes(b"\0\1\2")
+    broken.chmod(0o755)
+    missing = failure(replace(COPIER, decoder=(("no-such-program", "{input}"),)))
+    assert missing == "copier: no-such-program not found; install it or correct its path in mine.toml"
+    for encoder, message in (
+        (((str(broken),),), "cannot be started"),
+        (python("import sys; sys.exit('first line\\nno such quality\\n')"), "ended with code 1: no such quality"),
+        (python("import os; os.kill(os.getpid(), 9)"), "was killed by signal 9"),
+    ):
+        assert message in failure(replace(COPIER, encoder=encoder))
 
 
 def test_a_hanging_program_is_stopped_with_its_children(tmp_path: Path) -> None:

@@ -318,34 +318,24 @@ def test_files_that_cannot_be_drawn_are_named(copied: Path, spoil: Callable[[Pat
     assert message in result.output and "Traceback" not in result.output
 
 
+WHATEVER = {
+    "one codec and trace": curve("mdct"),
+    "one point": curve("mdct", snrs_db=[12.0]),
+    "a curve and a point": curve("other") + curve("mdct", snrs_db=[12.0]),
+    "silence": [replace(point, snr_db=None, psnr_db=None, st_sim_2800=None, spqi=None) for point in curve("mdct")],
+    "lossless": [
+        replace(point, snr_db=math.inf, psnr_db=math.inf, st_sim_2800=1.0, spqi=1.0) for point in curve("flac")
+    ],
+    "lossless at the end": [*curve("mdct"), replace(curve("mdct", snrs_db=[30.0])[0], snr_db=math.inf)],
+    "worthless": [replace(point, snr_db=-math.inf, st_sim_2800=-0.1, spqi=0.0) for point in curve("mdct")],
+    "one quality": [replace(point, snr_db=3.0, psnr_db=20.0, st_sim_2800=1.2, spqi=0.5) for point in curve("mdct")],
+    "odd names": curve("mdct", "only this | `trace` <b> $x_1$ \\") + curve("a | `codec` $x", "b"),
+    "imported only": curve("peer", source="imported"),
+}
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "points",
-    [
-        curve("mdct"),
-        curve("mdct", snrs_db=[12.0]),
-        curve("other") + curve("mdct", snrs_db=[12.0]),
-        [replace(point, snr_db=None, psnr_db=None, st_sim_2800=None, spqi=None) for point in curve("mdct")],
-        [replace(point, snr_db=math.inf, psnr_db=math.inf, st_sim_2800=1.0, spqi=1.0) for point in curve("flac")],
-        [*curve("mdct"), replace(curve("mdct", snrs_db=[30.0])[0], snr_db=math.inf)],
-        [replace(point, snr_db=-math.inf, st_sim_2800=-0.1, spqi=0.0) for point in curve("mdct")],
-        [replace(point, snr_db=3.0, psnr_db=20.0, st_sim_2800=1.2, spqi=0.5) for point in curve("mdct")],
-        curve("mdct", "only this | `trace` <b> $x_1$ \\") + curve("a | `codec` $x", "b"),
-        curve("peer", source="imported"),
-    ],
-    ids=[
-        "one codec and trace",
-        "one point",
-        "a curve and a point",
-        "silence",
-        "lossless",
-        "lossless at the end",
-        "worthless",
-        "one quality",
-        "odd names",
-        "imported only",
-    ],
-)
+@pytest.mark.parametrize("points", WHATEVER.values(), ids=WHATEVER)
 def test_a_page_of_whatever_there_is(tmp_path: Path, points: list[Point]) -> None:
     page = write(tmp_path, of(*points, timings=timed(points, 0.0, 1.0)))
     assert page.startswith("# Results\n") and page.endswith("\n")
@@ -402,6 +392,7 @@ def learned() -> Measurements:
     return Measurements(points, MEASURED.timings, costs, [], speeds, kinds)
 
 
+@pytest.mark.slow
 def test_trained_models_are_compared_by_kind(tmp_path: Path) -> None:
     write_results(tmp_path, learned(), DESCRIPTION)
     page = (tmp_path / "results.md").read_text()
