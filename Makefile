@@ -27,7 +27,7 @@ install: .venv/installed
 play: install
 	$(BIN)/vibrocast play examples/oak.wav --plot oak.png --report oak.json
 
-# Every feature, in a few minutes.
+# The core, and one path through each product, in a few minutes.
 test: .venv/installed-for-tests
 	$(BIN)/python -m pytest -m "not slow"
 
