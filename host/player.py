@@ -26,12 +26,13 @@ from vibrocast.host.stream_session import (
 # Longer than a busy computer keeps a program waiting, as a rule; all of it is delay between host and skin.
 BUFFER_S = 0.3
 RECONNECT_S = 10.0
+"""How long a player tries to open a lost connection again."""
 
 # Enough packets to make the frame's own bytes small, few enough that a lost frame costs little.
 _MAX_FRAME_PACKETS = 8
 _MAX_STATUS_INTERVAL_S = 0.25
 _MIN_WAIT_S = 0.001
-_SILENCE_S = 2.0
+_SILENCE_S = 2.0  # a controller that says nothing for so long is lost
 # A playback lasts at most its duration, times 1 + 2 _SLOWNESS, and _STALL_S and _MAX_OUTAGES_S more.
 _STALL_S, _MAX_OUTAGES_S = 5.0, 60.0
 _SLOWNESS = 0.1
