@@ -209,15 +209,6 @@ def test_encode_live_codes_as_play_does(tmp_path: Path) -> None:
     assert answer("play", OAK)["stream_bytes"] == live.size_bytes
 
 
-def test_a_setting_is_used_as_it_is(texture: Path, tmp_path: Path) -> None:
-    sizes = []
-    for step in (0.2, 0.8):
-        out = tmp_path / f"{step}.vct"
-        succeeds("encode", texture, out, "--setting", f"step={step}")
-        sizes.append(out.stat().st_size)
-    assert sizes[0] > 1.5 * sizes[1]
-
-
 def test_lists_the_codecs() -> None:
     listed = succeeds("codecs")
     assert "mdct" in listed
@@ -517,21 +508,6 @@ def test_unexpected_errors_are_one_line_and_debug_shows_them(texture: Path, monk
     assert "unexpected ZeroDivisionError: two lines" in result.stderr
     assert "--debug" in result.stderr
     assert isinstance(run("--debug", "play", texture).exception, ZeroDivisionError)
-
-
-@pytest.mark.skipif(not SHARED.exists(), reason="the shared recordings are not beside this checkout")
-@pytest.mark.parametrize(
-    ("name", "options"),
-    [
-        ("lmt_acceleration/Brick_3_Z.wav", ()),
-        ("textsense_fingertip/text9_v4.wav", ()),
-        ("vibviz_effects/v-09-12-8-21.wav", ()),
-        ("surface_profiles/mts_Bu_1_56_ak.csv", ("--hand-speed-mm-s", 20)),
-        ("p1918_reference/Direct_-_1spike_Probe_-_polyesterPad_-_slow_X.txt", ("--unit", "m/s^2")),
-    ],
-)
-def test_encodes_every_kind_of_shared_recording(name: str, options: tuple[object, ...], tmp_path: Path) -> None:
-    assert "SNR 1" in succeeds("encode", SHARED / name, tmp_path / "out.vct", *options)
 
 
 def test_play_asks_for_the_unit_of_a_file_that_states_none(tmp_path: Path) -> None:

@@ -182,20 +182,6 @@ def test_an_offset_does_not_change_the_quality(tmp_path: Path) -> None:
     assert kept[0].bytes_total > 0 and [p.snr_db for p in kept if p.trace == "gravity"] != gravity
 
 
-def test_a_manifest_in_place_of_a_folder(folder: Path, tmp_path: Path) -> None:
-    manifest = tmp_path / "manifest.csv"
-    manifest.write_text(
-        "file,material,split,rate_hz\nrecordings/rough.wav,cork,train,\nrecordings/wood.wav,oak,test,\n"
-        "recordings/wood.npy,oak,test,1000\n"
-    )
-    arguments = ("--codecs", "flac", "--split", "test")
-    said = fails(2, manifest, "--out", tmp_path / "out", *arguments)
-    assert "row 4, file: recordings/wood.npy does not exist" in said
-    np.save(folder / "wood.npy", np.ones(100))
-    _, points = measured(manifest, tmp_path / "out", *arguments, "--unit", "m/s^2")
-    assert {point.trace for point in points} == {"recordings/wood.npy", "recordings/wood.wav"}
-
-
 def test_a_silent_recording_leaves_the_means_of_the_others(folder: Path, tmp_path: Path) -> None:
     textures.save(folder / "silent.wav", textures.Recording(np.zeros((900, 1)), 2800.0, "um", "silent"))
     textures.save(folder / "short.wav", textures.Recording(np.ones((1, 1)), 2800.0, "um", "short"))

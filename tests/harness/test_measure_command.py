@@ -74,14 +74,6 @@ def test_a_missed_limit_fails_and_is_named(tmp_path: Path) -> None:
     assert document["run"]["bench_sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def test_runs_without_a_common_figure_fail(tmp_path: Path) -> None:
-    arguments = ("--bench", bench_file(tmp_path), "--out", tmp_path / "out", "--only")
-    assert run(*arguments, "fidelity").exit_code == 0
-    other = run(*arguments, "throughput", "--compare", tmp_path / "out" / "measured.json")
-    assert other.exit_code == REGRESSION
-    assert "throughput to the host, bytes/s (not in the earlier run)" in other.output
-
-
 def test_another_actuator_than_the_bench_has_is_rejected_before_measuring(tmp_path: Path) -> None:
     with serial_port(Controller(Settings(actuator=ACTUATORS["lra"]))) as port:
         path = tmp_path / "bench.toml"

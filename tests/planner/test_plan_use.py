@@ -5,17 +5,12 @@ import re
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
 
+from tests.command import run
 from tests.planner.scenes import CONTROLLER, written
 from vibrocast.codec.stream import read_stream
-from vibrocast.host.cli.command_line import main
 
 SCENES = Path(__file__).parents[2] / "examples" / "scenes"
-
-
-def run(*arguments: object) -> Result:
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 @pytest.fixture(scope="module")
