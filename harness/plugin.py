@@ -18,9 +18,9 @@ from vibrocast.errors import InputError
 
 if TYPE_CHECKING:
     from vibrocast.device_protocol.messages import ImageDescription
-    from vibrocast.harness.faulty_transport import TimedTransport
     from vibrocast.harness.latency import Latency
     from vibrocast.harness.live_run import LiveRun
+    from vibrocast.harness.timed_transport import TimedTransport
     from vibrocast.host.bench_file import Bench
     from vibrocast.host.bench_limits import Judged
     from vibrocast.host.controller import Controller
@@ -181,7 +181,7 @@ def vibrocast_wire(
     import time
 
     from vibrocast.device_protocol.transports import TransportError
-    from vibrocast.harness.faulty_transport import TimedTransport
+    from vibrocast.harness.timed_transport import TimedTransport
     from vibrocast.host import devices
     from vibrocast.host.tracing import tracer
 

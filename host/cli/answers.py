@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from vibrocast.host.cli import exit_codes, json_option
+from vibrocast.host.cli import interruption, json_option
 
 if TYPE_CHECKING:
     from vibrocast.textures import Profile
@@ -84,7 +84,7 @@ def print_answer(ctx: click.Context, error: BaseException | None = None) -> None
     elif isinstance(error, (click.Abort, KeyboardInterrupt)):
         if _SO_FAR in ctx.meta:
             document = {**(document or {}), **(ctx.meta[_SO_FAR]() or {})}
-        document = _failed(document, "interrupted", exit_codes.interrupted_by(exit_codes.signalled))
+        document = _failed(document, "interrupted", interruption.exit_code_of(interruption.signalled))
     if document is not None:  # else the command has printed lines of its own, such as JSON, one object each
         alone = isinstance(document, dict) and document.keys() == {"error", "exit_code"}
         click.echo(json.dumps(document, indent=None if alone else 2, allow_nan=False, default=str))

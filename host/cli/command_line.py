@@ -16,7 +16,7 @@ import click
 
 from vibrocast import extras
 from vibrocast.files import plain
-from vibrocast.host.cli import exit_codes
+from vibrocast.host.cli import interruption
 from vibrocast.host.cli.answers import begin, print_answer, with_json
 from vibrocast.host.cli.commands import subcommands
 from vibrocast.host.cli.errors import explained, option_names
@@ -38,7 +38,7 @@ class VibrocastCommand(click.Group):
         except click.ClickException as error:
             fail(error.format_message(), error.exit_code)
         except click.Abort:
-            fail("interrupted", exit_codes.interrupted_by(exit_codes.signalled))
+            fail("interrupted", interruption.exit_code_of(interruption.signalled))
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the options before the subcommand; see whether the answer is to be JSON first."""
@@ -86,11 +86,11 @@ class VibrocastCommand(click.Group):
             keep_trace(ctx)
             if ctx.params["debug"]:
                 raise
-            if isinstance(error, ImportError) and exit_codes.signalled is not None:
+            if isinstance(error, ImportError) and interruption.signalled is not None:
                 # A library that was being loaded has caught the interruption.
-                interruption = click.Abort()
-                print_answer(ctx, interruption)
-                raise interruption from error
+                aborted = click.Abort()
+                print_answer(ctx, aborted)
+                raise aborted from error
             if isinstance(error, ModuleNotFoundError):
                 error = extras.explained(error) or error
             command = self.get_command(ctx, ctx.invoked_subcommand or "")

@@ -8,7 +8,7 @@ import threading
 from types import FrameType
 from typing import NoReturn
 
-from vibrocast.host.cli import exit_codes, json_option
+from vibrocast.host.cli import interruption, json_option
 
 # Windows has no SIGHUP.
 STOPPING_SIGNALS: tuple[signal.Signals, ...] = tuple(
@@ -48,7 +48,7 @@ def _leave(number: int, _frame: FrameType | None) -> NoReturn:
 
 def _exit_at_once(number: int) -> NoReturn:
     """Tell that a signal ended the command, in JSON as well if that is wanted, and end the process."""
-    exit_code = exit_codes.interrupted_by(number)
+    exit_code = interruption.exit_code_of(number)
     os.write(2, b"error: interrupted\n")
     if json_option.is_given(sys.argv[1:]):
         os.write(1, b'{"error": "interrupted", "exit_code": %d}\n' % exit_code)
@@ -60,13 +60,13 @@ def _interrupt(number: int, _frame: FrameType | None) -> NoReturn:
     _heeded.set()
     for other in STOPPING_SIGNALS[1:]:
         signal.signal(other, signal.SIG_IGN)
-    exit_codes.signalled = number
+    interruption.signalled = number
     raise KeyboardInterrupt
 
 
 def _interrupt_again(unraisable: "sys.UnraisableHookArgs") -> None:
     """Send a signal once more that came while an object was finalised: Python drops exceptions there."""
-    number = exit_codes.signalled
+    number = interruption.signalled
     if not issubclass(unraisable.exc_type, KeyboardInterrupt) or number is None:
         sys.__unraisablehook__(unraisable)
         return

@@ -1,4 +1,4 @@
-"""How the `vibrocast` command ends where a signal interrupts it."""
+"""The signal that interrupted the command, and its exit code."""
 
 import signal
 
@@ -6,7 +6,7 @@ signalled: int | None = None
 """The signal that has interrupted the command."""
 
 
-def interrupted_by(number: int | None) -> int:
+def exit_code_of(number: int | None) -> int:
     """Return the exit code that a shell gives for a signal: 130 for Ctrl-C, 143 for SIGTERM, 129 for SIGHUP.
 
     None: at a prompt, the end of the input counts as Ctrl-C.
