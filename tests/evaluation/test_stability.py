@@ -19,7 +19,6 @@ from vibrocast.codec.interface import Codec, Decoded
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.errors import InputError
 from vibrocast.evaluation.cli import stability_page
-from vibrocast.evaluation.cli.stability import stability
 from vibrocast.evaluation.curves import Curve, Panel, curves
 from vibrocast.evaluation.stability import (
     actuators,
@@ -45,6 +44,7 @@ from vibrocast.evaluation.stability.known_causes import explanation, known_cause
 from vibrocast.evaluation.stability.maps import Map, RatePoint, Scope, methods
 from vibrocast.evaluation.stability.transport import CLEAR_ERRORS
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict, attempt, run
+from vibrocast.host.cli.command_line import main
 from vibrocast.output.actuator import LRA, PIEZO_STACK
 from vibrocast.textures import Recording, save
 from vibrocast.textures.generate import wood
@@ -227,7 +227,7 @@ def test_recordings_of_ones_own_are_a_map(tmp_path: Path, monkeypatch: pytest.Mo
     (tmp_path / "own" / "bare.csv").write_text("1\n2\n")
     (tmp_path / "own" / "notes.md").touch()
     arguments = ["--out", str(tmp_path / "out"), "--codecs", "flac", "--maps", "recordings"]
-    result = CliRunner().invoke(stability, [*arguments, "--recordings", str(tmp_path / "own")])
+    result = CliRunner().invoke(main, ["stability", *arguments, "--recordings", str(tmp_path / "own")])
     assert result.exit_code == 0, result.output
     assert "skipped 1 file: notes.md" in result.stderr and "left out: bare: " in result.stderr
     with (tmp_path / "out" / "stability" / "recordings.csv").open(newline="") as file:
@@ -526,7 +526,7 @@ def test_figures_have_no_negative_zero() -> None:
 
 def test_a_page_of_other_origin_is_kept(tmp_path: Path) -> None:
     (tmp_path / "stability.md").write_text("mine")
-    result = CliRunner().invoke(stability, ["--out", str(tmp_path), "--codecs", "flac", "--quick"])
+    result = CliRunner().invoke(main, ["stability", "--out", str(tmp_path), "--codecs", "flac", "--quick"])
     assert (result.exit_code, (tmp_path / "stability.md").read_text()) == (2, "mine")
     assert "choose another --out" in result.output
 
@@ -598,7 +598,7 @@ def test_all_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     peers_file = tmp_path / "edge.csv"
     peers_file.write_text(PEERS_CSV)
     arguments = ["--out", str(tmp_path / "docs"), "--codecs", "mdct", "--quick", "--peers-edge", str(peers_file)]
-    result = CliRunner().invoke(stability, arguments)
+    result = CliRunner().invoke(main, ["stability", *arguments])
     assert result.exit_code == 0, result.output
     text = (tmp_path / "docs" / "stability.md").read_text()
     assert result.stdout.splitlines()[-1] == f"page: {tmp_path / 'docs' / 'stability.md'}"
@@ -635,5 +635,5 @@ def test_only_what_was_measured_is_drawn_again(tmp_path: Path) -> None:
     ],
 )
 def test_bad_arguments_are_rejected(arguments: list[str], tmp_path: Path) -> None:
-    result = CliRunner().invoke(stability, ["--out", str(tmp_path), *arguments])
+    result = CliRunner().invoke(main, ["stability", "--out", str(tmp_path), *arguments])
     assert result.exit_code != 0
