@@ -1,7 +1,9 @@
 """`vibrocast live`: a generated texture, and raw samples from standard input."""
 
+import contextlib
 import json
 import re
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
@@ -11,16 +13,37 @@ import pytest
 from studies.faulty_bench import Misreading, at_half_gain
 from tests import command
 from tests.command import answer, run, succeeds
+from tests.conftest import session
 from vibrocast.errors import LIMIT_MISSED
 from vibrocast.host import live_watch
+from vibrocast.host.controller import Controller as Session
 from vibrocast.simulated_device.controller import Controller
+from vibrocast.simulated_device.device import Device
 from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
-from vibrocast.simulated_device.serial_port import serial_port
+from vibrocast.simulated_device.memory_link import MemoryLink
 
 PATIENT = ("--playout-delay-ms", 300)
 """No busy machine disturbs such a stream."""
 live = partial(run, "live")
 fails = partial(command.fails, 2, "live")
+
+
+Put = Callable[[Callable[[], Device]], None]
+
+
+@pytest.fixture(autouse=True)
+def put(monkeypatch: pytest.MonkeyPatch) -> Put:
+    """Stream to a controller in simulated time, where no packet is late; the function puts another in its place."""
+
+    def put(make: Callable[[], Device]) -> None:
+        @contextlib.contextmanager
+        def connect(*_: object, **__: object) -> Iterator[Session]:
+            yield session(MemoryLink(make()))
+
+        monkeypatch.setattr("vibrocast.host.devices.connect", connect)
+
+    put(Controller)
+    return put
 
 
 def raw(samples: int, channels: int = 1) -> bytes:
@@ -70,7 +93,6 @@ def test_low_delay_means_blocks_of_2_ms() -> None:
     [
         (("-", "--unit", "drive"), b"", "ended before its first sample"),
         (("-",), b"", "missing --unit"),
-        (("-", "--unit", "g"), bytes(4 * 2800 * 120), "the source is not live"),
         (("-", "--unit", "m/s^2"), np.full(800, np.nan, "<f4").tobytes(), "NaN"),
         (("rough", "--low-delay", "--rate-bps", 8000), b"", "sends each block at once"),
         (("rough", "--snr-db", 12), b"", "add --rate-bps"),
@@ -79,6 +101,11 @@ def test_low_delay_means_blocks_of_2_ms() -> None:
 )
 def test_what_cannot_be_streamed_is_rejected(arguments: tuple[object, ...], data: bytes, told: str) -> None:
     assert told in fails(*arguments, data=data)
+
+
+def test_a_source_that_is_not_live_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.undo()  # it is too fast for the time of this computer
+    assert "the source is not live" in fails("-", "--unit", "g", data=bytes(4 * 2800 * 120))
 
 
 def test_a_rate_is_streamed_and_reported() -> None:
@@ -100,9 +127,9 @@ def damaged() -> FaultyWire:
     return FaultyWire(Controller(), [Fault(flipped=0.1, direction="to_controller")], seed=1)
 
 
-def test_lost_packets_and_damaged_frames_fail_and_are_named() -> None:
-    with serial_port(damaged()) as port:
-        result = live("rough", "--seconds", 2, "--device", f"serial:{port.name}", "--json")
+def test_lost_packets_and_damaged_frames_fail_and_are_named(put: Put) -> None:
+    put(damaged)
+    result = live("rough", "--seconds", 2, "--json")
     written = json.loads(result.stdout)
     assert written["lost_packets"] > 0.01 * written["packets"]
     assert written["bad_frames"] > 0
@@ -111,14 +138,14 @@ def test_lost_packets_and_damaged_frames_fail_and_are_named() -> None:
     assert re.search(r"error: limits missed: live: lost_percent = [\d.]+, max_lost_percent = 1;", result.stderr)
 
 
-def test_a_bench_file_gives_controller_and_limits(tmp_path: Path) -> None:
-    with serial_port(damaged()) as port:
-        bench = bench_file(tmp_path, f"serial:{port.name}", "max_lost_percent = 100\nmax_bad_frames = 0")
-        result = live("rough", "--seconds", 1, "--bench", bench, "--device", "it")
-    assert result.exit_code == LIMIT_MISSED
-    assert re.search(r"error: limits missed: live: bad_frames = \d+, max_bad_frames = 0;", result.output)
+def test_a_bench_file_gives_controller_and_limits(tmp_path: Path, put: Put) -> None:
     bench = bench_file(tmp_path, "sim", "max_lost_percent = 100")
     assert live("rough", "--seconds", 0.5, "--bench", bench).exit_code == 0
+    put(damaged)
+    bench = bench_file(tmp_path, "sim-usb", "max_lost_percent = 100\nmax_bad_frames = 0")
+    result = live("rough", "--seconds", 1, "--bench", bench, "--device", "it")
+    assert result.exit_code == LIMIT_MISSED
+    assert re.search(r"error: limits missed: live: bad_frames = \d+, max_bad_frames = 0;", result.output)
 
 
 def test_minutes_are_counted() -> None:
@@ -151,10 +178,10 @@ def test_figures_are_judged_and_one_that_a_short_stream_does_not_show_misses_its
     assert re.search(told, result.output)
 
 
-def test_a_controller_that_plays_something_else_fails(tmp_path: Path) -> None:
-    with serial_port(Misreading(Controller, at_half_gain)) as port:
-        bench = bench_file(tmp_path, f"serial:{port.name}", "max_gain = 1.1\nmax_lost_percent = 100")
-        result = live("rough", "--seconds", 1, *PATIENT, "--bench", bench)
+def test_a_controller_that_plays_something_else_fails(tmp_path: Path, put: Put) -> None:
+    put(lambda: Misreading(Controller, at_half_gain))
+    bench = bench_file(tmp_path, "sim", "max_gain = 1.1\nmax_lost_percent = 100")
+    result = live("rough", "--seconds", 1, *PATIENT, "--bench", bench)
     assert result.exit_code == 1
     assert "decoded as sent yes, DAC as computed NO" in result.output
     assert "played something else than was sent" in result.output
