@@ -1,6 +1,7 @@
 """The table of subcommands: the core's own, and those that products add by the entry points `vibrocast.commands`."""
 
 import importlib
+from functools import cache
 from importlib.metadata import entry_points
 from typing import NamedTuple
 
@@ -68,7 +69,17 @@ CORE = (
 )
 
 
+@cache
 def subcommands() -> dict[str, Subcommand]:
-    """Return all subcommands by name. An entry point names a sequence of Subcommand, in a module that loads at once."""
-    products = [each for entry in sorted(entry_points(group=GROUP)) for each in entry.load()]
+    """Return all subcommands by name. An entry point names a sequence of Subcommand, in a module that loads at once.
+
+    One that cannot be loaded costs only its own commands, and a warning.
+    """
+    products: list[Subcommand] = []
+    for entry in sorted(entry_points(group=GROUP)):
+        try:
+            products += entry.load()
+        except Exception as error:  # of another package's code
+            told = f"warning: the commands of {entry.name} cannot be loaded: {error}; repair or remove its package"
+            click.echo(told, err=True)
     return {each.name: each for section in SECTIONS for each in (*CORE, *products) if each.section == section}

@@ -26,7 +26,9 @@ def greet() -> None:
 
 COMMANDS = (Subcommand("greet", "Play", "other:greet", "Say hello."),)
 '''
-ENTRY_POINTS = "[vibrocast.commands]\nother = other:COMMANDS\n[vibrocast.devices]\nmine = other:BOARD\n"
+ENTRY_POINTS = (
+    "[vibrocast.commands]\nbroken = other:NOTHING\nother = other:COMMANDS\n[vibrocast.devices]\nmine = other:BOARD\n"
+)
 
 
 @pytest.fixture
@@ -56,3 +58,4 @@ def test_a_command_and_a_board_are_found(package: Path, arguments: list[str], to
         [sys.executable, "-c", code, *arguments], env=environment, capture_output=True, text=True, check=True
     )
     assert told in done.stdout
+    assert "the commands of broken cannot be loaded" in done.stderr
