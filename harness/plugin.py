@@ -14,8 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from vibrocast.errors import InputError
-
 if TYPE_CHECKING:
     from vibrocast.device_protocol.messages import ImageDescription
     from vibrocast.harness.latency import Latency
@@ -91,6 +89,7 @@ def _read(config: pytest.Config) -> Bench | None:
     path = config.getoption("vibrocast_bench")
     if path is None:
         return None
+    from vibrocast.errors import InputError
     from vibrocast.host.bench_file import read_bench
 
     try:
@@ -113,6 +112,7 @@ def _devices(config: pytest.Config) -> list[str]:
 @pytest.fixture(scope="session")
 def vibrocast_bench(request: pytest.FixtureRequest, pytestconfig: pytest.Config) -> Bench:
     """The bench of --vibrocast-bench; without it, the controller of --vibrocast-device."""
+    from vibrocast.errors import InputError
     from vibrocast.host.bench_file import choose_controller
 
     names = _devices(pytestconfig)

@@ -62,7 +62,7 @@ def test_the_readmes_stream_plays(address: str) -> None:
 @pytest.mark.slow
 @every_controller
 def test_the_readmes_recording_plays_as_play_codes_it(address: str) -> None:
-    assert "vibrocast play examples/oak.wav" in README.read_text(encoding="utf-8")
+    assert "vibrocast play examples/oak.wav" in README.with_name("Makefile").read_text(encoding="utf-8")
     check_plays(address, encode_recording(vibrocast.load(OAK), live=True).stream)
 
 

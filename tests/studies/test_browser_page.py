@@ -24,7 +24,7 @@ from tests.study.stub_run import chromium
 from vibrocast import codec
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol import messages
-from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
+from vibrocast.device_protocol.coded_stream import PROFILE_UNIT, pack_file, unpack_file
 from vibrocast.device_protocol.transports import open_transport
 from vibrocast.firmware.build import build
 from vibrocast.host.controller import Controller as Host
@@ -243,7 +243,8 @@ def test_keyboard_and_narrow_windows(browser: Browser, site: Path) -> None:
 def test_files_of_the_reader(browser: Browser, site: Path) -> None:
     folder = ROOT / "tests" / "codec"
     mdct, eva = ((folder / f"golden_{name}.vct").read_bytes() for name in ("mdct", "eva_static"))
-    opus = (ROOT / "tests" / "evaluation" / "golden_opus.vct").read_bytes()
+    header, packets = unpack_file(mdct)
+    unknown = pack_file(replace(header, codec_identifier=5), packets)
     image, other = ((folder / f"golden_eva_{name}.vcmi").read_bytes() for name in ("static", "adaptive"))
     with opened(browser, site) as page:
         choose(page, ("golden_mdct.vct", mdct))
@@ -256,7 +257,7 @@ def test_files_of_the_reader(browser: Browser, site: Path) -> None:
             ([("stream.vct", eva), ("model.vcmi", other)], "coded for a model image: give that image"),
             ([("oak.wav", b"RIFF" + bytes(90))], "This is no coded stream: .* Choose a .vct file"),
             ([("cut.vct", mdct[:-3])], "The file is damaged: .* Copy it again."),
-            ([("opus.vct", opus)], "lacks the stream's codec. Use vibrocast decode"),
+            ([("unknown.vct", unknown)], "lacks the stream's codec. Use vibrocast decode"),
             ([("two.vct", b""), ("three.vct", b"")], "needs one .vct file"),
         ):
             choose(page, *files)

@@ -16,9 +16,9 @@ from studies.emulated_core import CORES, Core, EmulatedCore, compile_core
 from studies.small_parts import PROCESSORS, Cost
 from studies.worst_case import Turn
 from tests.codec.eva_models import random_image, with_extreme_weights
-from tests.firmware.boards import coded as small_coded
-from vibrocast import codec
+from vibrocast import codec, textures
 from vibrocast.codec import CodedSignal, eva
+from vibrocast.codec.encoding import encode_recording
 from vibrocast.device_protocol.coded_stream import unpack_file
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.evaluation import points
@@ -273,7 +273,8 @@ def test_the_table_of_turns_has_none_that_is_late() -> None:
 
 @pytest.mark.parametrize("processor", PROCESSORS, ids=lambda processor: processor.title)
 def test_each_processor_decodes_to_the_same_bits_in_the_memory_that_is_stated(tmp_path: Path, processor: Core) -> None:
-    stream = small_coded("slp")
+    recording = textures.GENERATORS["rough"](3, 0.2)
+    stream = encode_recording(recording, codec_name="slp", snr_db=12, live=True).stream
     core = EmulatedCore(small_parts.compile_decoder(tmp_path / "slp.elf", processor, "slp"), processor)
     ram, per_sample = small_parts.run(core, processor, bytes(stream), None)
     rows = points.read_rows(RESULTS / small_parts.TABLE, Cost)
