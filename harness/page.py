@@ -26,7 +26,7 @@ _OF_DEVICE = ("build", "hardware", "serial_number", "protocol")
 
 
 def write(path: Path, document: dict[str, Any], changes: Sequence[Change], actuator_table: str) -> None:
-    """Write the page of a run (host.harness.results). `changes`: against an earlier run. Raises OSError.
+    """Write the page of a run (harness.results). `changes`: against an earlier run. Raises OSError.
 
     `actuator_table`: the fitted actuator as a table of a bench file, empty where none was fitted.
     """

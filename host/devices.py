@@ -41,11 +41,12 @@ _ENTRIES = {entry.name: entry for entry in sorted(entry_points(group=GROUP))}
 FIRMWARE = tuple(_ENTRIES)
 """Addresses of controllers made of the C firmware; they last as long as a session, and have their actuator compiled in.
 Each is an entry point of GROUP, which names a FirmwareDevice."""
-_IN_THIS_PROCESS = {
+IN_THIS_PROCESS = {
     "sim": "simulated controller behind a serial port",
     "sim-usb": "simulated controller behind a simulated USB device",
 }
-SIMULATED = (*_IN_THIS_PROCESS, *FIRMWARE)
+"""Addresses of controllers that this program simulates, and what each is."""
+SIMULATED = (*IN_THIS_PROCESS, *FIRMWARE)
 """Addresses of all that need no hardware."""
 ADDRESS = re.compile("serial:.+|usb:[0-9a-fA-F]{1,4}:[0-9a-fA-F]{1,4}(:.+)?|audio:.+")
 """Those of hardware."""
@@ -191,7 +192,7 @@ def is_sound_card(address: str) -> bool:
 
 def takes_actuator(address: str) -> bool:
     """Return whether the controller at an address can be given any actuator; all others have theirs compiled in."""
-    return address in ("sim", "sim-usb") or is_sound_card(address)
+    return address in IN_THIS_PROCESS or is_sound_card(address)
 
 
 def on_sound_card(actuator: "Actuator", rate_hz: int, full_scale_volts: float | None = None) -> "Actuator":
@@ -324,7 +325,7 @@ def available() -> dict[str, str]:
     """Return the addresses that may be controllers, each with a description."""
     from serial.tools import list_ports
 
-    found = _IN_THIS_PROCESS | {address: firmware_device(address).summary for address in FIRMWARE}
+    found = IN_THIS_PROCESS | {address: firmware_device(address).summary for address in FIRMWARE}
     for port in list_ports.comports():
         found[f"serial:{port.device}"] = "serial port" if port.description == "n/a" else port.description
     # Without libusb there are no USB devices to list; `connect` says what to do then.

@@ -135,7 +135,7 @@ def opened(address: str, actuator: Actuator | None) -> Iterator[CountingControll
     computer even so.
     """
     emulated = devices.is_emulated(address)
-    if not emulated and address not in ("sim", "sim-usb"):
+    if not emulated and address not in devices.IN_THIS_PROCESS:
         with devices.reach(address, actuator=actuator) as transport:
             yield CountingController(transport)
         return

@@ -166,7 +166,7 @@ class Asked(Table, frozen=True, kw_only=True):
 
     `snr_db`: of the decoded signal in the band worth coding, in its own unit, as `vibrocast play` prints it. `spqi`,
     `third_octave_distance_db`: as evaluation.metrics measures them. `imperceptible`: the error at the skin
-    is below the detection threshold, or what the texture masks, by MARGIN_DB of host.planner.band. `waveform`: excludes
+    is below the detection threshold, or what the texture masks, by MARGIN_DB of planner.band. `waveform`: excludes
     parametric coding; None in the file = unless `third_octave_distance_db` is required. `rate_limit_bps`: of the bytes
     on the wire, of each stream. `delay_limit_ms`: to the skin.
     """

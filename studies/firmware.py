@@ -94,7 +94,7 @@ class Decoding:
     """The cost of decoding one texture on a Cortex-M4F with DSP kernels, in instructions per sample.
 
     `block`: the codec's `block_parameter`, empty where it has one length only. `bits_per_sample`, `quiet`: the
-    variables of the cost; the latter as host.planner.costs.quiet_part.
+    variables of the cost; the latter as planner.costs.quiet_part.
     """
 
     decoder: str

@@ -9,7 +9,6 @@ import click
 # The titles, in the order in which commands with several of them list them.
 INPUT = "Input"
 CODING = "Codec and quality"
-RATE_CONTROL = "Rate control"
 CONTROLLER = "Controller and actuator"
 PLAYBACK = "Playback"
 RUN = "Run"

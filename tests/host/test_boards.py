@@ -28,7 +28,7 @@ every_controller = pytest.mark.parametrize("address", CONTROLLERS)
 def opened(address: str) -> Iterator[Controller]:
     """Open a session, in simulated time where the controller allows it: then no busy computer makes a packet late."""
     emulated = devices.is_emulated(address)
-    if not emulated and address not in ("sim", "sim-usb"):
+    if not emulated and address not in devices.IN_THIS_PROCESS:
         with devices.connect(address) as controller:
             yield controller
         return
