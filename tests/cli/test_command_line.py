@@ -675,3 +675,14 @@ def test_limits_of_a_bench_file_judge_a_playback(texture: Path, tmp_path: Path) 
     bench.write_text('[[controllers]]\nname = "it"\naddress = "cortex-m4"\n[[actuators]]\nmodel = "lra"\n')
     rejected = fails(2, "play", texture, "--bench", bench, "--device", "it")
     assert "it drives piezo-stack, and the bench has lra there" in rejected
+
+
+@pytest.mark.parametrize("options", [("--hand-speed-mm-s", 50), ()], ids=["over time", "over position"])
+def test_an_offset_of_heights_changes_no_byte(options: tuple[object, ...], tmp_path: Path) -> None:
+    profile, written = textures.surface_profile("rough", seconds=0.3), []
+    for name, offset_um in (("flat", 0.0), ("high", 1000.0)):
+        path = tmp_path / f"{name}.csv"
+        textures.save_profile(path, replace(profile, heights_um=profile.heights_um.round(3) + offset_um))
+        assert "removed" not in succeeds("encode", path, tmp_path / "out.vct", *options)
+        written.append((tmp_path / "out.vct").read_bytes())
+    assert written[0] == written[1]

@@ -90,6 +90,8 @@ def test_integers_without_a_comment_have_no_size(tmp_path: Path) -> None:
         ({"rate_hz": 2000}, "has 1000.0 Hz, and out.json says 2000.0"),
         ({"channels": 2, "axes": "xy"}, "has 3 channels, and out.json says 2"),
         ({"axes": "zz"}, "wrong unit, rate_hz, channels or axes"),
+        ({"unit": "furlong"}, "wrong unit"),
+        ({"rate_hz": True}, "wrong unit"),
         ({"unit": ["um"]}, "wrong unit"),
     ],
 )
