@@ -4,7 +4,6 @@ import itertools
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,14 +15,13 @@ from tests.codec.eva_models import random_image, tiny_model, with_extreme_weight
 from tests.codec.eva_reference_decoder import EvaReferenceDecoder
 from tests.codec.signals import RATE_HZ, in_turn, played, texture
 from vibrocast import codec
-from vibrocast.codec import Choice, CodecError, Framing, Model, RateControl, eva
+from vibrocast.codec import CodecError, Framing, Model, RateControl, eva
 from vibrocast.codec.eva_image import PRIOR_KINDS, EvaImage, PriorKind, with_runtime
 from vibrocast.codec.graphs import LATENTS, SIGNAL, transform
 from vibrocast.codec.mdct import STEP_CODES
 from vibrocast.firmware.native_core import Structure, ffi, library
 
 TINY = Model(tiny_model().tables, tiny_model().analysis)
-FOLDER = Path(__file__).parent
 LIVE = Framing(128, 5)
 
 
@@ -109,88 +107,12 @@ def test_core_gives_the_integers_of_the_numpy_decoder_for_a_trained_model() -> N
     assert np.std(samples) > 1000
 
 
-@pytest.mark.parametrize("prior", PRIOR_KINDS)
-def test_inverted_latents_give_inverted_samples(prior: PriorKind) -> None:
-    image = random_image(3, 8, 8, prior)
-    configuration = eva.configuration(4, [700])
-    levels = random_levels(1, (1, 8, 4), 2)
-    outputs = []
-    for sign in (1, -1):
-        packet = eva.LatentEncoder(configuration, 1, image.pack(), 0).encode(list(sign * levels))
-        outputs.append(eva.EvaDecoder(configuration, 1, image.pack()).decode(packet).astype(int))
-    assert np.any(outputs[0])
-    np.testing.assert_array_equal(outputs[0], -outputs[1])
-
-
 @pytest.mark.parametrize("runtime", codec.RUNTIMES)
 def test_a_constant_quantiser_offset_of_0_is_the_step_of_1_and_costs_at_most_a_bit_a_packet(runtime: str) -> None:
     signal = texture(30_000)
     plain, rate_controlled = coded(signal), coded(signal, rate_control=in_turn([0]))
     np.testing.assert_array_equal(decoded(*plain, 1, runtime), decoded(*rate_controlled, 1, runtime))
     assert 0 < 8 * (sum(map(len, rate_controlled[1])) - sum(map(len, plain[1]))) <= len(plain[1])
-
-
-def test_sixteen_quantiser_offsets_are_an_octave_of_the_step() -> None:
-    signal = texture(30_000)
-    ratios_db, sizes = [], []
-    for offset in (-16, 0, 16, 32):
-        stream = coded(signal, level=0.4, rate_control=in_turn([offset]))
-        late = decoded(*stream, 1)[41:][: len(signal)] / 32768
-        ratio_db = codec.snr_db(signal, late)
-        assert ratio_db is not None
-        ratios_db.append(ratio_db)
-        sizes.append(sum(map(len, stream[1])))
-    assert sizes == sorted(sizes, reverse=True)
-    assert np.all(np.diff(ratios_db) < -3) and np.all(np.diff(ratios_db) > -7)
-
-
-def test_the_range_of_quantiser_offsets_is_from_the_unit_of_the_integers_to_silence() -> None:
-    ranges, sizes = [], []
-
-    def rate_control(trial: codec.Trial) -> Choice:
-        ranges.append(trial.quantiser_offsets)
-        sizes.append([len(trial.packet(each)) for each in trial.quantiser_offsets[::16]])
-        return Choice(0)
-
-    square = np.sign(texture(300))
-    coded(square, level=0.01, rate_control=rate_control)
-    finest = -16 * int(min(EvaImage.unpack(TINY.tables).fraction_bits))
-    assert set(ranges) == {range(finest, finest + 16 * 16 + 1)}
-    for of_packet in sizes:
-        assert of_packet[0] > of_packet[6] > of_packet[-1]
-    coarsest = coded(square, level=0.01, rate_control=in_turn([ranges[0][-1]]))
-    assert not np.any(decoded(*coarsest, 1))
-
-
-def test_probabilities_adapt_to_a_stream_and_start_again_at_a_refresh() -> None:
-    """Of a prior that knows nothing, in bytes: what an ideal coder of these levels takes is soon reached."""
-    blank = replace(random_image(1, latents=8), probabilities=np.full((8, 16), 32768, dtype=np.uint16))
-    levels = random_levels(1, (40, 1, 8, 16), 0.3)
-    sizes = {}
-    for prior in PRIOR_KINDS:
-        for refresh_packets in (0, 1):
-            image = replace(blank, prior=prior).pack()
-            encoder = eva.LatentEncoder(eva.configuration(16, [700]), 1, image, refresh_packets)
-            sizes[prior, refresh_packets] = [len(encoder.encode(list(packet))) for packet in levels]
-    counts = np.unique(levels, return_counts=True)[1] / levels.size
-    ideal_bytes = float(-np.sum(counts * np.log2(counts))) * 8 * 16 / 8
-    assert np.mean(sizes["adaptive", 0][10:]) < 1.15 * ideal_bytes
-    assert np.mean(sizes["static", 0]) > 1.3 * ideal_bytes
-    assert np.mean(sizes["adaptive", 0]) < np.mean(sizes["adaptive", 1]) < np.mean(sizes["static", 1])
-
-
-def test_each_channel_has_probabilities_of_its_own() -> None:
-    """The statistics of one channel cost another channel no bits."""
-    image = random_image(1, latents=8).pack()
-    quiet, loud = random_levels(1, (40, 1, 8, 16), 0.1), random_levels(2, (40, 1, 8, 16), 8.0)
-
-    def size_bytes(levels: NDArray[np.int32]) -> int:
-        channels = levels.shape[1]
-        encoder = eva.LatentEncoder(eva.configuration(16, [700] * channels), channels, image, 0)
-        return sum(len(encoder.encode(list(packet))) for packet in levels)
-
-    together = size_bytes(np.concatenate([quiet, loud], axis=1))
-    assert together <= size_bytes(quiet) + size_bytes(loud)
 
 
 def snrs_db(signal: codec.Signal, setting: codec.Setting) -> tuple[float, float]:
@@ -312,14 +234,6 @@ def test_dc_is_kept_as_far_as_the_model_knows_it_and_silence_is_silent() -> None
     core_db, onnx_db = snrs_db(np.full((2800, 1), 0.5), {})
     assert core_db > onnx_db - 0.3
     assert core_db > 10
-
-
-def test_channels_have_levels_of_their_own() -> None:
-    signal = texture(2800, 2)
-    stream = codec.encode(signal, RATE_HZ, {"level": (4.0, 1.0)}, codec="eva", model=TINY)
-    low_db, high_db = codec.channel_snrs_db(signal, codec.decode(stream, TINY.tables))
-    assert low_db is not None and high_db is not None
-    assert high_db > low_db + 5
 
 
 def test_an_snr_is_met_in_every_channel_and_a_rate_in_all() -> None:

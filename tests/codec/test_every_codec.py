@@ -130,22 +130,6 @@ def live_stream(name: str) -> tuple[bytes, list[bytes], codec.Decoded]:
     return encoder.configuration, packets, played(case.decoder(encoder.configuration), packets).astype(int)
 
 
-def quality(known: codec.Codec, signal: Signal, decoded: Signal) -> float:
-    """Return a measure of one channel in dB that is greater the better it is: the SNR, where there is a waveform."""
-    if known.keeps_waveform:
-        return codec.snr_db(signal, decoded) or 0.0
-    levels_db = [band_levels_db(samples) for samples in (signal, decoded)]
-    return -float(np.mean(np.abs(levels_db[0] - levels_db[1])))
-
-
-def band_levels_db(signal: Signal) -> Signal:
-    """Return the levels of one channel in bands of 100 Hz, each 0.1 s."""
-    blocks = signal[: len(signal) // 280 * 280, 0].reshape(-1, 280) * np.hanning(280)
-    powers = np.square(np.abs(np.fft.rfft(blocks, axis=1)))[:, :140].reshape(len(blocks), -1, 10).sum(axis=2)
-    levels: Signal = 10 * np.log10(powers + 1e-3)
-    return levels
-
-
 def check_decoded(samples: codec.Decoded, decoder: Decoder) -> None:
     assert samples.shape == (decoder.packet_samples, decoder.channels)
     assert samples.dtype == np.int16
@@ -165,9 +149,11 @@ def test_the_top_of_a_rate_point_set_is_better_than_its_bottom_and_takes_more(ra
     assert all(known.checked(rate_point) == rate_point for rate_point in rate_points)
     signal = 20 * texture(2800)
     streams = [coded(known.name, signal, setting=rate_point) for rate_point in (rate_points[0], rate_points[-1])]
-    qualities = [quality(known, signal, decode(stream)) for stream in streams]
     sizes = [sum(map(len, stream.packets)) for stream in streams]
-    assert len(rate_points) == 1 or (qualities[1] > qualities[0] and sizes[1] > sizes[0])
+    assert len(rate_points) == 1 or sizes[1] > sizes[0]
+    if known.keeps_waveform and len(rate_points) > 1:
+        worst_db, best_db = (codec.snr_db(signal, decode(stream)) or 0.0 for stream in streams)
+        assert best_db > worst_db
 
 
 @every_codec
@@ -205,12 +191,6 @@ def test_any_length_has_just_the_packets_that_hold_it(
     decoder = decoder_of(stream)
     assert len(stream.packets) == -(-(samples + decoder.delay_samples) // decoder.packet_samples)
     assert decode(stream).shape == (samples, channels)
-
-
-@every_codec
-def test_decoding_is_repeatable(name: str) -> None:
-    stream = coded(name, texture(3000, 2), live=True)
-    np.testing.assert_array_equal(decode_integers(stream), decode_integers(stream))
 
 
 @pytest.mark.parametrize("steered", [False, True])
@@ -372,14 +352,6 @@ def test_a_copied_decoder_goes_on_by_itself(name: str, runtime: str) -> None:
     copied.conceal()
     for packet in stream.packets[7:]:
         np.testing.assert_array_equal(twin.decode(packet), untouched.decode(packet))
-
-
-@every_codec
-def test_the_first_packet_must_be_a_refresh(name: str) -> None:
-    stream = coded(name, texture(3000), live=True)
-    sequences = [packet[0] for packet in stream.packets[:60]]
-    assert sequences[0] == 1
-    assert [sequence >> 1 for sequence in sequences] == list(range(len(sequences)))
 
 
 @every_codec
@@ -581,17 +553,3 @@ def test_padding_changes_nothing_but_the_length(name: str, places: list[int], pa
 def test_choices_that_no_packet_can_have_are_rejected(name: str, choose: Callable[[Trial], Choice]) -> None:
     with pytest.raises(CodecError, match=r"it must choose|; choose"):
         steered(name, texture(1000), choose)
-
-
-@pytest.mark.parametrize("name", [name for name in codec.CODECS if name not in RATE_CONTROLLED])
-def test_codecs_that_have_no_rate_control_say_so(name: str) -> None:
-    with pytest.raises(CodecError, match="one quality; choose"):
-        encoder_of(name, texture(100), at_places([0]))
-
-
-@every_rate_controlled_codec
-def test_the_configuration_says_whether_a_stream_is_rate_controlled(name: str) -> None:
-    signal = texture(300)
-    plain, rate_controlled = encoder_of(name, signal, None), encoder_of(name, signal, at_places([0]))
-    assert plain.configuration != rate_controlled.configuration
-    assert len(plain.configuration) <= len(rate_controlled.configuration) <= len(plain.configuration) + 1

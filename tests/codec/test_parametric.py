@@ -113,14 +113,6 @@ def test_taps_stay_where_they_are() -> None:
     assert np.corrcoef(envelopes)[0, 1] > 0.8
 
 
-def test_phase_goes_on_over_frames_packets_and_refreshes() -> None:
-    """A steady tone has no jump: what differs from a sine of its own pitch is small everywhere."""
-    configuration, packets = coded(tone(8000, 1 / 41, 1), Framing(512, 2))
-    samples = decoded(configuration, packets, 1)[2000:6000, 0].astype(float)
-    second_difference = np.abs(np.diff(samples, 2))
-    assert np.max(second_difference) < 1.6 * np.percentile(second_difference, 90)
-
-
 def test_settings_that_do_not_fit_are_rejected() -> None:
     with pytest.raises(CodecError, match="interval=8 is longer than frame=4"):
         coded(texture(100), Framing(64, 0), frame="4", interval="8")

@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
+from tests.command import run
 from vibrocast import codec, textures
 from vibrocast.codec import CodecError, plugins, registry
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import read_stream
-from vibrocast.host.cli.command_line import main as command_line
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "codec_plugin"
 SIGNAL = np.random.default_rng(0).normal(0, 0.2, (3000, 2))
@@ -107,6 +106,6 @@ def test_without_the_package_the_stream_names_its_codec(haar: None, monkeypatch:
 
 @pytest.mark.usefixtures("haar")
 def test_the_list_of_codecs_names_those_that_cannot_be_loaded() -> None:
-    listed = CliRunner().invoke(command_line, ["codecs"])
+    listed = run("codecs")
     assert "haar  " in listed.stdout
     assert "warning: the codec absent cannot be loaded: no_such_module:Codec: ModuleNotFoundError" in listed.stderr

@@ -14,12 +14,6 @@ def noise(level: float, seed: int = 0) -> np.ndarray:
     return level * np.random.default_rng(seed).standard_normal((PACKET, 2))
 
 
-def test_snr_is_the_mean_over_channels() -> None:
-    samples = np.ones((PACKET, 2)) / 2
-    decoded = samples - np.array([0.05, 0.005])
-    assert SnrMeter(RATE_HZ).quality_db(samples, decoded) == pytest.approx(30)
-
-
 def test_a_pause_after_a_loud_texture_needs_little_quality_and_soon_its_own() -> None:
     meter = SnrMeter(RATE_HZ)
     for _ in range(40):

@@ -164,11 +164,6 @@ def test_what_is_no_rate_is_rejected(rate: float) -> None:
         ConstantRate(1000, rate_buffer_s=rate)
 
 
-def test_a_packet_that_cannot_be_coded_says_so() -> None:
-    with pytest.raises(CodecError, match="too long"):
-        begun(ConstantRate(1000))(FakeTrial((None, None)))
-
-
 def texture(seconds: float, seed: int = 0, channels: int = 1) -> Signal:
     """Return coloured noise that swells by 6 dB and falls again, once a second."""
     noise = np.random.default_rng(seed).standard_normal((round(seconds * RATE_HZ), channels))
@@ -257,14 +252,6 @@ def test_a_larger_rate_buffer_makes_the_quality_more_even() -> None:
     assert spreads[1] < spreads[0] - 1
 
 
-def test_a_codec_whose_decoder_cannot_be_copied_holds_no_quality() -> None:
-    class Single(FakeDecoder):
-        copy = property()
-
-    with pytest.raises(CodecError, match="cannot hold a quality"):
-        CappedRate(15, SnrMeter(RATE_HZ), 100_000).begin(Single(), 0, SECONDS)
-
-
 def test_equal_error_gives_bits_to_the_louder_channel() -> None:
     loud, faint = texture(2), 0.03 * texture(2, 1)
     samples = np.concatenate([loud, faint], axis=1)
@@ -321,12 +308,3 @@ def test_the_coarsest_packet_is_short_whatever_came_before(name: str) -> None:
     known.make_encoder(known.complete({}), signal_format, Framing(1400, 0), None, steer).encode(signal)
     assert len(coarsest) > 5
     assert max(coarsest) < 24
-
-
-def test_frames_add_at_most_12_percent_unless_the_delay_forbids() -> None:
-    framing = rate_controlled_framing(4000, RATE_HZ, lambda packet: FRAME_BYTES)
-    sent = 4000 * framing.packet_samples / RATE_HZ / 8
-    assert 0.09 < FRAME_BYTES / (sent - FRAME_BYTES) <= 0.101
-    assert framing.refresh_packets * framing.packet_samples == pytest.approx(2 * RATE_HZ, rel=0.1)
-    assert rate_controlled_framing(4000, RATE_HZ, lambda packet: FRAME_BYTES, max_s=0.02).packet_samples == 56
-    assert rate_controlled_framing(500, RATE_HZ, lambda packet: FRAME_BYTES).refresh_packets == 2

@@ -63,12 +63,6 @@ def test_shorter_packets_decode_to_the_same_samples(
     assert refresh_samples(after, channels, tables) == refresh_samples(before, channels, tables)
 
 
-def test_a_stream_split_in_two_steps_is_that_of_one_step() -> None:
-    configuration, packets = coded(texture(3000, 2), 0.1, Framing(12 * 64, 0), 64, noise_filling=1 / 32)
-    halves = mdct.repack(configuration, 2, None, packets, 6 * 64)
-    assert mdct.repack(halves[0], 2, None, halves[1], 128) == mdct.repack(configuration, 2, None, packets, 128)
-
-
 def file_of(codec_name: str, rate_hz: int = 8000, **setting: str) -> Stream:
     """Return a texture of 2 s coded as a file."""
     return encode_recording(GENERATORS["rough"](seconds=2.0), rate_hz, codec_name, setting=setting).stream
@@ -84,11 +78,6 @@ def test_a_file_keeps_its_length_and_its_signal_but_for_noise() -> None:
     # Coded at 14.8 dB: the noise is far below the error of coding.
     assert 0 < np.sum(difference**2) < 2e-3 * np.sum(signal**2)
     assert Stream.from_bytes(bytes(short)) == short
-
-
-def test_a_file_without_noise_filling_keeps_its_signal() -> None:
-    stream = file_of("mdct", noise_filling="0")
-    np.testing.assert_array_equal(stream.repacked(500).decode(), stream.decode())
 
 
 def test_packets_of_too_many_bytes_are_split() -> None:

@@ -12,7 +12,7 @@ from tests.codec.reference_decoder import ReferenceDecoder
 from tests.codec.signals import RATE_HZ, difference, played, texture
 from vibrocast import codec, textures
 from vibrocast.codec import Choice, CodecError, Framing, mdct
-from vibrocast.codec.rotation import BANDS, COMMON, OWN, Rotation, angles_of, find_delays, matrix
+from vibrocast.codec.rotation import BANDS, COMMON, OWN, Rotation, angles_of, matrix
 from vibrocast.codec.stream import Stream, as_stream
 
 
@@ -34,15 +34,6 @@ def moving_together(samples: int, channels: int, delay: int = 0, noise: float = 
     wave = np.stack([drive[start : start + samples] for start in starts], axis=1)
     own: codec.Signal = wave + noise * texture(samples, channels, seed=7)
     return own
-
-
-def coded(
-    signal: codec.Signal, rotation: Rotation | None, framing: Framing, hop: int = 32, step: float = 0.02
-) -> tuple[bytes, list[bytes]]:
-    """Code with steps that differ by channel."""
-    steps = [step * 1.7**channel for channel in range(signal.shape[1])]
-    encoder = mdct.MdctEncoder(steps, RATE_HZ, framing, hop=hop, rotation=rotation, noise_filling=1 / 16)
-    return encoder.configuration, encoder.encode(signal) + encoder.finish()
 
 
 def decoded(configuration: bytes, packets: list[bytes], channels: int) -> codec.Decoded:
@@ -176,14 +167,6 @@ def test_unrelated_channels_lose_next_to_nothing(channels: int) -> None:
     assert sizes[0] <= 1.005 * sizes[1]
 
 
-def test_delays_are_those_of_the_wave_where_channels_are_alike() -> None:
-    wave = moving_together(3000, 4, 5)
-    signal = np.stack(
-        [wave[:, 2], np.random.default_rng(1).standard_normal(3000), -wave[:, 0], np.zeros(3000), wave[:, 3]], axis=1
-    )
-    assert find_delays(signal) == (10, 0, 0, 0, 15)
-
-
 def test_sixteen_channels_fit_a_stream() -> None:
     signal = moving_together(3000, 16, 2)
     stream = as_stream(codec.encode(signal, RATE_HZ, {"step": 0.5}), "full scale")
@@ -203,16 +186,16 @@ def test_a_live_stream_has_the_rotation_that_you_give() -> None:
     assert sizes[rotation] < 0.75 * sizes["none"]
 
 
-@pytest.mark.parametrize("text", ["some", "zz", "00", "f" * 400])
-def test_a_rotation_that_is_none_is_rejected(text: str) -> None:
+@pytest.mark.parametrize(
+    ("text", "channels"),
+    [
+        *((text, 2) for text in ("some", "zz", "00", "f" * 400)),
+        (Rotation((0, 0), (COMMON,) * 4, (48,), ()).pack().hex(), 1),
+    ],
+)
+def test_a_rotation_that_is_none_is_rejected(text: str, channels: int) -> None:
     with pytest.raises(CodecError, match="rotation"):
-        codec.encode(texture(500, 2), RATE_HZ, {"step": 0.5, "rotation": text})
-
-
-def test_a_rotation_of_one_channel_is_rejected() -> None:
-    section = Rotation((0, 0), (COMMON,) * 4, (48,), ()).pack().hex()
-    with pytest.raises(CodecError, match="rotation"):
-        codec.encode(texture(500), RATE_HZ, {"step": 0.5, "rotation": section})
+        codec.encode(texture(500, channels), RATE_HZ, {"step": 0.5, "rotation": text})
 
 
 def test_the_simulated_controller_plays_a_rotated_stream() -> None:

@@ -5,7 +5,7 @@ import pytest
 
 import vibrocast
 from vibrocast import codec
-from vibrocast.codec import CodecError, mdct, shaping
+from vibrocast.codec import CodecError, shaping
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.rate_controlled import RateTarget
 from vibrocast.codec.rate_controlled import encode as encode_rate_controlled
@@ -27,12 +27,6 @@ def test_steps_follow_the_threshold_in_the_unit_of_the_stream_up_to_10_db() -> N
     assert min(acceleration) == min(displacement) == 0
 
 
-@pytest.mark.parametrize("touch", [0.0, 0.25, 0.5])
-def test_the_strength_scales_the_shape(touch: float) -> None:
-    whole = np.array(shaping.touch_shape(1, 2800, "m/s^2"))
-    assert shaping.touch_shape(touch, 2800, "m/s^2") == pytest.approx(touch * whole)
-
-
 def test_a_shape_is_text_with_seven_octaves() -> None:
     octaves = (0.0, 1.5, 2.7, 0.25, 2.7, 2.0, 1.0)
     assert shaping.parsed_shape(shaping.shape_text(octaves)) == octaves
@@ -40,22 +34,6 @@ def test_a_shape_is_text_with_seven_octaves() -> None:
     for text in ("0/1", "0/0/0/0/0/0/2.8", "0/0/0/0/0/0/-1", "0/0/0/0/0/0/nan", "a/b/c/d/e/f/g", ""):
         with pytest.raises(CodecError, match="shape"):
             shaping.parsed_shape(text)
-
-
-@pytest.mark.parametrize(
-    ("octaves", "code", "values"),
-    [
-        ((0.0, 0.2, 0.45, 0.65, 0.4, 0.2, 0.0), 0, [0, 1, 2, 3, 2, 1, 0]),
-        ((0.0, 0.1, 0.9, 0.8, 1.8, 2.6, 2.7), 3, [0, 0, 1, 1, 2, 3, 3]),
-        ((0.0, 0.0, 0.0, 0.4, 0.9, 1.3, 1.4), 1, [0, 0, 0, 1, 2, 3, 3]),
-    ],
-)
-def test_a_packed_shape_is_the_nearest(octaves: tuple[float, ...], code: int, values: list[int]) -> None:
-    packed, mean = mdct.packed_shape(octaves)
-    section = int.from_bytes(packed, "little")
-    assert (section >> 14, [section >> 2 * node & 3 for node in range(7)]) == (code, values)
-    assert mean == pytest.approx((code + 1) * 14 / 64 * np.mean(values))
-    assert mdct.packed_shape(None) == mdct.packed_shape((0.0,) * 7) == (b"", 0.0)
 
 
 def test_more_touch_gives_more_of_what_is_felt_at_equal_rate() -> None:

@@ -31,10 +31,6 @@ def exported(trained: Path) -> Path:
     return out
 
 
-def texture() -> textures.Recording:
-    return textures.GENERATORS["rough"](seed=5, seconds=0.5)
-
-
 def test_the_folder_holds_a_model(exported: Path) -> None:
     model = models.load(exported)
     assert sorted(path.name for path in exported.iterdir()) == sorted(
@@ -53,26 +49,17 @@ def test_the_card_says_what_the_model_is_and_does(exported: Path) -> None:
     card = models.load(exported).card
     assert card["shape"] == {"width": 16, "latents": 16}
     assert card["prior"] == "adaptive"
-    assert card["training"]["data"] == [
-        {
-            "name": "generator",
-            "about": "this project's generated textures",
-            "recordings": 2,
-            "hours": pytest.approx(2 / 3600, rel=0.01),
-        }
-    ]
+    (data,) = card["training"]["data"]
+    assert (data["name"], data["recordings"]) == ("generator", 2)
+    assert data["hours"] == pytest.approx(2 / 3600, rel=0.01)
     assert card["training"]["held_back"] == ["generator/grating", "generator/wood"]
     assert (card["training"]["seed"], card["training"]["steps"]) == (1, 1)
     assert max(card["export"]["parity"].values()) <= 1e-5
     point = card["results"]["point"]
     assert 0 < point["bits_per_sample"] < point["bits_per_sample_static"]
     assert point["snr_db"] == pytest.approx(point["snr_db_by_onnx"], abs=0.3)
-    assert all(seconds > 0 for seconds in card["results"]["seconds_per_million_samples"].values())
     for file, about in card["files"].items():
         assert about["bytes"] == (exported / file).stat().st_size
-    text = (exported / "card.md").read_text()
-    for needed in ("# tiny, version 1", "generator/wood", "seed 1", "opset 17", "seconds per million samples"):
-        assert needed in text
 
 
 def test_the_same_checkpoint_gives_the_same_files(trained: Path, exported: Path, tmp_path: Path) -> None:
@@ -90,7 +77,7 @@ def test_an_image_holds_the_requested_parts(trained: Path, tmp_path: Path) -> No
     image = EvaImage.unpack(model.tables)
     assert image.prior == "adaptive" == model.card["prior"]
     assert (model.name, model.card["version"], image.runtime, image.network) == ("other", "2", "onnx", None)
-    encoding = encode_recording(texture(), setting={"level": 1.0}, model=model)
+    encoding = encode_recording(textures.GENERATORS["rough"](seed=5, seconds=0.5), setting={"level": 1.0}, model=model)
     assert encoding.quality.snr_db is not None and encoding.quality.snr_db > 8
 
 
@@ -160,12 +147,6 @@ def test_a_training_that_was_cut_is_not_exported(tmp_path: Path) -> None:
     assert "was cut at step 1 of 2; continue it with `vibrocast train --resume`" in fails(
         2, "export", tmp_path / "checkpoint.pt", "--out", tmp_path / "model"
     )
-
-
-def test_curves_stand_next_to_the_card(exported: Path) -> None:
-    assert (exported / "curves.csv").read_text().splitlines()[0].startswith("step,seconds,training_loss,loss")
-    assert (exported / "curves.png").read_bytes().startswith(b"\x89PNG")
-    assert "![Losses over steps; SNR over rate](curves.png)" in (exported / "card.md").read_text()
 
 
 def test_an_image_is_signed_as_it_is_exported(trained: Path, tmp_path: Path) -> None:

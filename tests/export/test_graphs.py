@@ -1,12 +1,10 @@
 """Tests of the ONNX graphs: the same numbers as torch, the same bytes again, nothing that the checker minds."""
 
 import numpy as np
-import onnx
 import pytest
 import torch
 
 from vibrocast.codec.graphs import LATENTS, SIGNAL, Transform
-from vibrocast.codec.onnx_check import OPSET
 from vibrocast.export import graphs
 from vibrocast.export.eva import Eva, EvaShape
 from vibrocast.models import ModelError
@@ -34,16 +32,6 @@ def test_graphs_take_any_batch_and_any_time() -> None:
     with torch.no_grad():
         np.testing.assert_allclose(latents, eva.analysis(torch.from_numpy(signal)).numpy(), atol=1e-5)
     assert Transform(made.synthesis, LATENTS, SIGNAL)(latents).shape == signal.shape
-
-
-def test_graphs_state_their_opset_and_producer() -> None:
-    made = graphs.graphs_of(model())
-    for graph in (made.analysis, made.synthesis):
-        loaded = onnx.load_from_string(graph)
-        onnx.checker.check_model(loaded, full_check=True)
-        assert [(opset.domain, opset.version) for opset in loaded.opset_import] == [("", OPSET)]
-        assert loaded.producer_name == "pytorch"
-        assert "vibrocast" in loaded.doc_string
 
 
 def test_graphs_that_differ_from_the_model_are_rejected(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,8 +9,7 @@ from vibrocast.codec import CodecError
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.eva_image import PRIOR_KINDS, EvaImage, PriorKind
 from vibrocast.device_protocol.model_image import ModelImage
-from vibrocast.export.package import Contents, make
-from vibrocast.models import ModelError
+from vibrocast.export.package import Contents
 
 
 @pytest.mark.parametrize(
@@ -33,17 +32,6 @@ def test_a_runtime_that_an_image_does_not_have_is_rejected(contents: Contents, m
         )
 
 
-@pytest.mark.slow
-def test_numbered_models_are_a_family() -> None:
-    assert tiny.package(name="eva-16-4").family == "eva-16"
-    assert tiny.package(name="tiny").family == "tiny"
-
-
 @pytest.mark.parametrize("prior", PRIOR_KINDS)
 def test_the_prior_of_an_image_is_the_requested_one(prior: PriorKind) -> None:
     assert EvaImage.unpack(tiny.model("core", prior=prior).tables).prior == prior
-
-
-def test_without_any_signal_there_are_no_integers() -> None:
-    with pytest.raises(ModelError, match="no signal"):
-        make(tiny.checkpoint(), "tiny", "1", "core", [np.zeros(1000)])

@@ -11,9 +11,8 @@ from vibrocast.export.eva import Eva, EvaShape, Gdn
 from vibrocast.export.graphs import graphs_of, padded_noise
 from vibrocast.export.package import make
 from vibrocast.export.priors import FactorisedPrior, probabilities
-from vibrocast.export.pruning import changed, living_latents, pruned
+from vibrocast.export.pruning import living_latents, pruned
 from vibrocast.models import ModelError
-from vibrocast.textures import Recording
 
 
 def model_with_dead(dead: list[int]) -> Eva:
@@ -51,13 +50,6 @@ def test_the_dead_zone_of_a_training_is_in_the_graph() -> None:
     before, after = (Transform(graphs_of(each, [64]).analysis, SIGNAL, LATENTS)(signal) for each in (plain, wider))
     np.testing.assert_array_equal(np.rint(after) == 0, np.abs(before) < 0.62)
     assert np.any(np.abs(before) > 2) and np.max(np.abs(after - before)) < 0.16
-
-
-def test_recordings_that_pruning_changes_are_counted() -> None:
-    model = random_model(EvaShape(8, 6))
-    recording = Recording(0.1 * SIGNALS[0][:, None], 2800.0, "full scale", "a")
-    assert changed(model, np.arange(6), 0.0, [recording, recording]) == 0
-    assert changed(model, np.arange(5), 0.0, [recording, recording]) == 2
 
 
 def test_a_model_without_a_living_latent_is_rejected() -> None:

@@ -1,19 +1,17 @@
 """Training of the learned codec, at a tiny width: it learns, resumes as if uncut, and rejects what it cannot use."""
 
-import sys
 import tomllib
-import types
 from collections.abc import Callable
 from itertools import product
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from click.testing import CliRunner, Result
 from msgspec.structs import replace
 
+from tests.command import run
 from vibrocast import textures
 from vibrocast.errors import InputError
 from vibrocast.export import checkpoint, configuration, training, training_data
@@ -22,7 +20,6 @@ from vibrocast.export.configuration import ArchiveSource, Augmentation, HeldBack
 from vibrocast.export.eva import Eva, EvaShape
 from vibrocast.export.priors import FactorisedPrior, probabilities
 from vibrocast.export.training_data import Excerpts, Trace
-from vibrocast.host.cli.command_line import main
 from vibrocast.models import ModelError
 from vibrocast.textures import TextureError, dataset
 
@@ -55,10 +52,6 @@ def configured(path: Path, text: str = TINY) -> configuration.Configuration:
     return configuration.read(path / "tiny.toml")
 
 
-def run(*arguments: object) -> Result:
-    return CliRunner().invoke(main, ["train", *map(str, arguments)])
-
-
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("trained")
@@ -72,26 +65,6 @@ def test_the_loss_falls_and_the_curves_say_so(trained: Path) -> None:
     assert [record["step"] for record in last.curves] == [10, 20, 30, 40]
     assert losses[-1] < 0.95 * losses[0]
     assert {"bits_per_sample", "snr_db"} < last.curves[-1].keys()
-
-
-def test_curves_are_logged_where_tensorboard_is_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    logged: dict[str, list[int]] = {}
-
-    class SummaryWriter:
-        def __init__(self, folder: str, purge_step: int) -> None:
-            assert (Path(folder), purge_step) == (tmp_path / "out" / "tensorboard", 0)
-
-        def add_scalar(self, name: str, value: float, step: int) -> None:
-            logged.setdefault(name, []).append(step)
-
-        def flush(self) -> None:
-            pass
-
-    module = types.ModuleType("torch.utils.tensorboard")
-    monkeypatch.setattr(module, "SummaryWriter", SummaryWriter, raising=False)
-    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", module)
-    training.train(configured(tmp_path), tmp_path, tmp_path / "out", False, untold, 1)
-    assert logged == {name: [10, 20, 30, 40] for name in training.LOGGED}
 
 
 @pytest.mark.slow
@@ -225,36 +198,6 @@ def test_a_split_by_trace_holds_back_what_a_benchmark_tests(tmp_path: Path) -> N
         training_data.split(train, chosen.held_back, chosen.seed)
 
 
-def test_a_manifest_is_a_source_of_its_materials(tmp_path: Path) -> None:
-    (tmp_path / "deep").mkdir()
-    rows = ["file,unit,full_scale,material,split"]
-    for name, rate_hz, material, part in (
-        ("a", 2800, "Cork", "train"),
-        ("deep/b", 8000, "cork", "train"),
-        ("c", 2800, "felt", "test"),
-        ("d", 1000, "foam", "train"),
-    ):
-        recording = textures.GENERATORS["rough"](seed=1, seconds=0.5, rate_hz=rate_hz)
-        plain = textures.Recording(recording.samples / 100, float(rate_hz), "full scale", name)
-        textures.save(tmp_path / f"{name}.wav", plain)
-        rows.append(f"{name}.wav,m/s^2,10,{material},{part}")
-    (tmp_path / "mine.csv").write_text("\n".join(rows))
-    chosen = configured(tmp_path, TINY + '[[folder]]\nfolder = "mine.csv"\npart = "train"\n')
-    traces = [trace for trace in training_data.load(chosen.sources, tmp_path, 2800) if trace.source == "mine"]
-    assert sorted(trace.material for trace in traces) == ["mine/cork", "mine/cork", "mine/foam"]
-    assert {len(trace.samples) for trace in traces} == {1400}
-
-
-def test_files_left_out_of_a_data_set_are_reported(tmp_path: Path) -> None:
-    (tmp_path / "own").mkdir()
-    textures.save(tmp_path / "own" / "a.wav", textures.GENERATORS["rough"](seed=1, seconds=0.5))
-    (tmp_path / "own" / "notes.md").touch()
-    text = TINY[: TINY.index("[generator]")].replace("steps = 40", "steps = 1")
-    (tmp_path / "own.toml").write_text(text + '[[folder]]\nfolder = "own"\n')
-    result = run(tmp_path / "own.toml", "--out", tmp_path / "out")
-    assert "own: skipped 1 file: notes.md (of another kind)" in result.stderr
-
-
 @pytest.mark.parametrize(
     ("old", "new", "reason"),
     [
@@ -267,6 +210,8 @@ def test_files_left_out_of_a_data_set_are_reported(tmp_path: Path) -> None:
         ("[generator]", "[held_back]\nshare = nan\n[generator]", "share must be a number from 0.01 to 0.9, not nan"),
         ("excerpt_samples = 256", "excerpt_samples = 257", "multiple of 16"),
         (TINY[TINY.index("[generator]") :], "", "nothing to train on"),
+        ("[generator]", "[sweep]\nlambdas = [1]\nsteps = [2, 3]\n[generator]", "2 steps for 1 lambdas"),
+        ('"tiny"', f'"{41 * "a"}"\nsweep = {{ widths = [20] }}', "at most 41"),
     ],
 )
 def test_configurations_that_cannot_be_used_are_rejected_with_the_reason(
@@ -326,18 +271,18 @@ def test_numbers_that_are_not_finite_are_rejected(tmp_path: Path) -> None:
 def test_the_command_trains_resumes_and_rejects(tmp_path: Path) -> None:
     configured(tmp_path, TINY.replace("steps = 40", "steps = 10"))
     out = tmp_path / "out"
-    done = run(tmp_path / "tiny.toml", "--out", out)
+    done = run("train", tmp_path / "tiny.toml", "--out", out)
     assert done.exit_code == 0, done.output
     assert "bit/sample" in done.output
-    again = run(tmp_path / "tiny.toml", "--out", out)
+    again = run("train", tmp_path / "tiny.toml", "--out", out)
     assert (again.exit_code, "--resume" in again.output) == (1, True)
     configured(tmp_path, TINY.replace("width = 16", "width = 32"))
-    other = run(tmp_path / "tiny.toml", "--out", out, "--resume")
+    other = run("train", tmp_path / "tiny.toml", "--out", out, "--resume")
     assert (other.exit_code, "another model" in other.output) == (2, True)
     configured(tmp_path, TINY.replace("steps = 40", "steps = 20"))
-    more = run(tmp_path / "tiny.toml", "--out", out, "--resume")
+    more = run("train", tmp_path / "tiny.toml", "--out", out, "--resume")
     assert "all 20 steps done" in more.output
-    assert run(tmp_path / "missing.toml").exit_code == 2
+    assert run("train", tmp_path / "missing.toml").exit_code == 2
 
 
 def test_a_checkpoint_s_configuration_is_read_again_with_what_it_leaves_out() -> None:
@@ -350,7 +295,7 @@ def test_a_checkpoint_s_configuration_is_read_again_with_what_it_leaves_out() ->
 @pytest.mark.slow
 def test_a_sweep_trains_every_width_and_lambda_by_name(tmp_path: Path) -> None:
     configured(tmp_path, TINY + "[sweep]\nwidths = [20]\nlambdas = [1, 20]\nsteps = [2, 3]\n")
-    done = run(tmp_path / "tiny.toml", "--out", tmp_path / "out")
+    done = run("train", tmp_path / "tiny.toml", "--out", tmp_path / "out")
     assert done.exit_code == 0, done.output
     for number, lambda_ in enumerate((1.0, 20.0), 1):
         one = checkpoint.load(tmp_path / "out" / f"tiny-20-{number}" / training.CHECKPOINT)
@@ -359,38 +304,11 @@ def test_a_sweep_trains_every_width_and_lambda_by_name(tmp_path: Path) -> None:
         assert one.progress["step"] == 1 + number
 
 
-def test_a_sweep_whose_names_would_be_too_long_to_export_is_rejected(tmp_path: Path) -> None:
-    text = TINY.replace("tiny", 41 * "a")
-    assert configured(tmp_path, text).name == 41 * "a"
-    with pytest.raises(InputError, match="at most 41"):
-        configured(tmp_path, text + "[sweep]\nwidths = [20]\n")
-
-
-def test_steps_of_a_sweep_need_as_many_lambdas(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="2 steps for 1 lambdas"):
-        configured(tmp_path, TINY + "[sweep]\nlambdas = [1]\nsteps = [2, 3]\n")
-
-
 def test_the_examples_can_be_read() -> None:
     folder = Path(__file__).parents[2] / "examples"
     names = [one.name for path in folder.glob("eva*.toml") for one in configuration.each_of(configuration.read(path))]
     assert {"eva-16-1", "eva-128-8", "eva-16-perceptual-1"} <= set(names)
     assert set(textures.GENERATORS)
-
-
-def test_a_full_disk_leaves_the_checkpoint_that_was_there(
-    trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(path: Path, data: object) -> NoReturn:
-        raise OSError(28, "No space left on device", str(path))
-
-    last = checkpoint.load(trained / training.CHECKPOINT)
-    last.save(tmp_path / "last.pt")
-    before = (tmp_path / "last.pt").read_bytes()
-    monkeypatch.setattr(Path, "write_bytes", full)
-    with pytest.raises(OSError, match="No space left"):
-        last.save(tmp_path / "last.pt")
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"last.pt": before}
 
 
 def test_an_offset_of_recordings_is_not_trained_on(tmp_path: Path) -> None:

@@ -53,27 +53,6 @@ def test_the_integers_of_what_ships_stay_close_to_its_graph(name: str) -> None:
     assert point["snr_db"] > point["snr_db_by_onnx"] - (0.3 if point["snr_db_by_onnx"] <= 20 else 1.0)
 
 
-def test_members_of_a_family_are_in_the_order_of_their_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
-    def member(number: int) -> models.Model:
-        return models.Model(f"kin-{number}", Path(f"kin-{number}.vcmi"), b"", card={"family": "kin"})
-
-    lone = models.Model("lone", Path("lone.vcmi"), b"")
-    monkeypatch.setattr(models, "shipped", lambda: (member(10), lone, member(2), member(1)))
-    assert [model.name for model in models.members("kin")] == ["kin-1", "kin-2", "kin-10"]
-    assert models.members("lone") == [lone]
-    assert models.members("kin-1") == []
-
-
-def test_what_ships_is_listed_from_the_smallest_on() -> None:
-    sizes = [len(model.image) for model in models.shipped()]
-    assert sizes == sorted(sizes)
-    assert "mdct-textures" in models.names()
-
-
-def test_an_unknown_hash_has_no_model() -> None:
-    assert models.by_hash(b"\xab" * 8) is None
-
-
 def test_a_folder_of_ones_own(tmp_path: Path) -> None:
     path = folder(tmp_path / "mine")
     model = models.find(str(path))
