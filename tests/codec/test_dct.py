@@ -198,21 +198,6 @@ def test_logarithmic_levels_rise_by_equal_factors_from_the_smallest(
         np.testing.assert_allclose(magnitudes, np.geomspace(min(least, top), top, len(magnitudes)), rtol=1e-5, atol=1)
 
 
-def rate_controlled(signal: Signal, setting: Setting, quantiser_offsets: list[int]) -> tuple[bytes, list[bytes]]:
-    """Code live, each packet at the next of these quantiser offsets, over and over, or at the nearest that there is."""
-    encoder = dct.DctEncoder(
-        dct.CODEC.complete(setting),
-        SignalFormat(RATE_HZ, "full scale", (1.0,) * signal.shape[1], (0.5,) * signal.shape[1]),
-        Framing(128, 1),
-        in_turn(quantiser_offsets),
-    )
-    return encoder.configuration, encoder.encode(signal) + encoder.finish()
-
-
-def decoded(configuration: bytes, packets: list[bytes], channels: int) -> codec.Decoded:
-    return played(dct.make_decoder(configuration, channels), packets)
-
-
 @pytest.mark.parametrize(("quantiser", "entropy"), EVERY_CODER)
 @given(
     quantiser_offsets=st.lists(st.integers(-60, 60) | st.integers(-300, 300), min_size=1, max_size=6),
@@ -222,10 +207,13 @@ def decoded(configuration: bytes, packets: list[bytes], channels: int) -> codec.
 def test_core_agrees_with_the_documented_decoder_on_any_quantiser_offsets(
     quantiser: str, entropy: str, quantiser_offsets: list[int], channels: int
 ) -> None:
-    setting: Setting = {"quantiser": quantiser, "entropy": entropy, "block": "64"}
-    configuration, packets = rate_controlled(texture(600, channels), setting, quantiser_offsets)
-    reference = ReferenceDecoder(configuration, channels)
-    assert difference(reference, packets, decoded(configuration, packets, channels)) < 0.55
+    setting = dct.CODEC.complete({"quantiser": quantiser, "entropy": entropy, "block": "64"})
+    signal_format = SignalFormat(RATE_HZ, "full scale", (1.0,) * channels, (0.5,) * channels)
+    encoder = dct.DctEncoder(setting, signal_format, Framing(128, 1), in_turn(quantiser_offsets))
+    packets = encoder.encode(texture(600, channels)) + encoder.finish()
+    reference = ReferenceDecoder(encoder.configuration, channels)
+    samples = played(dct.make_decoder(encoder.configuration, channels), packets)
+    assert difference(reference, packets, samples) < 0.55
 
 
 def test_left_open_streams_are_huffman_coded_and_rate_controlled_ones_range_coded() -> None:

@@ -22,17 +22,10 @@ from vibrocast.codec.mdct import STEP_CODES
 from vibrocast.firmware.native_core import Structure, ffi, library
 
 TINY = Model(tiny_model().tables, tiny_model().analysis)
-LIVE = Framing(128, 5)
 
 
-def coded(
-    signal: codec.Signal,
-    framing: Framing = LIVE,
-    level: float = 0.2,
-    rate_control: RateControl | None = None,
-    model: Model = TINY,
-) -> tuple[bytes, list[bytes]]:
-    encoder = eva.EvaEncoder([level] * signal.shape[1], framing, model, rate_control)
+def coded(signal: codec.Signal, rate_control: RateControl | None = None) -> tuple[bytes, list[bytes]]:
+    encoder = eva.EvaEncoder([0.2] * signal.shape[1], Framing(128, 5), TINY, rate_control)
     packets = encoder.encode(signal) + encoder.finish()
     return encoder.configuration, packets
 

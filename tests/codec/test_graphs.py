@@ -225,6 +225,13 @@ def test_a_graph_that_is_split_in_two_is_rejected() -> None:
         Transform(graph, SIGNAL, LATENTS)
 
 
+def test_a_graph_reads_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "weights").write_bytes(bytes(64))
+    with pytest.raises(CodecError, match="parts that `vibrocast export` does not write"):
+        Transform(bytes_of(with_(move_weights_to_a_file)), SIGNAL, LATENTS)
+
+
 def test_a_graph_that_fails_on_what_it_is_given_says_so() -> None:
     with pytest.raises(CodecError, match="fails on an array of shape"):
         Transform(bytes_of(sums()), SIGNAL, LATENTS)(np.ones((1, 2), dtype=np.float32))

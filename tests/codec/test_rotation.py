@@ -17,8 +17,8 @@ from vibrocast.codec.stream import Stream, as_stream
 
 
 @st.composite
-def rotations(draw: st.DrawFn, channels: int | None = None) -> Rotation:
-    count = channels or draw(st.integers(2, 5))
+def rotations(draw: st.DrawFn) -> Rotation:
+    count = draw(st.integers(2, 5))
     delays = draw(st.lists(st.integers(0, 63), min_size=count - 1, max_size=count - 1))
     states = draw(st.lists(st.integers(0, OWN), min_size=BANDS, max_size=BANDS).filter(any))
     pairs = count * (count - 1) // 2
