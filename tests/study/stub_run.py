@@ -127,8 +127,6 @@ class StubRun(Session):
             is_busy = any(time.monotonic() < end for _, _, end in self._timeline)
             if is_busy and (all_first or not current.switches):
                 raise Rejected("an interval is playing; wait for its end")
-            if current.max_plays is not None and self._plays.get(label, 0) >= current.max_plays:
-                raise Rejected(f"{label} cannot be played again")
             if self.fails is not None:
                 if not isinstance(self.fails, ControllerError):
                     raise self.fails
@@ -157,13 +155,6 @@ class StubRun(Session):
             current = self._present()
             if len(self.plays()) < len(current.intervals):
                 raise Rejected("feel every texture first")
-            if isinstance(current.response, Choices):
-                if len(values) != 1 or values[0] not in range(len(current.response.options)):
-                    raise Rejected("give one of the answers")
-            elif len(values) != len(current.response.labels) or any(
-                not current.response.low <= value <= current.response.high for value in values
-            ):
-                raise Rejected("give a value to every slider")
             self.answers.append(values)
             self._next()
             return values == (1,) if current.feedback else None
