@@ -46,7 +46,6 @@ STEP = RatePoint("mdct", {"step": 0.25})
 TINY = tiny_model()
 QUICK = Scope(methods(["mdct", "dct", "slp", "eva"], [TINY]), quick=True, recordings=(wood(0, 0.5),))
 LEARNED = RatePoint("eva", {"level": 2.0}, TINY)
-EVERY_MAP = (*all_maps.MAPS, peers.PEERS)
 
 
 def hold() -> Measured:
@@ -234,7 +233,9 @@ def test_recordings_of_ones_own_are_a_map(tmp_path: Path, monkeypatch: pytest.Mo
     assert "## Your recordings" in (tmp_path / "out" / "stability.md").read_text()
 
 
-def test_long_signals_are_measured_by_their_last_part(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_hour_counts_by_its_last_minute_and_a_source_of_its_own_pace_runs_dry_by_the_drift(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(signals, "HOUR_S", 120)
     assert signals.measure_hour(RatePoint("mdct", {"step": 0.05})).outcome is HOLDS
     monkeypatch.setattr(transport, "PACED_S", 4.0)

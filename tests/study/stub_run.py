@@ -67,15 +67,11 @@ def mushra(number: int = 1, sliders: int = 5, total: int | None = 9, **others: o
 
 
 class StubRun(Session):
-    """Leads through screens.
+    """Leads through screens. `file` keeps the number of screens passed and the answers over a restart."""
 
-    `file`: keeps the number of screens passed and the answers over a restart. `seconds`: for which a texture plays.
-    """
-
-    def __init__(self, screens: Sequence[Screen], file: Path | None = None, seconds: float = 60.0) -> None:
+    def __init__(self, screens: Sequence[Screen], file: Path | None = None) -> None:
         self.screens = [*screens, END]
         self.file = file
-        self.seconds = seconds
         self.answers: list[tuple[int, ...]] = []
         self.replies: list[str] = []
         self.actuator: list[str] = []  # "A" where it begins to move, "rest" where it was brought to rest
@@ -137,7 +133,7 @@ class StubRun(Session):
             self._changes += 1
             begin = time.monotonic()
             self._timeline = []
-            seconds = 0.1 if all_first else self.seconds
+            seconds = 0.1 if all_first else 60.0
             for each in labels if all_first else [label]:
                 self._timeline.append((each, begin, begin + seconds))
                 self._plays[each] = self._plays.get(each, 0) + 1

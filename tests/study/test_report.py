@@ -50,25 +50,20 @@ def copied(tmp_path: Path, method: str = "degradation") -> Path:
     return folder
 
 
-def change(path: Path, changed: Callable[[Row], Row]) -> list[Row]:
-    """Write changed rows of results, and return them."""
-    with path.open(newline="") as file:
-        rows = [changed(row) for row in csv.DictReader(file)]
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, RESULT_COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-    return rows
+def change(folder: Path, value_of: Callable[[Row], object]) -> None:
+    """Give every answer of all participants another value."""
+    for path in folder.glob(f"participant_*/{RESULTS}"):
+        with path.open(newline="") as file:
+            rows = [{**row, "value": str(value_of(row))} for row in csv.DictReader(file)]
+        with path.open("w", newline="") as file:
+            writer = csv.DictWriter(file, RESULT_COLUMNS, lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
 
 
 def graded(folder: Path, grades: dict[str, list[int]]) -> None:
     """Let each participant give these grades to the conditions, of all textures."""
-
-    def change_row(row: Row) -> Row:
-        return {**row, "value": str(grades[row["condition"]][int(row["participant"]) - 1])}
-
-    for path in folder.glob(f"participant_*/{RESULTS}"):
-        change(path, change_row)
+    change(folder, lambda row: grades[row["condition"]][int(row["participant"]) - 1])
 
 
 TABLES = {
@@ -257,13 +252,8 @@ def test_the_log_shows_what_was_played(tmp_path: Path) -> None:
 
 def test_a_listener_who_misses_the_hidden_reference_is_left_out(tmp_path: Path) -> None:
     folder = copied(tmp_path, "mushra")
-
-    def change_row(row: Row) -> Row:
-        is_hidden = row["condition"] == "recording again"
-        return {**row, "value": "50" if is_hidden and row["participant"] == "2" else "95" if is_hidden else "40"}
-
-    for path in folder.glob(f"participant_*/{RESULTS}"):
-        change(path, change_row)
+    hidden = [95, 50, 95, 95]
+    change(folder, lambda row: hidden[int(row["participant"]) - 1] if row["condition"] == "recording again" else 40)
     read = analysis.analyse(folder)
     assert list(read.excluded) == [2]
     assert all(2 not in each.by_participant for each in read.ratings)
@@ -272,14 +262,8 @@ def test_a_listener_who_misses_the_hidden_reference_is_left_out(tmp_path: Path) 
 
 def test_preferences_rank_the_winner_first_with_intervals(tmp_path: Path) -> None:
     folder = copied(tmp_path, "paired_comparison")
-
-    def change_row(row: Row) -> Row:
-        wins = sorted(("recording", "fine", "coarse").index(row[key]) for key in ("condition", "comparison"))[0]
-        chosen = 0 if ("recording", "fine", "coarse").index(row["condition"]) == wins else 1
-        return {**row, "value": str(chosen)}
-
-    for path in folder.glob(f"participant_*/{RESULTS}"):
-        change(path, change_row)
+    order = ("recording", "fine", "coarse")
+    change(folder, lambda row: int(order.index(row["condition"]) > order.index(row["comparison"])))
     read = analysis.analyse(folder)
     assert "wood, most preferred first: recording, fine, coarse." in analysis.findings(read)
     for each in read.preferences:

@@ -49,7 +49,7 @@ class Client:
         return shown
 
     def act(self, action: str, **content: object) -> httpx.Response:
-        return self.post(f"/api/{action}", json={"screen": self.screen()["screen"]["id"]} | content)
+        return self.request("POST", f"/api/{action}", json={"screen": self.screen()["screen"]["id"]} | content)
 
     def secret(self, path: str = "") -> str:
         return f"/experimenter/{self.pages.token}{path}"

@@ -23,7 +23,6 @@ SLEEP = (
 FILMS = ([9, 7, 8, 9, 8, 9, 9, 10, 9, 9], [9, 6, 7, 8, 7, 9, 8, 8, 8, 7])
 # Baseball 1987: A. Agresti, Categorical Data Analysis, 2nd edition, 2002, page 438. Wins of the row's team at home and
 # on visits, against each column's.
-TEAMS = ("Milwaukee", "Detroit", "Toronto", "New York", "Boston", "Cleveland", "Baltimore")
 WON_AT_HOME = [
     [0, 4, 4, 4, 6, 4, 6],
     [3, 0, 4, 4, 6, 6, 4],
@@ -299,10 +298,10 @@ DAMAGED: list[tuple[Callable[..., object], tuple[object, ...], str]] = [
     *((own.mean_interval, (each,), "remove those rows") for each in ([1.0, math.nan], [1.0, math.inf], [[1.0], [2.0]])),
     (own.paired_test, ([1, 2], [1]), "needs both"),
     (own.holm, ([0.1, math.nan],), "p value"),
-    (own.mixed_model, ([1, math.nan], ["a", "b"], [1, 2], "a"), ""),
-    (own.mixed_model, ([1, 2, 3], ["a", "b"], [1, 2], "a"), ""),
-    (own.correlation, ([1, math.nan, 3], [1, 2, 3]), ""),
-    (own.correlation, ([1, 2], [1, 2, 3]), ""),
+    (own.mixed_model, ([1, math.nan], ["a", "b"], [1, 2], "a"), "remove those rows"),
+    (own.mixed_model, ([1, 2, 3], ["a", "b"], [1, 2], "a"), "needs both"),
+    (own.correlation, ([1, math.nan, 3], [1, 2, 3]), "remove those rows"),
+    (own.correlation, ([1, 2], [1, 2, 3]), "needs pairs"),
 ]
 
 
