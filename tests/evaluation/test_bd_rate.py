@@ -48,21 +48,18 @@ def test_a_constant_factor_of_rate_is_found_in_the_window_of_every_quality(scale
     assert (result.low, result.high) == (scale.low, scale.high)
 
 
-def test_four_points_are_enough_and_the_fewest_are_counted() -> None:
-    result = bd_rate(curve(COARSE), curve([4.0, 9.0, 15.0, 21.0], 0.5), SNR)
-    assert result is not None
-    assert result.percent == pytest.approx(-50, abs=0.5)
-    assert result.points == 4
-    enough = bd_rate(curve(COARSE), curve(COARSE), SNR)
-    assert enough is not None and enough.points == len(COARSE)
-
-
-def test_only_the_window_counts() -> None:
+def test_only_the_window_counts_four_points_are_enough_and_the_comparison_ends_where_a_curve_ends() -> None:
     anchor = curve(FINE)
-    test = [(bits / (10 if snr_db < 4 else 2 if snr_db <= 21 else 1), snr_db) for bits, snr_db in anchor]
-    result = bd_rate(anchor, test, SNR)
-    assert result is not None
-    assert result.percent == pytest.approx(-50, abs=0.5)
+    in_window = [(bits / (10 if snr_db < 4 else 2 if snr_db <= 21 else 1), snr_db) for bits, snr_db in anchor]
+    short = curve([-1.0, 2.0, 5.0, 8.0, 11.0, 14.0])
+    for one, other, ends, points in (
+        (anchor, in_window, (5, 20), 50),
+        (curve(COARSE), curve([4.0, 9.0, 15.0, 21.0], 0.5), (5, 20), 4),
+        (short, curve([7.5, *FINE[20:]], 0.5), (7.5, 14), 6),
+    ):
+        result = bd_rate(one, other, SNR)
+        assert result is not None and result.percent == pytest.approx(-50, abs=0.5)
+        assert ((result.low, result.high), result.points) == (ends, points)
 
 
 def definition(anchor: Callable[[float], float], test: Callable[[float], float], low: float, high: float) -> float:
@@ -71,14 +68,7 @@ def definition(anchor: Callable[[float], float], test: Callable[[float], float],
     return 100 * (10 ** (integral / (high - low)) - 1)
 
 
-def test_curved_lines_have_the_integral_of_the_definition() -> None:
-    result = bd_rate(curve(FINE, db_per_bit=6), curve(FINE, db_per_bit=4), SNR)
-    expected = definition(lambda snr_db: 1 + snr_db / 6, lambda snr_db: 1 + snr_db / 4, 5, 20)
-    assert result is not None
-    assert result.percent == pytest.approx(expected, abs=0.01)
-
-
-def test_a_saturating_quality_has_the_integral_of_the_definition() -> None:
+def test_a_saturating_quality_and_a_curved_line_have_the_integral_of_the_definition() -> None:
     def bits(quality: float) -> float:
         return -math.log2(1 - quality)
 
@@ -93,6 +83,9 @@ def test_a_saturating_quality_has_the_integral_of_the_definition() -> None:
     )
     assert result is not None
     assert result.percent == pytest.approx(definition(bits, bits_of_test, 0.8, 0.98), abs=0.01)
+    curved = bd_rate(curve(FINE, db_per_bit=6), curve(FINE, db_per_bit=4), SNR)
+    expected = definition(lambda snr_db: 1 + snr_db / 6, lambda snr_db: 1 + snr_db / 4, 5, 20)
+    assert curved is not None and curved.percent == pytest.approx(expected, abs=0.01)
 
 
 def test_the_library_agrees_where_the_curves_end_at_the_window() -> None:
@@ -121,19 +114,8 @@ def test_the_papers_method_is_one_cubic_over_the_whole_overlap() -> None:
     assert (low, high) == (3.0, 22.5)  # beyond the window on both sides
     assert result.cubic_percent == pytest.approx(definition(bits, bits_of_test, low, high))
     assert result.cubic_percent != pytest.approx(result.percent, abs=0.1)
-
-
-def test_a_fit_beyond_floating_point_is_infinite() -> None:
-    steep = [(1.0, 0.0), (1e9, 1e-6), (2e9, 24.9), (3e9, 25.0)]
-    result = bd_rate(curve(COARSE), steep, SNR)
-    assert result is not None and result.cubic_percent == math.inf
-
-
-def test_comparison_ends_where_a_curve_ends() -> None:
-    result = bd_rate(curve([-1.0, 2.0, 5.0, 8.0, 11.0, 14.0]), curve([7.5, *FINE[20:]], 0.5), SNR)
-    assert result is not None
-    assert (result.low, result.high) == (7.5, 14)
-    assert result.percent == pytest.approx(-50, abs=0.5)
+    steep = bd_rate(curve(COARSE), [(1.0, 0.0), (1e9, 1e-6), (2e9, 24.9), (3e9, 25.0)], SNR)
+    assert steep is not None and steep.cubic_percent == math.inf
 
 
 @pytest.mark.parametrize(
@@ -161,12 +143,11 @@ def test_order_repetition_and_worse_points_do_not_matter() -> None:
     random.Random(0).shuffle(points)
     assert monotone_envelope(points) == clean
     assert bd_rate(curve(COARSE), points, SNR) == bd_rate(curve(COARSE), clean, SNR)
-
-
-def test_rates_that_differ_by_rounding_alone_are_one() -> None:
-    points = [(math.nextafter(8.0, 0), 1.0), (8.0, 2.0), (16.0, 3.0)]
-    assert monotone_envelope(points) == points[1:]
-    assert quality_at(points, 8.0) == 2
+    rounded = [(math.nextafter(8.0, 0), 1.0), (8.0, 2.0), (16.0, 3.0)]
+    assert monotone_envelope(rounded) == rounded[1:]
+    assert quality_at(rounded, 8.0) == 2
+    without = [Point("a", "b", "", 8, 2, 5.0, spqi=None), Point("a", "b", "", 8, 4, None, spqi=0.5)]
+    assert SNR.curve(without) == [(2.0, 5.0)]
 
 
 @given(st.lists(st.tuples(st.integers(1, 50), st.floats(-10, 40) | st.sampled_from([math.nan, math.inf, -math.inf]))))
@@ -189,11 +170,6 @@ def test_between_points_and_never_outside() -> None:
         assert np.isnan(quality_at(too_short, [1 + 8 / 6])).all()
 
 
-def test_points_without_a_quality_are_not_on_its_curve() -> None:
-    points = [Point("a", "b", "", 8, 2, 5.0, spqi=None), Point("a", "b", "", 8, 4, None, spqi=0.5)]
-    assert SNR.curve(points) == [(2.0, 5.0)]
-
-
 def test_recordings_are_compared_one_by_one_and_summed_up() -> None:
     anchor = {name: curve(COARSE) for name in ("a", "b", "c", "only here")}
     test = {name: curve(COARSE, factor) for name, factor in (("a", 0.5), ("b", 0.6), ("c", 0.9), ("only there", 1))}
@@ -204,15 +180,11 @@ def test_recordings_are_compared_one_by_one_and_summed_up() -> None:
     assert result.median == pytest.approx(-40)
     assert (round(result.lowest), round(result.highest), result.traces) == (-50, -10, 3)
     assert (result.low, result.high, result.whole_window_traces) == (5, 20, 3)
-
-
-def test_a_summary_names_the_check_and_the_window() -> None:
-    result = summary(
+    some = summary(
         [BdRate(-50, -49, -43, 5, 19, 8), BdRate(-40, -41, -41, 6, 20, 5), BdRate(-42, -42, -42, 5, 20, 9)], SNR
     )
-    assert result.akima_mean == -44 and result.cubic_mean == -42
-    assert (result.low, result.high, result.whole_window_traces) == (5, 20, 1)
-    assert result.points == 5
+    assert (some.akima_mean, some.cubic_mean, some.points) == (-44, -42, 5)
+    assert (some.low, some.high, some.whole_window_traces) == (5, 20, 1)
 
 
 def test_the_interval_of_the_mean_holds_it_and_shrinks_with_the_recordings() -> None:

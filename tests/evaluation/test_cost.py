@@ -1,6 +1,8 @@
 """The costs of codecs: times by a clock of the test itself, delay as streamed, memory, shipped sizes of decoders."""
 
 import sys
+from collections.abc import Iterator
+from itertools import repeat
 
 import numpy as np
 import pytest
@@ -14,59 +16,28 @@ from vibrocast.models import Model
 MODELS = {"eva": tiny_model()}
 
 
-class Clock:
-    """A clock that stands still but for the work that is done, and is read in steps of 1 ms."""
+def test_times_are_of_a_million_samples_and_the_median_of_runs_but_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The clock stands still but for the work, and is read in steps of 1 ms."""
+    now_s = 0.0
 
-    def __init__(self) -> None:
-        self.now_s = 0.0
+    def time_s(encoding: Iterator[float], decoding_s: float, samples: int) -> tuple[float, float]:
+        def work(seconds: float) -> float:
+            nonlocal now_s
+            now_s += seconds
+            return decoding_s
 
-    def __call__(self) -> float:
-        return round(self.now_s, 3)
+        return timing.time_coding(lambda: work(next(encoding)), work, samples, repeats=3)
 
-    def work(self, seconds: float) -> None:
-        self.now_s += seconds
-
-
-@pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    fake = Clock()
-    monkeypatch.setattr("time.process_time", fake)
-    return fake
-
-
-def test_times_are_of_a_million_samples(clock: Clock) -> None:
-    def decode(coded: float) -> None:
-        clock.work(coded)
-
-    def encode() -> float:
-        clock.work(3.0)
-        return 0.5
-
-    assert timing.time_coding(encode, decode, samples=2_000_000, repeats=3) == (1.5, 0.25)
-
-
-def test_work_shorter_than_the_clock_can_tell(clock: Clock) -> None:
-    encode_s, decode_s = timing.time_coding(lambda: clock.work(2e-5), lambda _: clock.work(4e-4), 1_000_000, 3)
-    assert encode_s == pytest.approx(2e-5, rel=0.1)
-    assert decode_s == pytest.approx(4e-4, rel=0.1)
-
-
-def test_the_first_run_is_not_counted_and_the_median_is_taken(clock: Clock) -> None:
-    seconds = iter([9.0, 1.0, 7.0, 2.0])
-    encode_s, _ = timing.time_coding(lambda: clock.work(next(seconds)), lambda _: clock.work(1.0), 1_000_000, 3)
-    assert (encode_s, list(seconds)) == (2.0, [])
-
-
-def test_delay_of_mdct_is_its_window() -> None:
-    assert cost.delay_ms("mdct", {}, 2800) == pytest.approx(1e3 * 64 / 2800)
-    assert cost.delay_ms("mdct", {"step": 1.0}, 8000, channels=2) == pytest.approx(1e3 * 128 / 8000)
-    with pytest.raises(codec.CodecError, match="no codec"):
-        cost.delay_ms("none", {}, 2800)
+    monkeypatch.setattr("time.process_time", lambda: round(now_s, 3))
+    assert time_s(iter([9.0, 1.0, 7.0, 3.0]), 0.5, 2_000_000) == (1.5, 0.25)
+    assert time_s(repeat(2e-5), 4e-4, 1_000_000) == pytest.approx((2e-5, 4e-4), rel=0.1)
 
 
 @pytest.mark.parametrize("name", list(codec.CODECS))
 def test_delay_is_the_longest_that_a_sample_waits(name: str) -> None:
     """Fed one sample at a time: what has come in by the time that a sample can be played."""
+    with pytest.raises(codec.CodecError, match="no codec"):
+        cost.delay_ms("none", {}, 2800)
     rate_hz = 2800
     plug_in = codec.CODECS[name]
     model = MODELS.get(name)

@@ -88,18 +88,24 @@ def test_a_program_codes_in_the_physical_unit(level: float) -> None:
     assert fine.decode_s > 0
 
 
+def test_short_signals_silence_and_a_missing_end_are_coded_and_other_signals_rejected() -> None:
+    for samples in (1, 2, 7):
+        assert snr_db(texture(samples), external.run(COPIER, "", texture(samples), RATE_HZ).decoded) > 70
+        assert not np.any(external.run(COPIER, "", np.zeros((samples, 1)), RATE_HZ).decoded)
+    cut, signal = replace(COPIER, decoder=python(CUT, "{input}", "{output}", "950")), texture(1000)
+    decoded = external.run(cut, "", signal, RATE_HZ).decoded
+    assert snr_db(signal[:950], decoded[:950]) > 70 and not np.any(decoded[950:])
+    for other in (np.zeros((0, 1)), np.zeros((5, 2)), np.zeros(5), np.full((5, 1), np.nan)):
+        with pytest.raises(InputError, match="one channel of finite numbers"):
+            external.run(COPIER, "", other, RATE_HZ)
+
+
 @pytest.mark.parametrize("delay", [0, 1, 52, 700])
 @pytest.mark.parametrize("told", [False, True])
 def test_delay_is_removed(delay: int, told: bool) -> None:
     signal = texture(2000)
     program = replace(coder(delay), delay_samples=delay if told else None)
     assert snr_db(signal, external.run(program, "0", signal, RATE_HZ).decoded) > 70
-
-
-@pytest.mark.parametrize("samples", [1, 2, 7])
-def test_short_signals_and_silence(samples: int) -> None:
-    assert snr_db(texture(samples), external.run(COPIER, "", texture(samples), RATE_HZ).decoded) > 70
-    assert not np.any(external.run(COPIER, "", np.zeros((samples, 1)), RATE_HZ).decoded)
 
 
 def test_the_file_is_labelled_with_another_rate() -> None:
@@ -117,16 +123,6 @@ def test_programs_that_code_folders_and_in_two_steps() -> None:
     for decoder in (folders, steps):
         decoded = external.run(replace(COPIER, encoder=steps, decoder=decoder), "", signal, RATE_HZ).decoded
         assert snr_db(signal, decoded) > 70
-
-
-def test_a_missing_end_counts_as_silence_and_a_wrong_length_is_rejected() -> None:
-    signal = texture(1000)
-    program = replace(COPIER, decoder=python(CUT, "{input}", "{output}", "950"))
-    decoded = external.run(program, "", signal, RATE_HZ).decoded
-    assert snr_db(signal[:950], decoded[:950]) > 70
-    assert not np.any(decoded[950:])
-    message = failure(replace(COPIER, decoder=python(CUT, "{input}", "{output}", "400")), 1000)
-    assert "400 samples instead of 1000" in message
 
 
 def test_a_program_that_cannot_be_run_or_fails_is_named_and_quoted(tmp_path: Path) -> None:
@@ -161,6 +157,7 @@ def test_a_hanging_program_is_stopped_with_its_children(tmp_path: Path) -> None:
     ("encoder", "decoder", "expected"),
     [
         ("pass", COPY, "the encoder wrote nothing"),
+        (COPY, CUT.replace("int(sys.argv[3])", "400"), "400 samples instead of 500"),
         (COPY, "pass", "the decoder wrote 0 files"),
         (COPY, COPY + "; shutil.copy(sys.argv[1], sys.argv[2] + '2')", "the decoder wrote 2 files"),
         (COPY, "import sys; open(sys.argv[2], 'wb').write(bytes(5000))", "no WAV file"),
@@ -181,22 +178,6 @@ def test_what_is_left_must_be_usable(encoder: str, decoder: str, expected: str) 
     )
 
 
-@pytest.mark.parametrize("signal", [np.zeros((0, 1)), np.zeros((5, 2)), np.zeros(5), np.full((5, 1), np.nan)])
-def test_signals_that_no_program_takes(signal: Signal) -> None:
-    with pytest.raises(InputError, match="one channel of finite numbers"):
-        external.run(COPIER, "", signal, RATE_HZ)
-
-
-def test_the_example_lists_rate_point_sets() -> None:
-    programs = external.read_programs(EXAMPLE, allow_programs=True)
-    assert [program.name for program in programs] == ["speex-nb", "vcpwq", "mpeg-haptics"]
-    assert programs[0].settings[:2] == ("0", "1")
-    assert programs[0].label_rate_hz == 8000
-    assert programs[0].coded_suffix == ".spx"
-    assert [len(program.decoder) for program in programs] == [1, 1, 2]
-    assert all(program.file == EXAMPLE and len(program.settings) >= 6 for program in programs)
-
-
 BOTH = 'encoder = ["a", "{input}", "{output}"]\ndecoder = ["b", "{input}", "{output}"]\n'
 
 
@@ -209,21 +190,16 @@ BOTH = 'encoder = ["a", "{input}", "{output}"]\ndecoder = ["b", "{input}", "{out
         ("[mine]\nencoder = ['a']", "decoder is missing"),
         ("[mine]\ndecoder = ['a']", "encoder is missing"),
         (f"[mine]\n{BOTH}quality = 3", "there is no key quality"),
-        (f"[mine]\n{BOTH}settings = []", "settings must be a list"),
-        (f"[mine]\n{BOTH}settings = 'fine'", "settings must be a list"),
-        (f"[mine]\n{BOTH}settings = 3", "settings must be a list"),
-        (f"[mine]\n{BOTH}settings = [[1]]", "settings must be a list"),
+        *((f"[mine]\n{BOTH}settings = {value}", "settings must be a list") for value in ("[]", "'fine'", "3", "[[1]]")),
         (f"[mine]\n{BOTH}label_rate_hz = 0", "label_rate_hz must be a whole number from 1"),
         (f"[mine]\n{BOTH}delay_samples = -1", "delay_samples must be a whole number from 0"),
         (f"[mine]\n{BOTH}delay_samples = true", "delay_samples must be a whole number from 0"),
         (f"[mine]\n{BOTH}timeout_s = 'long'", "timeout_s must be a number from 1, not 'long'"),
         (f"[mine]\n{BOTH}coded_suffix = '/x'", "coded_suffix must be a text such as"),
-        (f"[mine]\n{BOTH}coded_suffix = 7", "coded_suffix must be a text such as"),
-        ("[mine]\nencoder = 'a'\ndecoder = ['b']", "encoder must be a list of a program"),
-        ("[mine]\nencoder = []\ndecoder = ['b']", "encoder must be a list of a program"),
-        ("[mine]\nencoder = [[]]\ndecoder = ['b']", "encoder must be a list of a program"),
-        ("[mine]\nencoder = ['a', 3]\ndecoder = ['b']", "encoder must be a list of a program"),
-        ("[mine]\nencoder = 3\ndecoder = ['b']", "encoder must be a list of a program"),
+        *(
+            (f"[mine]\nencoder = {value}\ndecoder = ['b']", "encoder must be a list of a program")
+            for value in ("'a'", "[]", "[[]]", "['a', 3]", "3")
+        ),
         ("[mine]\nencoder = ['a', '{in}']\ndecoder = ['b']", "encoder has {in}; choose from input, output"),
     ],
 )
@@ -232,5 +208,6 @@ def test_lists_that_are_wrong_are_rejected(text: str, expected: str, tmp_path: P
     path.write_bytes(text.encode("latin-1"))
     with pytest.raises(InputError) as caught:
         external.read_programs(path)
+    assert all(program.file == EXAMPLE for program in external.read_programs(EXAMPLE, allow_programs=True))
     assert expected in str(caught.value)
     assert str(path) in str(caught.value)

@@ -27,6 +27,15 @@ def test_reflection_and_line_spectral_quantisers_keep_the_filter_stable(order: i
         assert np.max(radii) < 1
 
 
+@pytest.mark.parametrize("order", [2, 5, 8])
+def test_fine_quantisers_change_little_and_too_few_bits_are_rejected(order: int) -> None:
+    predictors = frames_of_texture(order)
+    for quantised in filters.QUANTISERS.values():
+        np.testing.assert_allclose(quantised(predictors, 15), predictors, atol=0.05)
+    with pytest.raises(InputError, match="apart"):
+        filters.quantised_pole_radii(frames_of_texture(8), "line spectral frequencies", 2)
+
+
 def test_a_direct_form_quantiser_makes_filters_unstable_and_their_output_grow() -> None:
     """The reason for reflection coefficients: same texture and bits, with the coefficients themselves quantised."""
     predictors = frames_of_texture(8)
@@ -41,15 +50,3 @@ def test_a_direct_form_quantiser_makes_filters_unstable_and_their_output_grow() 
     }
     assert np.max(np.abs(output["direct form"][-500:])) > 100 * np.max(np.abs(output["direct form"][:500]))
     assert np.max(np.abs(output["reflection coefficients"][-500:])) < 1
-
-
-@pytest.mark.parametrize("order", [2, 5, 8])
-def test_fine_quantisers_change_little(order: int) -> None:
-    predictors = frames_of_texture(order)
-    for quantised in filters.QUANTISERS.values():
-        np.testing.assert_allclose(quantised(predictors, 15), predictors, atol=0.05)
-
-
-def test_too_few_bits_for_the_order_are_rejected() -> None:
-    with pytest.raises(InputError, match="apart"):
-        filters.quantised_pole_radii(frames_of_texture(8), "line spectral frequencies", 2)

@@ -1,6 +1,7 @@
 """The codec of another package, which the registry alone knows, in the benchmark, its page and the stability maps."""
 
 import sys
+from functools import partial
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from vibrocast.codec import plugins, registry
 from vibrocast.evaluation import cells, cost
 from vibrocast.evaluation.points import Point, read_rows
 from vibrocast.evaluation.stability import maps, signals
-from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, attempt
+from vibrocast.evaluation.stability.trials import Outcome, Trial, attempt
 from vibrocast.textures.generate import wood
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "codec_plugin"
@@ -32,7 +33,9 @@ def installed(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.slow
-def test_the_benchmark_takes_it_as_any_other(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_benchmark_and_the_stability_maps_take_it_as_any_other(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(workers, "on_cores", lambda tasks, processes: here(tasks))
     monkeypatch.setattr(cost, "peak_memory_bytes", lambda codec_name, model: None)
     result = run("bench", folder, "--out", tmp_path / "out", "--repeats", "1", "--codecs", f"{NAME},slp")
@@ -45,6 +48,9 @@ def test_the_benchmark_takes_it_as_any_other(folder: Path, tmp_path: Path, monke
     assert any(line.startswith(f"| {NAME} |") for line in page.splitlines())
     assert f"\n{NAME}," in (tmp_path / "out" / "results" / "speeds.csv").read_text()
     assert "decoder not counted" in (tmp_path / "out" / "results" / "costs.csv").read_text()
+    (method,) = maps.methods([NAME], ())
+    measure = partial(signals.measure, maps.three_rate_points(method)["high"], "texture")
+    assert attempt(Trial(NAME, "texture", measure)).outcome is Outcome.HOLDS
 
 
 def test_a_cell_is_measured_again_where_its_module_changes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -61,13 +67,3 @@ def test_a_cell_is_measured_again_where_its_module_changes(monkeypatch: pytest.M
     monkeypatch.delitem(sys.modules, "vibrocast_haar")
     assert [old == new for old, new in zip(before, keys(), strict=True)] == [False, True]
     cells._other_packages.cache_clear()
-
-
-def test_the_stability_maps_take_it() -> None:
-    (method,) = maps.methods([NAME], ())
-    rate_point = maps.three_rate_points(method)["high"]
-
-    def measure() -> Measured:
-        return signals.measure(rate_point, "texture")
-
-    assert attempt(Trial(NAME, "texture", measure)).outcome is Outcome.HOLDS

@@ -26,23 +26,11 @@ def test_points_come_back_from_a_file(tmp_path: Path) -> None:
     assert read_rows(tmp_path / "points.csv", Point) == points
     lines = (tmp_path / "points.csv").read_text().splitlines()
     assert lines[0].startswith(HEADER) and lines[0].endswith("bits_per_sample")
-    assert lines[1].endswith(",4.0") and points[0].bits_per_sample == 4
-
-
-def test_timings_and_failures_come_back_from_a_file(tmp_path: Path) -> None:
-    timings = [Timing("a", "mdct", "step=1", 0.1, 1e-9), Timing("a", "peer", "", 3.0, 0.0, "imported")]
+    assert lines[1].endswith(",4.0") and (points[0].bits_per_sample, points[0].compression_ratio) == (4, 4)
+    assert {point.source for point in read_imported(tmp_path / "points.csv")[0]} == {"imported"}
     failures = [Failure("a", "", "", 'no WAV file\n"a"')]
-    write_rows(tmp_path / "timings.csv", timings, Timing)
     write_rows(tmp_path / "failures.csv", failures, Failure)
-    assert read_rows(tmp_path / "timings.csv", Timing) == timings
     assert read_rows(tmp_path / "failures.csv", Failure) == failures
-
-
-def test_points_are_sorted_by_codec_and_recording() -> None:
-    points = [Point(trace, codec, "", 1, 1, 0.0) for codec in "xy" for trace in "abab"]
-    curves = by_codec_and_trace(points)
-    assert list(curves) == ["x", "y"]
-    assert {trace: len(curve) for trace, curve in curves["y"].items()} == {"a": 2, "b": 2}
 
 
 @pytest.mark.parametrize(
@@ -58,12 +46,13 @@ def test_points_are_sorted_by_codec_and_recording() -> None:
         (f"{HEADER},rate_hz\na,b,c,1,1,1,inf\n", "row 2: rate_hz and delay_ms must be finite"),
         (f"{HEADER},delay_ms\na,b,c,1,1,1,-1\n", "row 2: rate_hz and delay_ms must be finite"),
         (f"{HEADER}\na,b,c,1\n", "row 2"),
+        *((f"{TIMED}\na,b,,1,1,1,{times}\n", "row 2: encode_s or") for times in ("soon,1", "1,nan", "inf,1", "-1,1")),
     ],
 )
 def test_rejected_with_the_place(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "points.csv").write_text(text)
     with pytest.raises(InputError, match=message):
-        read_rows(tmp_path / "points.csv", Point)
+        read_imported(tmp_path / "points.csv")
 
 
 def test_imported_seconds_of_a_recording_become_seconds_per_million_samples(tmp_path: Path) -> None:
@@ -71,18 +60,6 @@ def test_imported_seconds_of_a_recording_become_seconds_per_million_samples(tmp_
     points, timings = read_imported(tmp_path / "peers.csv")
     assert [point.source for point in points] == ["imported", "imported"]
     assert timings == [Timing("a", "peer", "-b 1", 2.0, 1.0, "imported")]
-
-
-def test_points_of_another_benchmark_are_imported(tmp_path: Path) -> None:
-    write_rows(tmp_path / "points.csv", [Point("a", "mdct", "", 1, 1, 5.0)], Point)
-    assert [point.source for point in read_imported(tmp_path / "points.csv")[0]] == ["imported"]
-
-
-@pytest.mark.parametrize("times", ["soon,1", "1,nan", "inf,1", "-1,1"])
-def test_imported_times_that_are_none_are_rejected(tmp_path: Path, times: str) -> None:
-    (tmp_path / "peers.csv").write_text(f"{TIMED}\na,peer,,2000,10,5,{times}\n")
-    with pytest.raises(InputError, match="row 2: encode_s or decode_s"):
-        read_imported(tmp_path / "peers.csv")
 
 
 @given(data=st.binary(max_size=200), headed=st.booleans())
@@ -101,13 +78,3 @@ def test_the_peers_are_read() -> None:
     curves = by_codec_and_trace(points)
     assert {len(curves[name]) for name in ("vcpwq", "speex_nb@relabel")} == {11}
     assert len(timings) == len(points) and {timing.source for timing in timings} == {"imported"}
-
-
-def test_figures_of_a_point() -> None:
-    point = Point("a", "mdct", "", samples=2800, bytes_total=700, snr_db=None, rate_hz=2800.0)
-    assert (point.bits_per_sample, point.compression_ratio) == (2, 8)
-
-
-def test_what_is_no_file_is_rejected_before_it_is_read() -> None:
-    with pytest.raises(InputError, match="no file"):
-        read_imported(Path("/dev/zero"))

@@ -22,6 +22,8 @@ from vibrocast.textures import Recording
 from vibrocast.textures.dataset import DatasetEntry
 from vibrocast.textures.generate import wood
 
+RECORDING = wood(1, 0.5)
+
 
 def with_image(model: Model, name: str, image: EvaImage) -> Model:
     """Return the model by another name with another payload."""
@@ -35,28 +37,10 @@ def member(number: int) -> Model:
     return replace(with_image(tiny, f"step-{number}", EvaImage.unpack(tiny.tables)), card={"family": "steps"})
 
 
-@pytest.fixture
-def recording() -> Recording:
-    return wood(1, 0.5)
-
-
-def test_a_model_has_one_rate_point_and_a_family_one_for_each(recording: Recording) -> None:
-    (method,) = cells.families([member(2), member(0)])
-    assert (method.name, method.coder, [model.name for model in method.models]) == (
-        "steps",
-        "eva",
-        ["step-0", "step-2"],
-    )
-    points = [
-        Cell("wood", recording, method, setting, 0, model).measure().point for setting, model in method.rate_points
-    ]
-    assert [point.setting for point in points] == ["level=1 model=step-0", "level=1 model=step-2"]
-
-
-def test_the_model_is_in_the_key(recording: Recording) -> None:
+def test_the_model_is_in_the_key() -> None:
     tiny = tiny_model()
     (method,) = cells.families([tiny])
-    cell = Cell("wood", recording, method, {"level": 1.0}, 0, tiny)
+    cell = Cell("wood", RECORDING, method, {"level": 1.0}, 0, tiny)
     others = [
         replace(cell, model=replace(tiny, name="other")),
         replace(cell, model=replace(tiny, analysis=tiny.analysis + b"\0")),
@@ -74,6 +58,9 @@ def test_names_stand_for_codecs_rate_point_sets_and_families() -> None:
     assert not {method.name for method in cells.methods([])} & {"eva", "tiny"}
     assert [method.name for method in cells.methods(["eva", "flac"], models=models)] == ["flac", "tiny", "steps"]
     assert [method.name for method in cells.methods(["tiny"], models=models)] == ["tiny"]
+    chosen = cells.methods(["g726", "mdct", "slp-shaping-1"])
+    assert [method.name for method in chosen] == ["mdct", "mdct-live", "slp-shaping-1", "g726"]
+    assert chosen == cells.methods(["slp-shaping-1", "mdct", "g726"])
     with pytest.raises(InputError, match="eva needs a model, and there is none"):
         cells.methods(["eva"])
     with pytest.raises(InputError, match="is called 'mdct'; give the family of models another name"):
@@ -85,6 +72,7 @@ def test_a_family_costs_its_images_without_their_graphs() -> None:
     image = EvaImage.unpack(tiny.tables)
     without = with_image(tiny, "tiny", replace(image, graph=b"", runtime="core"))
     assert trained.flash_bytes(tiny) == len(without.image) < len(tiny.image)
+    assert (trained.runtimes(tiny), trained.runtimes(without)) == (codec.RUNTIMES, ("core",))
     (family,) = cost.measure_costs(cells.coders(cells.families([member(0), member(1)])))
     assert (family.codec, family.coder, family.width) == ("steps", "eva", 16)
     assert family.model_bytes == 2 * trained.flash_bytes(member(0))
@@ -93,29 +81,15 @@ def test_a_family_costs_its_images_without_their_graphs() -> None:
     assert "2 images" in family.note
 
 
-def test_a_model_without_a_graph_has_no_choice_of_runtime() -> None:
-    tiny = tiny_model()
-    assert trained.runtimes(tiny) == codec.RUNTIMES
-    image = replace(EvaImage.unpack(tiny.tables), graph=b"", runtime="core")
-    assert trained.runtimes(with_image(tiny, "tiny", image)) == ("core",)
-
-
-def test_what_ships_is_known_but_for_the_tables_that_are_built_in() -> None:
-    assert "mdct-textures" not in {model.name for model in trained.known_models([])}
-
-
-def points_of(method: Method, bits: dict[str, float]) -> list[Point]:
-    return [Point("a", method.name, text, 8000, round(1000 * rate), 10.0) for text, rate in bits.items()]
-
-
-def test_speed_is_timed_at_the_setting_nearest_to_the_ratio_by_every_runtime(
-    recording: Recording, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_speed_is_timed_at_the_setting_nearest_to_the_ratio_by_every_runtime(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(speed, "SAMPLES", 3000)
     (method,) = cells.families(list(map(member, range(3))))
-    points = points_of(method, {f"level=1 model=step-{number}": bits for number, bits in enumerate((0.5, 1.5, 2.9))})
+    points = [
+        Point("a", method.name, f"level=1 model=step-{number}", 8000, round(1000 * bits), 10.0)
+        for number, bits in enumerate((0.5, 1.5, 2.9))
+    ]
     told: list[tuple[float, str]] = []
-    speeds = speed.measure([method], points, [recording], 1, lambda *done: told.append(done))
+    speeds = speed.measure([method], points, [RECORDING], 1, lambda *done: told.append(done))
     found = [each for each in speeds if isinstance(each, Speed)]
     assert [(each.rate, each.runtime, each.setting) for each in found] == [
         (1.6, "core", "level=1 model=step-1"),
@@ -128,35 +102,24 @@ def test_speed_is_timed_at_the_setting_nearest_to_the_ratio_by_every_runtime(
     )
     assert found[0].snr_db == pytest.approx(found[1].snr_db, abs=1)
     assert told == [(1.0, "steps")]
-
-
-def test_a_codec_that_fails_costs_only_its_own_speed(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
     broken = Method("broken", ({"step": 1.0},), "no such codec")
-    flac = cells.methods(["flac"])[0]
-    points = [*points_of(broken, {"step=1": 1.0}), *points_of(flac, {"": 12.0})]
-    failed, *others = speed.measure([broken, flac], points, [recording], 1)
+    failed, *others = speed.measure(
+        [broken, method], [Point("a", "broken", "step=1", 1, 1, 1.0), *points], [RECORDING], 1
+    )
     assert isinstance(failed, Failure) and failed.codec == "broken" and "no such codec" in failed.reason
-    assert {each.codec for each in others} == {"broken", "flac"}
+    assert {each.codec for each in others} == {"broken", "steps"}
     silent = Recording(np.zeros((600, 1)), 2800.0, "um", "silent")
-    assert speed.measure([flac], points, [silent], 1) == []
-
-
-def test_all_recordings_make_one_signal() -> None:
-    loud, quiet = Recording(np.full((3, 2), 8.0), 2800.0, "um", "a"), Recording(-np.ones((2, 1)), 2800.0, "um", "b")
-    other = Recording(np.ones((9, 1)), 8000.0, "um", "c")
-    together = speed.one_signal([loud, other, quiet], 7)
-    assert together is not None and together.rate_hz == 2800
-    assert together.samples.ravel().tolist() == [1, 1, 1, -1, -1, 1, 1]
+    assert speed.measure([method], points, [silent], 1) == []
 
 
 @pytest.mark.slow
-def test_figures_of_models_are_the_same_however_a_run_is_cut_or_spread(tmp_path: Path, recording: Recording) -> None:
+def test_figures_of_models_are_the_same_however_a_run_is_cut_or_spread(tmp_path: Path) -> None:
     (method,) = cells.families([member(0), member(1)])
     traces = [DatasetEntry("wood", tmp_path / "wood.wav")]
 
     def run(name: str, work: Callable[[Iterator[bench.Task]], bench.Outcomes]) -> list[Measured | Failure]:
         with bench.Journal(tmp_path / name) as journal:
-            return bench.run(traces, lambda _: recording, [method], 0, journal, work, lambda _: None)
+            return bench.run(traces, lambda _: RECORDING, [method], 0, journal, work, lambda _: None)
 
     def cut(pieces: Iterator[bench.Task]) -> bench.Outcomes:
         key, work = next(pieces)
@@ -165,7 +128,8 @@ def test_figures_of_models_are_the_same_however_a_run_is_cut_or_spread(tmp_path:
 
     spread = partial(workers.on_cores, processes=2)
     whole = run("whole", spread)
-    assert len(whole) == 2 and all(isinstance(each, Measured) for each in whole)
+    settings = [each.point.setting for each in whole if isinstance(each, Measured)]
+    assert settings == ["level=1 model=step-0", "level=1 model=step-1"]
     with pytest.raises(KeyboardInterrupt):
         run("cut", cut)
     assert run("cut", spread) == whole

@@ -11,8 +11,8 @@ from msgspec import structs
 
 from tests.planner.scenes import ASKED, CONTROLLER, scene
 from vibrocast.errors import InputError
-from vibrocast.planner.candidates import Candidate, CodingOption, Evaluator
-from vibrocast.planner.choose import TextureChoice, _Search, choose, plan
+from vibrocast.planner.candidates import Evaluator
+from vibrocast.planner.choose import TextureChoice, choose, plan
 from vibrocast.textures import Recording, save
 
 
@@ -41,41 +41,15 @@ def test_the_choice_and_every_other_option_have_a_reason_that_fits_their_cost(ch
             assert ("misses the target" in reason.why) == (not reason.best.meets)
 
 
-def test_the_alternatives_are_the_nearest_that_meet_the_targets(choice: TextureChoice) -> None:
-    meeting = sorted(each.best.cost for each in choice.reasons if each.best is not None and each.best.meets)
-    assert [each.best.cost for each in choice.alternatives if each.best is not None] == meeting[:3]
-
-
-def test_options_that_miss_the_targets_follow_as_alternatives(choice: TextureChoice) -> None:
+def test_the_alternatives_are_the_nearest_and_those_that_miss_the_targets_come_last(choice: TextureChoice) -> None:
     measured = [each for each in choice.reasons if each.best is not None]
-    meeting = [each for each in measured if each.best is not None and each.best.meets]
-    missing = [each for each in measured if each not in meeting]
-    assert missing and meeting
-    few = replace(choice, reasons=(*missing, meeting[0]))
-    assert few.alternatives[0] == meeting[0]
-    distances = [abs(each.best.cost - choice.compared.cost) for each in missing if each.best is not None]
-    shown = [abs(each.best.cost - choice.compared.cost) for each in few.alternatives[1:] if each.best is not None]
-    assert shown == sorted(distances)[:2]
-
-
-def test_an_option_that_fails_on_the_whole_texture_is_rejected_for_that(
-    choice: TextureChoice, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    first, on_the_whole = choice.chosen.measured.option, _Search._on_the_whole
-
-    def failing(search: _Search, option: CodingOption, index: int, blocks: int) -> Candidate | None:
-        whole = on_the_whole(search, option, index, blocks)
-        return whole if option != first or whole is None else replace(whole, quality=9.0, shortfall=1.0)
-
-    monkeypatch.setattr(_Search, "_on_the_whole", failing)
-    second = choose(choice.evaluator, scene(tmp_path))
-    assert second.chosen.measured.option != first
-    (reason,) = (each for each in second.reasons if each.option == first)
-    assert reason.best is not None
-    if reason.best.meets:  # in packets of another length
-        assert reason.best.cost >= second.compared.cost and reason.why.startswith("higher cost")
-    else:
-        assert reason.why.endswith("misses the target: SNR 9 dB")
+    nearest = sorted(measured, key=lambda each: abs(each.best.cost - choice.compared.cost) if each.best else 0.0)
+    meeting = [each for each in nearest if each.best is not None and each.best.meets]
+    missing = [each for each in nearest if each not in meeting]
+    assert len(meeting) >= 3 and len(missing) >= 2
+    assert list(choice.alternatives) == meeting[:3]
+    few = replace(choice, reasons=(*missing[::-1], meeting[0]))
+    assert list(few.alternatives) == [meeting[0], *missing[:2]]
 
 
 @pytest.mark.slow
@@ -169,12 +143,6 @@ def test_the_quality_that_the_error_offers_can_be_planned(rate_limit_bps: int, t
 
 
 @pytest.mark.slow
-def test_what_nobody_can_feel_needs_a_physical_unit_or_the_actuators_stroke(tmp_path: Path) -> None:
-    read = scene(tmp_path, asked="[asked]\nimperceptible = true\n")
-    chosen = choose(Evaluator(read, read.textures[0]), read).chosen
-    assert chosen.forecast.error_over_threshold_db is not None and chosen.forecast.error_over_threshold_db <= -8
-
-
 def test_a_texture_may_be_coded_for_touch_where_the_required_quality_gains(tmp_path: Path) -> None:
     for asked, touches in (
         ("imperceptible = true", {0, 1}),
@@ -184,6 +152,9 @@ def test_a_texture_may_be_coded_for_touch_where_the_required_quality_gains(tmp_p
         read = scene(tmp_path, asked=f"[asked]\n{asked}\n")
         evaluator = Evaluator(read, read.textures[0])
         options = evaluator.options("M4F")
+        if asked == "imperceptible = true":
+            error_db = choose(evaluator, read).chosen.forecast.error_over_threshold_db
+            assert error_db is not None and error_db <= -8
         assert {option.touch for option in options} == touches
         for option in options:
             assert (option.touch > 0) == (", touch " in option.name)
@@ -212,10 +183,3 @@ def test_a_profile_is_planned_over_position(tmp_path: Path) -> None:
     assert planned.over_position and planned.buffer_ms == 0
     assert planned.encode().stream.header.unit == "um over position"
     assert planned.forecast.delay_ms < 50
-    with pytest.raises(InputError, match="rendered by the hand's position up to 300 mm/s"):
-        scene(
-            tmp_path,
-            texture='[[textures]]\nfile = "profile.csv"\n',
-            hand="[hand]\nspeed_mm_s = [0, 500]\n",
-            controller=CONTROLLER + "reads_position = true\n",
-        )

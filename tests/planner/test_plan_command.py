@@ -39,16 +39,6 @@ def test_a_plan_a_picture_tables_and_reasons(tmp_path: Path) -> None:
     )
 
 
-def test_without_a_folder_nothing_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = written(tmp_path)
-    (tmp_path / "empty").mkdir()
-    monkeypatch.chdir(tmp_path / "empty")
-    done = run(scene)
-    assert done.exit_code == 0, done.output
-    assert re.search(r"^  why +cheapest of ", done.output, re.MULTILINE)
-    assert not list((tmp_path / "empty").iterdir())
-
-
 def test_a_waveform_is_kept_where_it_is_asked_for(tmp_path: Path) -> None:
     scene = written(tmp_path, asked="[asked]\nthird_octave_distance_db = 4.5\nwaveform = true\n")
     done = run(scene, "--out", tmp_path / "planned", "--json")
@@ -76,8 +66,4 @@ def test_a_bad_scene_is_one_line_and_nothing_is_written(changed: dict[str, str],
     assert done.exit_code == 2 and message in done.output
     assert len(done.output.splitlines()) == 1 + done.output.count("planning ")
     assert not (tmp_path / "planned").exists()
-
-
-def test_a_scene_that_is_not_there_is_an_error(tmp_path: Path) -> None:
-    done = run(tmp_path / "none.toml", "--out", tmp_path)
-    assert done.exit_code == 2 and "No such file" in done.output
+    assert "No such file" in command.fails(2, "plan", tmp_path / "none.toml", "--out", tmp_path)

@@ -82,21 +82,17 @@ def test_what_is_written_is_read_again(tmp_path: Path) -> None:
         read.texture("oak")
 
 
-def test_a_plan_with_files_finds_them_from_its_folder(tmp_path: Path) -> None:
+def test_a_plan_finds_its_files_from_its_folder_and_a_threshold_by_its_name(tmp_path: Path) -> None:
     written = plan(tmp_path)
     source = Source((tmp_path / "in" / "oak.wav",), None, {"unit": "m/s^2"})
+    textures = (structs.replace(written.textures[0], source=source),)
     (tmp_path / "out").mkdir()
     path = tmp_path / "out" / "plan.toml"
-    write_plan(path, replace(written, textures=(structs.replace(written.textures[0], source=source),)))
-    assert 'file = ["../in/oak.wav"]' in path.read_text()
-    assert read_plan(path).textures[0].source.files[0].resolve() == source.files[0]
-
-
-def test_a_threshold_that_ships_is_written_by_its_name(tmp_path: Path) -> None:
-    path = tmp_path / "plan.toml"
-    write_plan(path, replace(plan(tmp_path), threshold_path=sites()["palm-large"]))
-    assert 'threshold = "palm-large"' in path.read_text()
-    assert read_plan(path).threshold_path == sites()["palm-large"]
+    write_plan(path, replace(written, textures=textures, threshold_path=sites()["palm-large"]))
+    assert 'file = ["../in/oak.wav"]' in path.read_text() and 'threshold = "palm-large"' in path.read_text()
+    read = read_plan(path)
+    assert read.textures[0].source.files[0].resolve() == source.files[0]
+    assert read.threshold_path == sites()["palm-large"]
 
 
 def test_a_texture_is_coded_as_planned(tmp_path: Path) -> None:
@@ -152,9 +148,3 @@ def test_files_that_changed_after_planning_are_reported(tmp_path: Path) -> None:
     file.unlink()
     with pytest.raises(InputError, match=r"oak: .*oak.csv does not exist; restore it, or plan the scene again"):
         texture.recording()
-
-
-def test_a_plan_is_a_bench(tmp_path: Path) -> None:
-    bench = plan(tmp_path).bench()
-    assert bench.first.address == "cortex-m4"
-    assert bench.actuator("one") == plan(tmp_path).actuators[0].model

@@ -38,6 +38,11 @@ def test_a_folder_is_a_texture_for_each_recording_and_a_list_is_played_together(
     (both,) = scene(tmp_path, texture='[[textures]]\nfile = ["recordings/a.wav", "recordings/b.wav"]\n').textures
     assert both.channels == 2 and isinstance(both.loaded, Recording)
     assert both.loaded.samples.shape == (840, 2) and not both.loaded.samples[560:, 0].any()
+    save(tmp_path / "axes.csv", Recording(np.ones((900, 3)), 2800, "um", "axes", ("X", "Y", "Z")))
+    axes = '[[textures]]\nfile = "axes.csv"\n'
+    with pytest.raises(InputError, match=r"three axes of one texture; pass `reduce`"):
+        scene(tmp_path, texture=axes)
+    assert scene(tmp_path, texture=axes + 'reduce = "norm"\n').textures[0].channels == 1
 
 
 @pytest.mark.parametrize(
@@ -58,6 +63,10 @@ def test_a_folder_is_a_texture_for_each_recording_and_a_list_is_played_together(
             "core M7 needs its clock_hz",
         ),
         ({"controller": CONTROLLER.replace("cortex-m4", "sim") + "clock_hz = 1e8\n"}, "clock_hz needs a core"),
+        (
+            {"actuator": ACTUATOR.replace("piezo-stack", "lra")},
+            "cortex-m4 drives piezo-stack, compiled in: ",
+        ),
         ({"actuator": ACTUATOR + "channel = 9\n"}, "channel 9, but one has 4 channels"),
         ({"actuator": ACTUATOR + "channel = 2\n"}, "wood needs an actuator on channel 1 of one, and"),
         ({"asked": "[asked]\n"}, "[asked]: no quality is given; give one of snr_db"),
@@ -100,10 +109,23 @@ def test_a_profile_over_a_range_of_speeds_needs_a_controller_that_knows_the_hand
     changed = {"texture": '[[textures]]\nfile = "profile.csv"\n', "hand": "[hand]\nspeed_mm_s = [0, 300]\n"}
     with pytest.raises(InputError, match="profile is a height profile, and the hand moves at 0 to 300 mm/s"):
         scene(tmp_path, **changed)
-    knows = scene(tmp_path, **changed, controller=CONTROLLER + "reads_position = true\n")
+    knows_hand = CONTROLLER + "reads_position = true\n"
+    with pytest.raises(InputError, match="rendered by the hand's position up to 300 mm/s"):
+        scene(tmp_path, **{**changed, "hand": "[hand]\nspeed_mm_s = [0, 500]\n"}, controller=knows_hand)
+    knows = scene(tmp_path, **changed, controller=knows_hand)
     assert knows.textures[0].channels == 1
 
 
+PLACES = {
+    "speed_mm_s": ("hand", "[hand]\n", ""),
+    "clock_hz": ("controller", CONTROLLER, ""),
+    "channels": ("controller", CONTROLLER, ""),
+    "snr_db": ("asked", "[asked]\n", ""),
+    "delay_ms": ("link", "[link]\n", ""),
+    "baud": ("link", '[link]\nkind = "serial"\n', ""),
+    "file": ("texture", "[[textures]]\n", ""),
+    "weights": ("texture", "", TEXTURE),
+}
 _VALUES = st.recursive(
     st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=3)),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from("ab"), inner, max_size=2),
@@ -113,25 +135,13 @@ _VALUES = st.recursive(
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60, deadline=None)
 @given(
-    key=st.sampled_from(("speed_mm_s", "clock_hz", "channels", "snr_db", "delay_ms", "baud", "file", "weights")),
+    key=st.sampled_from(list(PLACES)),
     value=_VALUES,
 )
 def test_no_value_makes_anything_but_a_scene_or_an_error(key: str, value: object, tmp_path: Path) -> None:
-    places = {
-        "speed_mm_s": ("hand", "[hand]\n"),
-        "clock_hz": ("controller", CONTROLLER),
-        "channels": ("controller", CONTROLLER),
-        "snr_db": ("asked", "[asked]\n"),
-        "delay_ms": ("link", "[link]\n"),
-        "baud": ("link", '[link]\nkind = "serial"\n'),
-        "file": ("texture", "[[textures]]\n"),
-        "weights": ("first", ""),
-    }
-    part, before = places[key]
-    text = f"{before}{key} = {json.dumps(value)}\n"
-    changed = {part: text} if part != "first" else {"texture": text + TEXTURE}
+    part, before, after = PLACES[key]
     try:
-        read = read_scene(written(tmp_path, **changed))
+        read = read_scene(written(tmp_path, **{part: f"{before}{key} = {json.dumps(value)}\n{after}"}))
     except InputError:
         return
     assert read.textures
@@ -156,19 +166,3 @@ def test_an_offset_changes_no_plan_but_of_a_drive_signal(tmp_path: Path) -> None
     np.save(tmp_path / "drive.npy", 0.1 * noise + 0.5)
     (drive,) = scene(tmp_path, texture='[[textures]]\nfile = "drive.npy"\nunit = "drive"\nrate_hz = 2800\n').textures
     assert isinstance(drive.loaded, Recording) and np.mean(drive.loaded.samples) == pytest.approx(0.5, abs=0.02)
-
-
-def test_three_axes_need_a_choice(tmp_path: Path) -> None:
-    save(tmp_path / "axes.csv", Recording(np.ones((900, 3)), 2800, "um", "axes", ("X", "Y", "Z")))
-    table = '[[textures]]\nfile = "axes.csv"\n'
-    with pytest.raises(InputError, match=r"three axes of one texture; pass `reduce`"):
-        scene(tmp_path, texture=table)
-    (texture,) = scene(tmp_path, texture=table + 'reduce = "norm"\n').textures
-    assert texture.channels == 1
-
-
-def test_an_actuator_that_the_firmware_lacks_is_rejected_before_planning(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"cortex-m4 drives piezo-stack, compiled in: .*; plan for that, or for sim"):
-        scene(tmp_path, actuator='[[actuators]]\nmodel = "lra"\n')
-    on_sim = '[[controllers]]\nname = "one"\naddress = "sim"\n'
-    assert scene(tmp_path, controller=on_sim, actuator='[[actuators]]\nmodel = "lra"\n').actuators[0].model.quality

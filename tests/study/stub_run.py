@@ -67,15 +67,11 @@ def mushra(number: int = 1, sliders: int = 5, total: int | None = 9, **others: o
 
 
 class StubRun(Session):
-    """Leads through screens.
+    """Leads through screens. `file` keeps the number of screens passed and the answers over a restart."""
 
-    `file`: keeps the number of screens passed and the answers over a restart. `seconds`: for which a texture plays.
-    """
-
-    def __init__(self, screens: Sequence[Screen], file: Path | None = None, seconds: float = 60.0) -> None:
+    def __init__(self, screens: Sequence[Screen], file: Path | None = None) -> None:
         self.screens = [*screens, END]
         self.file = file
-        self.seconds = seconds
         self.answers: list[tuple[int, ...]] = []
         self.replies: list[str] = []
         self.actuator: list[str] = []  # "A" where it begins to move, "rest" where it was brought to rest
@@ -127,8 +123,6 @@ class StubRun(Session):
             is_busy = any(time.monotonic() < end for _, _, end in self._timeline)
             if is_busy and (all_first or not current.switches):
                 raise Rejected("an interval is playing; wait for its end")
-            if current.max_plays is not None and self._plays.get(label, 0) >= current.max_plays:
-                raise Rejected(f"{label} cannot be played again")
             if self.fails is not None:
                 if not isinstance(self.fails, ControllerError):
                     raise self.fails
@@ -139,7 +133,7 @@ class StubRun(Session):
             self._changes += 1
             begin = time.monotonic()
             self._timeline = []
-            seconds = 0.1 if all_first else self.seconds
+            seconds = 0.1 if all_first else 60.0
             for each in labels if all_first else [label]:
                 self._timeline.append((each, begin, begin + seconds))
                 self._plays[each] = self._plays.get(each, 0) + 1
@@ -157,13 +151,6 @@ class StubRun(Session):
             current = self._present()
             if len(self.plays()) < len(current.intervals):
                 raise Rejected("feel every texture first")
-            if isinstance(current.response, Choices):
-                if len(values) != 1 or values[0] not in range(len(current.response.options)):
-                    raise Rejected("give one of the answers")
-            elif len(values) != len(current.response.labels) or any(
-                not current.response.low <= value <= current.response.high for value in values
-            ):
-                raise Rejected("give a value to every slider")
             self.answers.append(values)
             self._next()
             return values == (1,) if current.feedback else None

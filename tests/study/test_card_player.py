@@ -6,13 +6,12 @@ import time
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
+from tests.command import succeeds
 from tests.sound_server import PAD, SoundServer
 from tests.study.small_study import text_of
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import devices
-from vibrocast.host.cli.command_line import main
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.study.device_player import CardPlayer
 from vibrocast.study.trials import Stimulus
@@ -39,8 +38,7 @@ def test_a_participant_takes_part_on_a_sound_card(pulseaudio: SoundServer, tmp_p
     path.write_text(text_of("abx"))
     arguments = ["study", "run", path, "--participant", "1", "--terminal", "--device", ADDRESS, "--out", out]
     given = "\n\n" + "p A\np B\np X\n1\n" * 4
-    result = CliRunner().invoke(main, list(map(str, arguments)), input=given)
-    assert result.exit_code == 0, result.stderr
+    succeeds(*arguments, data=given.encode())
     with (out / "participant_001" / "results.csv").open(newline="") as file:
         assert len(list(csv.DictReader(file))) == 4
     events = [json.loads(line) for line in (out / "participant_001" / "log.jsonl").read_text().splitlines()]

@@ -59,16 +59,10 @@ def trials_of(study: Study, participant: int) -> list[Trial]:
     return found._trials
 
 
-def study_of_three(folder: Path, extra: str) -> Study:
-    """Return a degradation study of three textures."""
-    third = '[[textures]]\nname = "ridges"\nsurface = "ridges"\nseconds = 0.3\nhand_speed_mm_s = 50\n'
-    path = folder / "study.toml"
-    path.write_text(text_of("degradation", extra) + third)
-    return read_study(path)
-
-
 def test_of_fifteen_participants_ten_get_each_of_three_textures(tmp_path: Path) -> None:
-    study = study_of_three(tmp_path, "textures_per_participant = 2\n")
+    third = '[[textures]]\nname = "ridges"\nsurface = "ridges"\nseconds = 0.3\nhand_speed_mm_s = 50\n'
+    (tmp_path / "study.toml").write_text(text_of("degradation", "textures_per_participant = 2\n") + third)
+    study = read_study(tmp_path / "study.toml")
     met = [{trial.texture for trial in trials_of(study, participant)} for participant in range(1, 16)]
     assert all(len(textures) == 2 for textures in met)
     assert Counter(texture for textures in met for texture in textures) == {"rough": 10, "wood": 10, "ridges": 10}

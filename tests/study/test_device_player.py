@@ -37,7 +37,9 @@ def wait_for_rest(player: ControllerPlayer) -> None:
     assert player.playing() is None
 
 
-def test_each_presentation_is_noted_with_its_stream(player: ControllerPlayer, made: tuple[Stimulus, ...]) -> None:
+def test_each_presentation_is_noted_with_its_stream_and_another_one_or_a_stop_ends_it(
+    player: ControllerPlayer, made: tuple[Stimulus, ...]
+) -> None:
     for stimulus in made[:2]:
         player.start(stimulus)
         assert player.playing() == stimulus.key
@@ -47,9 +49,6 @@ def test_each_presentation_is_noted_with_its_stream(player: ControllerPlayer, ma
     assert [each.stream_sha256 for each in played] == [stream_sha256(each.stream) for each in made[:2]]
     assert all(each.underruns == 0 and each.limited == 0 for each in played)
     assert player.take_played() == []
-
-
-def test_another_stimulus_and_a_stop_end_the_first_one(player: ControllerPlayer, made: tuple[Stimulus, ...]) -> None:
     player.start(made[0])
     player.switch(made[1])
     assert player.playing() == made[1].key

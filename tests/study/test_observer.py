@@ -21,9 +21,9 @@ EVERYONE = ObserverSettings(threshold_spread_db=0, criterion_spread=0, lapse_rat
 """Observers without differences between them and without lapses."""
 
 
-def tone(frequency_hz: float, over_threshold_db: float) -> np.ndarray:
+def tone(frequency_hz: float, over_threshold_db: float, rate_hz: float = RATE_HZ) -> np.ndarray:
     """Return a sine (n, 1) in um, at a level over the detection threshold."""
-    time_s = np.arange(round(SECONDS * RATE_HZ)) / RATE_HZ
+    time_s = np.arange(round(SECONDS * rate_hz)) / rate_hz
     amplitude = threshold_amplitude(read_threshold(), np.array([frequency_hz]), "um") * 10 ** (over_threshold_db / 20)
     return np.asarray(amplitude * np.sin(2 * np.pi * frequency_hz * time_s))[:, None]
 
@@ -105,25 +105,16 @@ def test_the_course_in_time_is_felt_and_its_beginning_is_not() -> None:
     assert observer().distance(skin(noise), skin(np.roll(noise, 60, axis=0))) < 0.5
 
 
-def test_offset_and_silence_are_not_felt() -> None:
-    still = Skin(np.full((2800, 1), 50.0), RATE_HZ)
-    nothing = Skin(np.zeros((0, 1)), RATE_HZ)
+def test_offset_silence_rate_and_a_still_channel_do_not_matter_and_what_is_no_number_is_rejected() -> None:
+    still, nothing = Skin(np.full((2800, 1), 50.0), RATE_HZ), Skin(np.zeros((0, 1)), RATE_HZ)
     assert observer().detectability(still) == pytest.approx(0, abs=1e-6)
     assert observer().distance(still, nothing) == pytest.approx(0, abs=1e-6)
-
-
-def test_the_rate_and_a_still_channel_do_not_matter() -> None:
-    coarse = Skin(tone(100, 20), RATE_HZ)
-    time_s = np.arange(8000) / 8000
-    amplitude = threshold_amplitude(read_threshold(), np.array([100.0]), "um") * 10
-    fine = Skin(np.column_stack([amplitude * np.sin(2 * np.pi * 100 * time_s), np.zeros(8000)]), 8000.0)
-    assert observer().distance(coarse, fine) == pytest.approx(0, abs=0.05)
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_a_displacement_that_is_no_number_is_rejected(value: float) -> None:
-    with pytest.raises(InputError, match="no numbers"):
-        observer().distance(Skin(np.full((10, 1), value), RATE_HZ), skin(tone(100, 20)))
+    fine = tone(100, 20, 8000)
+    both = Skin(np.column_stack([fine, np.zeros_like(fine)]), 8000)
+    assert observer().distance(skin(tone(100, 20)), both) == pytest.approx(0, abs=0.05)
+    for value in (np.nan, np.inf):
+        with pytest.raises(InputError, match="no numbers"):
+            observer().distance(Skin(np.full((10, 1), value), RATE_HZ), still)
 
 
 # ---- how it decides ----
@@ -193,7 +184,7 @@ def test_staircases_find_the_thresholds_of_observers() -> None:
         assert np.corrcoef(np.array(found, float), offsets_db)[0, 1] > 0.8
 
 
-def test_the_hidden_reference_gets_the_highest_quality() -> None:
+def test_the_hidden_reference_gets_the_highest_quality_and_the_weaker_of_two_is_preferred() -> None:
     reference = skin(texture("wood"))
     noise = np.random.default_rng(2).standard_normal(texture("wood").shape)
     skins = {
@@ -207,14 +198,9 @@ def test_the_hidden_reference_gets_the_highest_quality() -> None:
     assert worst < middle < hidden
     assert np.all(values.max(axis=1) == 100) and values.min() >= 0
     assert statistics.is_reliable(values[:, 1])
-
-
-def test_it_prefers_the_weaker_of_two() -> None:
-    skins = {"A": skin(texture("wood")), "B": skin(3 * texture("wood"))}
-    answers = [
-        observer().answer("paired_comparison", trial("paired_comparison", "AB", n), skins)[0] for n in range(200)
-    ]
-    assert np.mean(answers) < 0.2
+    skins = {"A": reference, "B": skin(3 * texture("wood"))}
+    pairs = [trial("paired_comparison", "AB", number) for number in range(200)]
+    assert np.mean([observer().answer("paired_comparison", each, skins)[0] for each in pairs]) < 0.2
 
 
 def test_answers_depend_on_seed_participant_and_trial_alone() -> None:

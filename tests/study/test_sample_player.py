@@ -69,9 +69,10 @@ def test_a_switch_goes_on_at_the_same_frame_within_the_slew_limit(player: Sample
     assert [(each.key, each.first, each.frames) for each in player.take_played()] == [("a", 0, 1000)]
 
 
-@pytest.mark.parametrize("step_limit_volts_per_second", [1e3, 1e4])
-def test_any_switching_keeps_the_limits(player: SamplePlayer, step_limit_volts_per_second: float) -> None:
-    actuator = replace(ACTUATOR, slew_volts_per_second=step_limit_volts_per_second)
+@pytest.mark.usefixtures("player")
+@pytest.mark.parametrize("slew_volts_per_second", [1e3, 1e4])
+def test_any_switching_keeps_the_limits(slew_volts_per_second: float) -> None:
+    actuator = replace(ACTUATOR, slew_volts_per_second=slew_volts_per_second)
     random = np.random.default_rng(0)
     with SamplePlayer(CARD, (1,), actuator) as made:
         signals = [tone(hz) for hz in (50, 170, 400)]

@@ -4,6 +4,8 @@ import asyncio
 import json
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
+from functools import partialmethod
 from typing import Any
 
 import httpx
@@ -16,7 +18,7 @@ from tests.study.stub_run import CONDITIONS, LOST, WELCOME, StubRun, mushra, ser
 from vibrocast.errors import InputError
 from vibrocast.study.server import CALL_THE_EXPERIMENTER, NOISE_RATE_HZ, Aids, StudyPages, serve
 from vibrocast.study.session import Session
-from vibrocast.study.trials import Break, Message, Question, Screen
+from vibrocast.study.trials import Break, Question, Screen
 
 pytestmark = pytest.mark.usefixtures("no_lingering")
 SCREENS: tuple[Screen, ...] = (WELCOME, Question("age", "Your age?"), trial(1), Break(60.0, 1, 3), mushra(2))
@@ -39,18 +41,15 @@ class Client:
 
         return asyncio.run(ask())
 
-    def get(self, url: str, **content: Any) -> httpx.Response:
-        return self.request("GET", url, **content)
-
-    def post(self, url: str, **content: Any) -> httpx.Response:
-        return self.request("POST", url, **content)
+    get = partialmethod(request, "GET")
+    post = partialmethod(request, "POST")
 
     def screen(self) -> dict[str, Any]:
         shown: dict[str, Any] = self.get("/api/screen").json()
         return shown
 
     def act(self, action: str, **content: object) -> httpx.Response:
-        return self.post(f"/api/{action}", json={"screen": self.screen()["screen"]["id"]} | content)
+        return self.request("POST", f"/api/{action}", json={"screen": self.screen()["screen"]["id"]} | content)
 
     def secret(self, path: str = "") -> str:
         return f"/experimenter/{self.pages.token}{path}"
@@ -101,6 +100,19 @@ def test_a_participant_walks_through_a_run() -> None:
     assert client.screen()["ended"]
 
 
+def test_pages_load_nothing_from_elsewhere_and_the_experimenters_page_is_found_by_its_token_alone() -> None:
+    client = Client(StubRun([trial(1)]))
+    for path in ("/", client.secret()):
+        page = client.get(path)
+        assert page.headers["content-security-policy"].startswith("default-src 'none'")
+        assert page.headers["cache-control"] == "no-store"
+        assert not [word for word in ("http:", "https:", "src=", "@import", "url(") if word in page.text]
+    for path in ("/experimenter", "/experimenter/", "/experimenter/x", "/experimenter/%C3%A4/state"):
+        assert client.get(path).status_code == 404
+    assert client.post("/experimenter/x/abort", json={}).status_code == 404
+    assert client.pages.token not in client.get("/").text + client.get("/api/screen").text
+
+
 def test_the_participant_never_sees_a_condition() -> None:
     client = Client(StubRun(SCREENS))
     texts = [client.get("/").text]
@@ -123,21 +135,6 @@ def test_the_participant_never_sees_a_condition() -> None:
     assert [word for word in (*CONDITIONS, "wood/", "facts", '"stimulus"') for text in texts if word in text] == []
 
 
-def test_a_second_answer_changes_nothing() -> None:
-    run = StubRun([trial(1), trial(2)])
-    client = Client(run)
-    first = client.screen()["screen"]["id"]
-    for label in "AB":
-        client.act("play", label=label)
-        client.act("stop")
-    body = {"screen": first, "values": [2]}
-    assert client.post("/api/answer", json=body).status_code == 200
-    again = client.post("/api/answer", json=body)
-    assert (again.status_code, error(again)) == (409, "this screen has passed")
-    assert run.answers == [(2,)]
-    assert client.post("/api/play", json={"screen": first, "label": "A"}).status_code == 409
-
-
 class SlowRun(StubRun):
     """A run in which others may come between the look at a screen and the act that follows."""
 
@@ -147,16 +144,20 @@ class SlowRun(StubRun):
         return screen
 
 
-def test_presses_at_the_same_time_count_once() -> None:
-    run = SlowRun([Message("instructions", str(number), "Read.") for number in range(9)])
+def test_an_answer_counts_once_even_from_presses_at_the_same_time() -> None:
+    run = SlowRun([trial(1), trial(2)])
     client = Client(run)
-    body = {"screen": client.screen()["screen"]["id"]}
-    threads = [threading.Thread(target=client.post, args=("/api/go_on",), kwargs={"json": body}) for _ in range(6)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert client.screen()["screen"]["title"] == "1"
+    first = client.screen()["screen"]["id"]
+    for label in "AB":
+        client.act("play", label=label)
+        client.act("stop")
+    body = {"screen": first, "values": [2]}
+    with ThreadPoolExecutor(6) as threads:
+        codes = list(threads.map(lambda _: client.post("/api/answer", json=body).status_code, range(6)))
+    assert sorted(codes) == [200, *[409] * 5]
+    assert error(client.post("/api/answer", json=body)) == "this screen has passed"
+    assert run.answers == [(2,)]
+    assert client.post("/api/play", json={"screen": first, "label": "A"}).status_code == 409
 
 
 @pytest.mark.parametrize("loss", [LOST, OSError(28, "No space left on device")], ids=["device", "disk"])
@@ -199,14 +200,6 @@ def test_the_experimenter_has_the_run_in_hand() -> None:
     assert client.screen()["ended"]
 
 
-@pytest.mark.parametrize("path", ["/experimenter", "/experimenter/", "/experimenter/x", "/experimenter/%C3%A4/state"])
-def test_nobody_else_finds_the_experimenters_page(path: str) -> None:
-    client = Client(StubRun([trial(1)]))
-    assert client.get(path).status_code == 404
-    assert client.post("/experimenter/x/abort", json={}).status_code == 404
-    assert client.pages.token not in client.get("/").text + client.get("/api/screen").text
-
-
 @pytest.mark.parametrize(
     ("headers", "status"),
     [
@@ -228,15 +221,6 @@ def test_foreign_names_and_pages_are_rejected(headers: dict[str, str], status: i
     body = {"screen": client.screen()["screen"]["id"], "label": "A"}
     assert client.post("/api/play", json=body, headers=headers).status_code == status
     assert run.actuator == (["A"] if status == 200 else [])
-
-
-def test_pages_load_nothing_from_elsewhere() -> None:
-    client = Client(StubRun([trial(1)]))
-    for path in ("/", client.secret()):
-        page = client.get(path)
-        assert page.headers["content-security-policy"].startswith("default-src 'none'")
-        assert page.headers["cache-control"] == "no-store"
-        assert not [word for word in ("http:", "https:", "src=", "@import", "url(") if word in page.text]
 
 
 @pytest.mark.parametrize(
@@ -298,21 +282,16 @@ def test_a_change_ends_the_wait_of_a_page_and_another_process_has_another_versio
     assert len({version, changed["version"], Client(StubRun([trial(1)])).screen()["version"]}) == 3
 
 
-def test_serving_ends_with_the_run_and_the_actuator_rests() -> None:
+def test_serving_ends_with_the_run_the_actuator_rests_and_an_address_in_use_is_an_error() -> None:
     run = StubRun([trial(1)])
     with served(run) as (participant, experimenter), httpx.Client(base_url=participant) as client:
         screen = client.get("/api/screen").json()["screen"]["id"]
         assert client.post("/api/play", json={"screen": screen, "label": "A"}).status_code == 200
         assert client.get(experimenter).status_code == 200
-        run.actuator.clear()
-    assert run.actuator[-2:] == ["rest", "rest"]
-
-
-def test_an_address_in_use_is_one_line() -> None:
-    run = StubRun([trial(1)])
-    with served(run) as (participant, _):
         port = int(participant.rstrip("/").rsplit(":", 1)[1])
         with pytest.raises(InputError, match=f"cannot serve pages at 127.0.0.1, port {port}"):
             serve(StubRun([trial(1)]), port=port)
+        run.actuator.clear()
+    assert run.actuator[-2:] == ["rest", "rest"]
     with pytest.raises(InputError, match="give another host or port"):
         serve(StubRun([trial(1)]), host="no.such.host.invalid", port=0)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.study.small_study import CONDITIONS, stimuli_of, study_of, text_of
+from tests.study.small_study import stimuli_of, study_of, text_of
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.errors import InputError
 from vibrocast.output.actuator import PIEZO_STACK
@@ -105,31 +105,22 @@ def rows_of(out: Path) -> list[dict[str, str]]:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_run_has_a_row_for_each_rated_stimulus(method: str, folder: Path, tmp_path: Path) -> None:
-    study = study_of(folder, method)
-    session = opened(study, folder, tmp_path)
-    trials = run_through(session)
-    session.close()
-    rows = rows_of(tmp_path)
-    wanted = sum(len(each.response.labels) if isinstance(each.response, Sliders) else 1 for each in trials)
-    assert len(rows) == wanted > 0
-    assert {row["method"] for row in rows} == {method}
-    assert {row["texture"] for row in rows} == {"rough", "wood"}
-    if method != "staircase":
-        keys = {each.stimulus for trial in trials for each in trial.intervals}
-        assert keys == {each.key for each in stimuli_of(method, folder)}
-
-
-def test_every_method_has_a_design_and_a_test() -> None:
-    assert set(DESIGNS) == set(METHODS) == set(CONDITIONS)
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_a_run_that_is_opened_again_goes_on_with_the_same_trials(method: str, folder: Path, tmp_path: Path) -> None:
+def test_a_run_logs_what_it_plays_and_goes_on_with_the_same_trials_when_it_is_opened_again(
+    method: str, folder: Path, tmp_path: Path
+) -> None:
     study = study_of(folder, method)
     whole = opened(study, folder, tmp_path / "whole")
     expected = run_through(whole)
     whole.close()
+    rows = rows_of(tmp_path / "whole")
+    assert len(rows) == sum(len(each.response.labels) if isinstance(each.response, Sliders) else 1 for each in expected)
+    assert {(row["method"], row["texture"]) for row in rows} == {(method, "rough"), (method, "wood")}
+    events = [json.loads(line) for line in (tmp_path / "whole" / LOG).read_text().splitlines()]
+    played = [(event["stimulus"], len(event["stream_sha256"])) for event in events if event["event"] == "played"]
+    shown = [each.stimulus for trial in expected for each in trial.intervals if each.stimulus]
+    assert played == [(stimulus, 64) for stimulus in shown]
+    if method != "staircase":
+        assert set(shown) == {each.key for each in stimuli_of(method, folder)}
     trials: list[Trial] = []
     for _ in range(1000):
         session = opened(study, folder, tmp_path / "parts")
@@ -141,8 +132,8 @@ def test_a_run_that_is_opened_again_goes_on_with_the_same_trials(method: str, fo
         session.close()
     assert trials == expected
     columns = ("trial", "condition", "presentation", "value", "correct", "level_db", "reversal")
-    both = [[{key: row[key] for key in columns} for row in rows_of(tmp_path / name)] for name in ("whole", "parts")]
-    assert both[0] == both[1]
+    first, second = ([[row[key] for key in columns] for row in each] for each in (rows, rows_of(tmp_path / "parts")))
+    assert first == second
 
 
 # The others show what they are: an open reference, or silence and a texture.
@@ -208,14 +199,11 @@ def test_questions_are_asked_once_and_kept(folder: Path, tmp_path: Path) -> None
     ]
 
 
-def test_a_lost_device_pauses_the_run_and_the_trial_comes_again(folder: Path, tmp_path: Path) -> None:
+def test_a_lost_device_pauses_the_run_and_pause_and_abort_stop_the_actuator(folder: Path, tmp_path: Path) -> None:
     player = LostPlayer(1)
     session = opened(study_of(folder, "degradation"), folder, tmp_path, player)
     trial = next_trial(session)
-    session.play("Reference")
-    session.wait_until_quiet()
-    session.play("A")
-    session.wait_until_quiet()
+    play_all(session, trial)
     assert isinstance(session.screen(), Paused)
     assert "cable" in session.state().warnings[-1]
     assert player.stops > 0
@@ -223,18 +211,11 @@ def test_a_lost_device_pauses_the_run_and_the_trial_comes_again(folder: Path, tm
     session.resume()
     assert session.screen() == trial
     assert session.plays() == {}
-    session.close()
-
-
-def test_pause_and_abort_stop_the_actuator(folder: Path, tmp_path: Path) -> None:
-    player = LostPlayer(100)
-    session = opened(study_of(folder, "abx"), folder, tmp_path, player)
     for action in (session.pause, session.resume, session.abort):
         before = player.stops
         action()
         assert player.stops > before or action == session.resume
-    assert session.has_ended
-    assert session.state().ended
+    assert session.has_ended and session.state().ended
     with pytest.raises(Rejected):
         session.play("A")
     session.close()
@@ -286,22 +267,12 @@ def test_a_full_disk_keeps_the_trial(folder: Path, tmp_path: Path, monkeypatch: 
     session.close()
 
 
-def test_the_log_names_each_stimulus_as_played(folder: Path, tmp_path: Path) -> None:
-    session = opened(study_of(folder, "two_alternative"), folder, tmp_path)
-    trials = run_through(session)
-    session.close()
-    events = [json.loads(line) for line in (tmp_path / LOG).read_text().splitlines()]
-    played = [event["stimulus"] for event in events if event["event"] == "played"]
-    assert played == [each.stimulus for trial in trials for each in trial.intervals]
-    assert all(len(event["stream_sha256"]) == 64 for event in events if event["event"] == "played")
-
-
 # ---- a program that is killed ----
 
 PROGRAM = """
 import os, signal, sys, time
 from pathlib import Path
-from tests.study.test_session import KillingPlayer, play_all, some_answer, step
+from tests.study.test_session import KillingPlayer, step
 from vibrocast.study import stimuli
 from vibrocast.study.session import Session
 from vibrocast.study.study_file import read_study
@@ -312,13 +283,10 @@ session = Session(read_study(folder / "abx.toml"), made, 1, out, KillingPlayer(p
 try:
     while not session.has_ended:
         screen = session.screen()
+        step(session)
         if isinstance(screen, Trial):
-            play_all(session, screen)
-            session.answer(some_answer(screen))
             print("acknowledged", screen.number, flush=True)
-            KillingPlayer.passed(session._player)
-        else:
-            step(session)
+            session._player.passed()
 finally:
     session.close()
 """
@@ -331,7 +299,7 @@ class KillingPlayer(SilentPlayer):
         super().__init__()
         self.point, self.how = point, how
         if how == signal.SIGTERM:
-            signal.signal(signal.SIGTERM, _interrupt)
+            signal.signal(signal.SIGTERM, signal.default_int_handler)
 
     def start(self, stimulus: Stimulus) -> None:
         super().start(stimulus)
@@ -350,13 +318,6 @@ class KillingPlayer(SilentPlayer):
             time.sleep(5 if self.how == signal.SIGKILL else 0)
         else:
             self.point -= 1
-
-
-def _interrupt(_number: int, _frame: object) -> None:
-    raise KeyboardInterrupt
-
-
-"""Four trials of three presentations and an answer each."""
 
 
 @pytest.mark.slow

@@ -2,20 +2,14 @@
 
 import csv
 import json
-import os
 import re
-import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
+from tests.command import ROOT, started, succeeds
 from tests.study.stub_run import chromium
-from vibrocast.host.cli.command_line import main
 
-ROOT = Path(__file__).parents[2]
 STUDY = ROOT / "examples" / "studies" / "textures_short.toml"
 
 
@@ -32,9 +26,9 @@ def shortened(folder: Path) -> Path:
 
 def test_simulated_observers_take_part_and_are_reported(tmp_path: Path) -> None:
     out = tmp_path / "short"
-    for arguments in (["simulate", STUDY, "--participants", 3, "--out", out], ["report", out]):
-        result = CliRunner().invoke(main, ["study", *map(str, arguments)])
-        assert result.exit_code == 0, result.stderr
+    succeeds("study", "simulate", STUDY, "--participants", 3, "--out", out)
+    succeeds("study", "report", out)
+    assert "Simulated observers, not people" in (out / "report" / "report.html").read_text()
     document = json.loads((out / "report" / "report.json").read_text())
     assert (len(document["participants"]), document["simulated"], document["method"]) == (3, True, "degradation")
     means = {(row["texture"], row["condition"]): row["mean"] for row in document["means"]}
@@ -45,18 +39,12 @@ def test_simulated_observers_take_part_and_are_reported(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(chromium() is None, reason="needs Chromium: Debian's package chromium")
-def test_a_scripted_participant_takes_part_in_chromium(tmp_path: Path) -> None:
+def test_a_scripted_participant_takes_part_in_chromium(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from playwright.sync_api import expect, sync_playwright
 
     out = tmp_path / "short"
-    command = ["study", "run", str(shortened(tmp_path)), "--participant", "7", "--port", "0", "--out", str(out)]
-    program = "from vibrocast.host.cli.entry import main; main()"
-    process = subprocess.Popen(
-        [sys.executable, "-c", program, *command],
-        stdout=subprocess.PIPE,
-        text=True,
-        env=os.environ | {"PYTHONUNBUFFERED": "1"},
-    )
+    monkeypatch.setenv("PYTHONUNBUFFERED", "1")
+    process = started("study", "run", shortened(tmp_path), "--participant", 7, "--port", 0, "--out", out)
     assert process.stdout is not None
     try:
         address = process.stdout.readline().removeprefix("participant: ").strip()
@@ -97,13 +85,12 @@ def test_a_scripted_participant_takes_part_in_chromium(tmp_path: Path) -> None:
             browser.close()
         assert process.wait(20) == 0
     finally:
-        process.send_signal(signal.SIGKILL)
-        process.wait()
+        process.kill()
+        process.communicate()
     with (out / "participant_007" / "results.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [int(row["value"]) for row in rows] == [number % 4 for number in range(6)]
     events = [json.loads(line) for line in (out / "participant_007" / "log.jsonl").read_text().splitlines()]
     assert sum(event["event"] == "played" for event in events) == 12
-    result = CliRunner().invoke(main, ["study", "report", str(out)])
-    assert result.exit_code == 0, result.stderr
+    succeeds("study", "report", out)
     assert "Simulated" not in (out / "report" / "report.html").read_text()

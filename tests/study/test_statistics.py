@@ -3,10 +3,10 @@
 import math
 import warnings
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 from statsmodels.stats.multitest import multipletests
 from statsmodels.stats.power import TTestPower
@@ -23,7 +23,6 @@ SLEEP = (
 FILMS = ([9, 7, 8, 9, 8, 9, 9, 10, 9, 9], [9, 6, 7, 8, 7, 9, 8, 8, 8, 7])
 # Baseball 1987: A. Agresti, Categorical Data Analysis, 2nd edition, 2002, page 438. Wins of the row's team at home and
 # on visits, against each column's.
-TEAMS = ("Milwaukee", "Detroit", "Toronto", "New York", "Boston", "Cleveland", "Baltimore")
 WON_AT_HOME = [
     [0, 4, 4, 4, 6, 4, 6],
     [3, 0, 4, 4, 6, 6, 4],
@@ -51,11 +50,6 @@ def no_warnings() -> Iterator[None]:
         yield
 
 
-def participants_for(effect: float, most: int = 1000) -> int | None:
-    """Return the least number of participants whose paired t-test has a power of 0.8."""
-    return next((count for count in range(2, most + 1) if own.power_of_paired_test(effect, count) >= 0.8), None)
-
-
 def ends(interval: own.Interval) -> tuple[float, float, float]:
     """Return low end, value and high end of an interval that has all three."""
     assert interval.low is not None and interval.value is not None and interval.high is not None
@@ -79,20 +73,17 @@ def test_mean_interval_and_bootstrap_are_those_of_scipy() -> None:
     assert own.bootstrap(values, lambda each: float(np.median(each))) == interval
 
 
-def test_paired_test_gives_students_example() -> None:
+def test_paired_test_gives_the_examples_of_student_and_lakens() -> None:
     test = own.paired_test(*SLEEP)
     # As R's documentation of `sleep` has it.
     assert test.count == 10 and test.difference == pytest.approx(-1.58)
     assert test.t == pytest.approx(-4.0621, abs=5e-5)
     assert test.p == pytest.approx(0.002833, abs=5e-7)
-
-
-def test_effect_size_gives_the_example_of_lakens() -> None:
-    test = own.paired_test(*FILMS)
-    assert test.t == pytest.approx(4.74, abs=0.005)
+    films = own.paired_test(*FILMS)
+    assert films.t == pytest.approx(4.74, abs=0.005)
     # Cohen's d_z is 1.50; Hedges' correction for 10 people is 1 - 3 / 35.
-    assert test.effect.value == pytest.approx(1.5 * (1 - 3 / 35))
-    low, value, high = ends(test.effect)
+    assert films.effect.value == pytest.approx(1.5 * (1 - 3 / 35))
+    low, value, high = ends(films.effect)
     assert 0 < low < value < high
 
 
@@ -110,14 +101,9 @@ def test_yes_no_sensitivity_and_the_log_linear_correction() -> None:
     # Hautus 1995: 0.5 more of each count, 1 more of each total.
     assert own.rates(50, 50, 5, 50) == pytest.approx((50.5 / 51, 5.5 / 51))
     assert own.sensitivity_yes_no(*own.rates(50, 50, 5, 50)) == pytest.approx(3.57, abs=0.01)
-
-
-def test_yes_no_sensitivity_of_pairs_is_the_difference_of_two_z() -> None:
     # 18 of 20 and 4 of 20, corrected: z(18.5 / 21) = 1.1790 and z(4.5 / 21) = -0.7916 in a table of the normal curve.
     assert own.sensitivity("same_different", [[18, 20, 4, 20]], model="yes_no").value == pytest.approx(1.971, abs=2e-3)
     assert own.sensitivity("same_different", [[4, 20, 18, 20]], model="yes_no").value == pytest.approx(-1.971, abs=2e-3)
-    with pytest.raises(InputError, match="same-different"):
-        own.sensitivity("abx", [[4, 20]], model="yes_no")
 
 
 # Worked examples in the help texts of the Palamedes toolbox (Prins and Kingdom), PAL_SDT_1AFCsameDiff_DiffMod_PHFtoDP,
@@ -168,27 +154,10 @@ def test_perfect_and_hopeless_observers_have_a_finite_sensitivity(method: str) -
 
 
 def test_same_stimuli_have_no_sensitivity() -> None:
-    random = np.random.default_rng(3)
-    chance = np.column_stack([random.binomial(40, 0.5, 12), np.full(12, 40)])
-    interval = own.sensitivity("two_alternative", chance)
-    low, _, high = ends(interval)
+    right = np.random.default_rng(3).binomial(40, 0.5, 12)
+    low, _, high = ends(own.sensitivity("two_alternative", np.column_stack([right, np.full(12, 40)])))
     assert low < 0 < high
     assert own.sensitivity("same_different", [[4, 20, 5, 20]] * 5).value == 0
-
-
-@pytest.mark.parametrize("counts", [[[1, 2, 3]], [[float("nan"), 2]], [[-1, 2]], [[3, 2]], [], [1, 2]])
-def test_damaged_counts_are_rejected(counts: ArrayLike) -> None:
-    with pytest.raises(InputError, match="another table"):
-        own.sensitivity("abx", counts)
-
-
-@pytest.mark.parametrize("rate", [0.0, 1.0, math.nan])
-def test_extreme_rates_need_the_correction(rate: float) -> None:
-    for each in (own.sensitivity_two_alternative, own.sensitivity_abx):
-        with pytest.raises(InputError, match="gives no d'"):
-            each(rate)
-    with pytest.raises(InputError, match="gives no d'"):
-        own.sensitivity_same_different(rate, 0.5)
 
 
 # ---- planning ----
@@ -215,38 +184,15 @@ def test_power_of_three_people_agrees_with_simulated_studies() -> None:
     assert own.power_of_paired_test(7.3, 3, 0.01) == pytest.approx(found, abs=0.01)
 
 
-def test_power_of_too_few_people_is_none() -> None:
-    assert own.power_of_paired_test(2.0, 1) == 0
-    assert own.power_of_paired_test(100.0, 10) == 1
-    assert own.detectable_effect(2) is None
-    assert participants_for(0.01) is None
-
-
-def test_resampled_sample_size_agrees_with_the_formula() -> None:
-    random = np.random.default_rng(1)
-    people = random.normal([0.8], 1.0, (3000, 1))
-    effect = float(np.mean(people) / np.std(people))
-    wanted = participants_for(effect)
-    (needed,) = own.participants_by_resampling(people)
-    assert needed is not None and wanted is not None and abs(needed - wanted) <= 2
-
-
-def test_resampled_sample_size_corrects_for_several_tests() -> None:
-    random = np.random.default_rng(1)
-    people = random.normal([0.8, 0.0, 0.0, 0.0], 1.0, (3000, 4))
-    alone, (among, *others) = (
-        own.participants_by_resampling(people[:, :1], most=30),
-        own.participants_by_resampling(people, most=30),
-    )
-    assert alone[0] is not None and among is not None and among > alone[0]
-    assert others == [None, None, None]
-
-
-def test_resampled_sample_size_of_degenerate_ratings() -> None:
+def test_resampled_sample_size_agrees_with_the_formula_and_corrects_for_several_tests() -> None:
+    people = np.random.default_rng(1).normal([0.8, 0.0, 0.0, 0.0], 1.0, (3000, 4))
+    effect = float(np.mean(people[:, 0]) / np.std(people[:, 0]))
+    wanted = next(count for count in range(2, 100) if own.power_of_paired_test(effect, count) >= 0.8)
+    (alone,) = own.participants_by_resampling(people[:, :1])
+    among, *others = own.participants_by_resampling(people, most=30)
+    assert alone is not None and abs(alone - wanted) <= 2
+    assert among is not None and among > alone and others == [None, None, None]
     assert own.participants_by_resampling([[0.0, 1.0]] * 5, most=10) == [None, 2]
-    for damaged in ([[1.0]], [1.0, 2.0], [[math.nan], [1.0]]):
-        with pytest.raises(InputError, match="differences"):
-            own.participants_by_resampling(damaged)
 
 
 # ---- models ----
@@ -270,23 +216,10 @@ def test_bradley_terry_of_an_item_that_always_wins_is_finite() -> None:
     assert own.bradley_terry(np.zeros((3, 3))) == pytest.approx([0, 0, 0])
 
 
-@pytest.mark.parametrize("wins", [[1, 2], [[1, 2]], [[0, math.nan], [1, 0]], [[0, -1], [1, 0]], np.zeros((0, 0))])
-def test_damaged_wins_are_rejected(wins: ArrayLike) -> None:
-    with pytest.raises(InputError, match="wins"):
-        own.bradley_terry(wins)
-
-
-def ratings(people: int = 12, seed: int = 2) -> tuple[NDArray[np.float64], list[str], list[int]]:
-    """Return balanced ratings, conditions and participants."""
-    random = np.random.default_rng(seed)
-    table = random.normal(0, 2, (people, 1)) + np.array([0.0, 0.5, 1.5]) + random.normal(0, 1, (people, 3))
-    return table.ravel(), ["reference", "fine", "coarse"] * people, [each for each in range(people) for _ in range(3)]
-
-
 def test_mixed_model_of_balanced_ratings_is_the_analysis_of_variance() -> None:
-    values, conditions, people = ratings()
-    table = values.reshape(12, 3)
-    fit = own.mixed_model(values, conditions, people, "reference")
+    random, conditions = np.random.default_rng(2), ["reference", "fine", "coarse"] * 12
+    table = random.normal(0, 2, (12, 1)) + np.array([0.0, 0.5, 1.5]) + random.normal(0, 1, (12, 3))
+    fit = own.mixed_model(table.ravel(), conditions, list(np.repeat(range(12), 3)), "reference")
     assert fit is not None
     residual = table - table.mean(axis=0) - table.mean(axis=1, keepdims=True) + table.mean()
     variance = np.sum(residual**2) / (11 * 2)
@@ -295,19 +228,6 @@ def test_mixed_model_of_balanced_ratings_is_the_analysis_of_variance() -> None:
         assert difference == pytest.approx(np.mean(table[:, place] - table[:, 0]), abs=1e-6)
         assert error == pytest.approx(math.sqrt(2 * variance / 12), rel=1e-3)
         assert p == pytest.approx(2 * stats.norm.sf(abs(difference / error)), abs=1e-6)
-
-
-def test_mixed_model_of_degenerate_ratings() -> None:
-    model: Callable[..., object] = own.mixed_model
-    assert model([], [], [], "a") is None
-    assert model([1, 2], ["a", "b"], [1, 1], "a") is None
-    assert model([1, 1, 1, 1], ["a", "b"] * 2, [1, 1, 2, 2], "a") is None
-    assert model([1, 2, 3, 4], ["b", "c"] * 2, [1, 1, 2, 2], "a") is None
-    assert model([0, 1, 0, 1], ["a", "b"] * 2, [1, 1, 2, 2], "a") is None
-    with pytest.raises(InputError):
-        model([1, math.nan], ["a", "b"], [1, 2], "a")
-    with pytest.raises(InputError):
-        model([1, 2, 3], ["a", "b"], [1, 2], "a")
 
 
 def test_correlations_are_those_of_scipy() -> None:
@@ -321,19 +241,6 @@ def test_correlations_are_those_of_scipy() -> None:
     width = 1.959964 * math.sqrt((1 + rho**2 / 2) / 7)
     expected_ends = (math.tanh(math.atanh(rho) - width), math.tanh(math.atanh(rho) + width))
     assert (result.spearman.low, result.spearman.high) == pytest.approx(expected_ends)
-
-
-def test_correlation_of_degenerate_values() -> None:
-    nothing = own.Interval(None, None, None)
-    assert own.correlation([], []).pearson == nothing
-    assert own.correlation([1, 2, 3], [5, 5, 5]).spearman == nothing
-    assert own.correlation([1, 2, 3], [1, 2, 4]).pearson.low is None
-    line = own.correlation([1, 2, 3, 4, 5], [2, 4, 6, 8, 10])
-    assert line.pearson.value == pytest.approx(1) and line.pearson.low is None
-    with pytest.raises(InputError):
-        own.correlation([1, math.nan, 3], [1, 2, 3])
-    with pytest.raises(InputError):
-        own.correlation([1, 2], [1, 2, 3])
 
 
 # ---- degenerate ratings ----
@@ -360,16 +267,50 @@ def test_too_few_people_or_trials_and_no_spread_give_none() -> None:
         assert test.effect.value is None
     two = own.paired_test([1.0, 2.0], [0.0, 0.5])
     assert two.p is not None and two.effect.value is None
+    assert own.power_of_paired_test(2.0, 1) == 0 and own.power_of_paired_test(100.0, 10) == 1
+    assert own.detectable_effect(2) is None
+    for values, conditions, people in (
+        ([], [], []),
+        ([1, 2], ["a", "b"], [1, 1]),
+        ([1, 1, 1, 1], ["a", "b"] * 2, [1, 1, 2, 2]),
+        ([1, 2, 3, 4], ["b", "c"] * 2, [1, 1, 2, 2]),
+        ([0, 1, 0, 1], ["a", "b"] * 2, [1, 1, 2, 2]),
+    ):
+        assert own.mixed_model(values, conditions, people, "a") is None
+    assert own.correlation([], []).pearson == own.correlation([1, 2, 3], [5, 5, 5]).spearman == nothing
+    assert own.correlation([1, 2, 3], [1, 2, 4]).pearson.low is None
+    line = own.correlation([1, 2, 3, 4, 5], [2, 4, 6, 8, 10])
+    assert line.pearson.value == pytest.approx(1) and line.pearson.low is None
 
 
-def test_values_that_are_no_numbers_are_rejected() -> None:
-    for values in ([1.0, math.nan], [1.0, math.inf], [[1.0], [2.0]]):
-        with pytest.raises(InputError, match="remove those rows"):
-            own.mean_interval(values)
-    with pytest.raises(InputError, match="needs both"):
-        own.paired_test([1, 2], [1])
-    with pytest.raises(InputError, match="p value"):
-        own.holm([0.1, math.nan])
+DAMAGED: list[tuple[Callable[..., object], tuple[object, ...], str]] = [
+    *(
+        (own.sensitivity, ("abx", counts), "another table")
+        for counts in ([[1, 2, 3]], [[math.nan, 2]], [[-1, 2]], [[3, 2]], [], [1, 2])
+    ),
+    (partial(own.sensitivity, model="yes_no"), ("abx", [[4, 20]]), "same-different"),
+    *((own.sensitivity_two_alternative, (rate,), "gives no d'") for rate in (0.0, 1.0, math.nan)),
+    *((own.sensitivity_abx, (rate,), "gives no d'") for rate in (0.0, 1.0, math.nan)),
+    *((own.sensitivity_same_different, (rate, 0.5), "gives no d'") for rate in (0.0, 1.0, math.nan)),
+    *((own.bradley_terry, (wins,), "wins") for wins in ([1, 2], [[1, 2]], [[0, math.nan], [1, 0]], [[0, -1], [1, 0]])),
+    (own.bradley_terry, (np.zeros((0, 0)),), "wins"),
+    *((own.participants_by_resampling, (each,), "differences") for each in ([[1.0]], [1.0, 2.0], [[math.nan], [1.0]])),
+    *((own.mean_interval, (each,), "remove those rows") for each in ([1.0, math.nan], [1.0, math.inf], [[1.0], [2.0]])),
+    (own.paired_test, ([1, 2], [1]), "needs both"),
+    (own.holm, ([0.1, math.nan],), "p value"),
+    (own.mixed_model, ([1, math.nan], ["a", "b"], [1, 2], "a"), "remove those rows"),
+    (own.mixed_model, ([1, 2, 3], ["a", "b"], [1, 2], "a"), "needs both"),
+    (own.correlation, ([1, math.nan, 3], [1, 2, 3]), "remove those rows"),
+    (own.correlation, ([1, 2], [1, 2, 3]), "needs pairs"),
+]
+
+
+@pytest.mark.parametrize(("called", "arguments", "message"), DAMAGED)
+def test_damaged_values_are_rejected(
+    called: Callable[..., object], arguments: tuple[object, ...], message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        called(*arguments)
 
 
 def test_post_screening_of_mushra() -> None:
