@@ -4,17 +4,17 @@ import hashlib
 import json
 import re
 import sys
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import pytest
 
 from tests import command
+from tests.harness.test_latency import LATENCY
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.errors import LIMIT_MISSED, NO_DEVICE, REGRESSION
 from vibrocast.harness import measurements, response
-from vibrocast.harness.latency import Latency
-from vibrocast.host.device_clock import ClockFit
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import ACTUATORS
 from vibrocast.simulated_device.controller import Controller, Settings
@@ -112,11 +112,7 @@ def test_what_is_worse_as_the_computer_was_busy_is_measured_again(
 def test_losses_of_a_first_take_stay_where_times_are_measured_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def latency(total_ms: float, lost_packets: int) -> Latency:
-        clock = ClockFit(0.0, 0.0, 0.0, 0.0, 1.0)
-        return Latency("mdct", {}, 2800, 32, 10.0, 99, 100, {}, total_ms, 1.0, 0, lost_packets, True, clock)
-
-    takes = iter([latency(25.0, 0), latency(99.0, 3), latency(25.0, 0)])
+    takes = iter([LATENCY, replace(LATENCY, total_ms=99.0, lost_packets=3), LATENCY])
     monkeypatch.setattr(measurements, "MEASUREMENTS", {"latency": lambda *_: next(takes)})
     monkeypatch.setattr("vibrocast.harness.page.write", lambda *_: None)
     arguments = ("--only", "latency", "--out")
