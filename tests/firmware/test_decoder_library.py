@@ -163,49 +163,23 @@ def test_each_public_header_compiles_alone(tmp_path: Path, language: str) -> Non
     assert done.returncode == 0, done.stderr
 
 
-def test_public_headers_include_public_headers_only_and_guard_cpp() -> None:
-    names = {header.name for header in HEADERS}
-    for header in HEADERS:
-        text = header.read_text(encoding="utf-8")
-        assert set(re.findall(r'#include "(.*?)"', text)) <= names
-        if re.search(r"^(?!typedef|#|static| \*|/\*)[\w ]+\*?\w+\(.*\);$", text, re.MULTILINE):
-            assert text.count('extern "C"') == 1, header
-
-
-def declared() -> set[str]:
-    """Return the names of the functions and constants that the public headers declare, except those of a port."""
-    text = re.sub(
-        r"/\*.*?\*/", "", "\n".join(header.read_text(encoding="utf-8") for header in HEADERS), flags=re.DOTALL
-    )
-    functions = re.findall(r"^(?!static|typedef|#)\w[\w ]*[ *](vc_\w+)\(", text, re.MULTILINE)
-    names = {*functions, *re.findall(r"^extern const \w+ (vc_\w+);", text, re.MULTILINE)}
-    return {name for name in names if not name.startswith("vc_port_")}
-
-
-def symbols(path: Path, table: str) -> set[str]:
-    """Return the global names that an ELF file defines in its symbol table of this name."""
+def symbols(path: Path) -> dict[str, int]:
+    """Return the sizes of what an object file defines, by global name."""
     with path.open("rb") as file:
-        section = ELFFile(file).get_section_by_name(table)
-        assert isinstance(section, SymbolTableSection)
-        return {
-            symbol.name
-            for symbol in section.iter_symbols()
-            if symbol["st_info"]["bind"] != "STB_LOCAL" and symbol["st_shndx"] != "SHN_UNDEF"
-        }
+        table = ELFFile(file).get_section_by_name(".symtab")
+        assert isinstance(table, SymbolTableSection)
+        found = [symbol for symbol in table.iter_symbols() if symbol["st_info"]["bind"] != "STB_LOCAL"]
+        return {symbol.name: symbol["st_size"] for symbol in found if symbol["st_shndx"] != "SHN_UNDEF"}
 
 
 @pytest.mark.slow
-def test_names_begin_with_vc_and_a_shared_library_exports_those_of_the_headers(tmp_path: Path) -> None:
-    flags = ["-target", "x86_64-linux-gnu", "-std=c99", "-O0", "-fPIC", "-fvisibility=hidden", f"-I{ROOT / 'include'}"]
+def test_global_names_begin_with_vc(tmp_path: Path) -> None:
+    flags = ["-target", "x86_64-linux-gnu", "-std=c99", "-O0", f"-I{ROOT / 'include'}"]
     done = run(*ZIG, "cc", *flags, "-c", *(path.resolve() for path in (*CORE, *CONTROLLER)), folder=tmp_path)
     assert done.returncode == 0, done.stderr
-    objects = sorted(tmp_path.glob("*.o"))
-    names = {name for path in objects for name in symbols(path, ".symtab")}
+    names = {name for path in tmp_path.glob("*.o") for name in symbols(path)}
     assert {name for name in names if not name.startswith("vc_")} == set()
     assert "vc_mdct_feed" in names
-    done = run(*ZIG, "cc", *flags[:2], "-shared", *objects, "-o", tmp_path / "library.so")
-    assert done.returncode == 0, done.stderr
-    assert symbols(tmp_path / "library.so", ".dynsym") == declared()
 
 
 @pytest.mark.parametrize("target", ["x86_64-linux-gnu", "thumb-freestanding-eabi"])
@@ -221,10 +195,7 @@ def test_decoder_words_hold_each_codec_and_little_more(tmp_path: Path, target: s
     flags = ["-target", target, f"-DVC_MAX_CHANNELS={channels}", f"-I{ROOT / 'include'}", f"-I{CORE[0].parent}"]
     done = run(*ZIG, "cc", *flags, "-std=c99", "-c", source, "-o", tmp_path / "sizes.o")
     assert done.returncode == 0, done.stderr
-    with (tmp_path / "sizes.o").open("rb") as file:
-        table = ELFFile(file).get_section_by_name(".symtab")
-        assert isinstance(table, SymbolTableSection)
-        sizes = {symbol.name: symbol["st_size"] for symbol in table.iter_symbols()}
+    sizes = symbols(tmp_path / "sizes.o")
     for name in CODECS:
         assert 0 <= sizes[f"words_{name}"] - sizes[f"state_{name}"] < 160
     assert sizes["all"] == max(sizes[f"words_{name}"] for name in CODECS)

@@ -1,7 +1,6 @@
 """Frames in C against device_protocol/frames.py: the same payloads and the same count of bad ones, of any bytes."""
 
 import itertools
-from typing import Any
 
 import pytest
 from hypothesis import given
@@ -103,12 +102,3 @@ def test_every_size_fits(size: int, byte: bytes) -> None:
 @pytest.mark.parametrize("payload", [b"", bytes(MAX_PAYLOAD_BYTES + 1)])
 def test_payload_that_does_not_fit_is_rejected(payload: bytes) -> None:
     assert c_frame(payload) == b""
-
-
-def test_numbers_are_little_endian() -> None:
-    frame, writer = ffi.new("uint8_t[]", 50), ffi.new("vc_frame_writer *")
-    native.vc_frame_begin(writer, frame, 50)
-    native.vc_frame_write_number(writer, 0x0102030405060708, 8)
-    native.vc_frame_write_number(writer, 0xAABBCC, 2)
-    length: Any = native.vc_frame_end(writer)
-    assert bytes(frame)[:length] == write_frame(b"\x08\x07\x06\x05\x04\x03\x02\x01\xcc\xbb")

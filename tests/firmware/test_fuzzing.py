@@ -27,11 +27,6 @@ def test_engine_finds_a_fault_step_by_step_and_keeps_the_input(tmp_path: Path) -
     assert fuzzing.run_engine(program, "mdct", [b"none", b"vi"], 0, 1, found).inputs == 2
 
 
-def test_counts_of_libfuzzer_are_read() -> None:
-    log = "#7\tINITED cov: 25 ft: 39\n#99\tDONE   cov: 31 ft: 44 corp: 9/1b\nDone 99 runs in 3 second(s)\nstat::x: 99\n"
-    assert fuzzing.libfuzzer_counts("eva", log) == fuzzing.Counts("eva", 99, 3, 31)
-
-
 def test_corpus_has_inputs_of_every_target() -> None:
     assert all(map(fuzzing.corpus, TARGETS))
     with zipfile.ZipFile(fuzzing.CORPUS) as archive:

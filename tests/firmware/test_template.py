@@ -59,14 +59,6 @@ def test_a_port_without_a_function_of_the_loop_is_told_which(rebuilt: Rebuilt) -
         rebuilt(without_write)
 
 
-@pytest.mark.slow
-def test_a_port_that_calls_another_unknown_function_gets_the_linkers_words(
-    rebuilt: Rebuilt,
-) -> None:
-    with pytest.raises(BuildError, match=r"cannot be compiled(.|\n)*clock_start"):
-        rebuilt(lambda source: without_marks(source).replace("board_start();", "clock_start();"))
-
-
 @pytest.fixture
 def small_board(rebuilt: Rebuilt, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Path]:
     """Return a function that builds a target of the page for a board with 128 KiB of flash and 64 KiB of RAM."""

@@ -128,27 +128,14 @@ FLAWS = [
 ]
 
 
+LATENCY = Latency("mdct", {}, RATE_HZ, 16, 10.0, 100, 100, {}, 25.0, 1.0, 0, 0, True, ClockFit(0.0, 0.0, 0.0, 0.0, 2.0))
+"""A measurement of 100 packets, whose round trips took 2 ms and more."""
+
+
 def flawed(changes: dict[str, int], buffer_ms: float) -> Latency:
-    """Return a measurement of 100 packets, whose round trips took 2 ms and more."""
-    spreads = {name: latency.Spread(1.0, 2.0) for name in latency.PARTS}
-    spreads["buffer"] = latency.Spread(buffer_ms, buffer_ms)
-    plain = Latency(
-        codec="mdct",
-        setting={},
-        rate_hz=RATE_HZ,
-        packet_samples=16,
-        playout_delay_ms=10.0,
-        blocks=100,
-        packets=100,
-        parts=spreads,
-        total_ms=buffer_ms,
-        jitter_ms=1.0,
-        underruns=0,
-        lost_packets=0,
-        as_sent=True,
-        clock=ClockFit(0.0, 0.0, 0.0, 0.0, 2.0),
-    )
-    return replace(plain, **changes)  # type: ignore[arg-type]
+    """Return a measurement whose packets waited so long in the buffer."""
+    parts = dict.fromkeys(latency.PARTS, latency.Spread(1.0, 2.0)) | {"buffer": latency.Spread(buffer_ms, buffer_ms)}
+    return replace(LATENCY, parts=parts, total_ms=buffer_ms, **changes)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("changes", "buffer_ms", "flaw"), FLAWS)

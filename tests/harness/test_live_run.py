@@ -13,8 +13,7 @@ from vibrocast.device_protocol.messages import Message, SinglePacket
 from vibrocast.harness.latency import measure_latency
 from vibrocast.harness.live_run import LiveRun, run_live
 from vibrocast.host.bench_limits import BenchLimits, missed
-from vibrocast.host.live import LiveStream
-from vibrocast.host.live_watch import CodedSignal, LiveQuality, judged
+from vibrocast.host.live_watch import judged
 from vibrocast.host.playback import Member, actuator_model, member
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
@@ -70,12 +69,6 @@ def test_a_stream_with_losses_is_not_compared() -> None:
     assert run.result.lost_packets
     assert run.quality.decoded_equals_offline is run.quality.dac_equals_offline is None
     assert not run.quality.differs
-
-
-def test_a_stream_whose_first_packets_were_left_out_has_no_quality() -> None:
-    stream = LiveStream(played_by(SimulatedController()).controller, FORMAT)
-    coded = CodedSignal(stream)
-    assert coded.quality(played_by(SimulatedController()), None, stream.result()) == LiveQuality()
 
 
 def test_the_times_are_those_that_the_measurement_of_latency_finds() -> None:

@@ -2,36 +2,16 @@
 
 import pytest
 
-from tests.conftest import linked, noise, session, texture
+from tests.conftest import linked, noise, texture
 from vibrocast.harness import load
-from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
 from vibrocast.simulated_device.faulty_wire import Fault
-from vibrocast.simulated_device.memory_link import MemoryLink
-
-
-class WaitingLink(MemoryLink):
-    """A link of limited bytes per second, whose writes and reads take time."""
-
-    def __init__(self, controller: SimulatedController, bytes_per_s: float) -> None:
-        super().__init__(controller)
-        self._bytes_per_s = bytes_per_s
-
-    def write(self, data: bytes) -> None:
-        self.sleep(len(data) / self._bytes_per_s)
-        super().write(data)
-
-    def read(self, timeout_s: float) -> bytes:
-        data = super().read(timeout_s)
-        self.sleep(len(data) / self._bytes_per_s)
-        return data
-
 
 NOISE = texture(noise())
 
 
 def test_throughput_is_that_of_the_link() -> None:
-    measured = load.throughput(session(WaitingLink(SimulatedController(), 90_000)), NOISE)
+    measured = load.throughput(linked(None, [Fault(bits_per_second=720_000)])[1], NOISE)
     assert measured.to_controller_bytes_per_s == pytest.approx(90_000, rel=0.05)
     assert measured.to_host_bytes_per_s == pytest.approx(90_000, rel=0.05)
     assert measured.bad_frames == 0

@@ -179,21 +179,6 @@ def test_limits_name_the_figures_that_miss_them() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "line"),
-    [
-        ("latency, ms", 25.639, "latency: 25.64 ms"),
-        ("oak: DAC as computed", 1.0, "oak: DAC as computed: yes"),
-        ("oak: decoded as sent", 0.0, "oak: decoded as sent: no"),
-        ("oak: gain", 0.87341, "oak: gain: 0.8734"),
-        ("throughput to the host, bytes/s", 2.15447e7, "throughput to the host: 21544700 bytes/s"),
-        ("controllers that played as computed", 3.0, "controllers that played as computed: 3"),
-    ],
-)
-def test_a_figure_is_a_line_with_its_unit(name: str, value: float, line: str) -> None:
-    assert results.described(name, value) == line
-
-
-@pytest.mark.parametrize(
     "text",
     [
         "",

@@ -15,7 +15,7 @@ from tests.device_protocol.test_messages import MESSAGES
 from vibrocast import textures
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.device_protocol.frames import DELIMITER, write_frame
-from vibrocast.device_protocol.messages import Configure, HelloResponse, Message, PacketMessage, pack
+from vibrocast.device_protocol.messages import CaptureData, Configure, HelloResponse, Message, PacketMessage, pack
 from vibrocast.device_protocol.trace import TracedFrame, read_trace
 from vibrocast.harness.wire_view import WireView
 from vibrocast.host import devices, playback
@@ -54,11 +54,13 @@ def test_a_playback_is_shown_as_it_was(played: Sequence[TracedFrame]) -> None:
     assert max(ms for _, ms in shown["buffer_ms"]) > 100
 
 
-def test_a_lost_packet_and_a_wrong_sample_are_seen(played: Sequence[TracedFrame]) -> None:
+def test_a_lost_packet_a_wrong_sample_and_a_missing_capture_are_seen(played: Sequence[TracedFrame]) -> None:
     sent = [each for each in played if (found := each.message()) and isinstance(found[1], PacketMessage)]
     without = view_of(each for each in played if each is not sent[2]).document()
     assert without["counters"]["samples decoded wrongly"] > 0
     assert any("decodes other samples than were sent" in hint for hint in without["hints"])
+    unread = [each for each in played if not (found := each.message()) or not isinstance(found[1], CaptureData)]
+    assert "Nothing is read back." in view_of(unread).document()["hints"][0]
     damaged = [TracedFrame(0, False, "x", b"\x01\x02\x03"), *played]
     assert "Frames are damaged on the wire." in view_of(damaged).document()["hints"][0]
 

@@ -90,17 +90,6 @@ def test_the_board_rests_in_the_middle_from_the_first_moment(name: str) -> None:
     assert not np.concatenate(codes).any()
 
 
-def test_an_interrupt_between_conditional_instructions_runs_all_of_its_handler() -> None:
-    device = Stm32F405()
-    unicorn_core = device.processor.unicorn
-    negative, behind_ge = 1 << 31, 0xA800  # flags of which GE is false, and the state behind ITT GE
-    unicorn_core.reg_write(arm_const.UC_ARM_REG_XPSR, negative | behind_ge)
-    stack = unicorn_core.reg_read(arm_const.UC_ARM_REG_SP)
-    device._interrupt(stm32f405._TIM6)
-    assert unicorn_core.reg_read(arm_const.UC_ARM_REG_SP) == stack
-    assert unicorn_core.reg_read(arm_const.UC_ARM_REG_XPSR) & behind_ge == behind_ge
-
-
 def slow_down(device: Stm32F405, function: str, milliseconds: list[int]) -> None:
     """Make each call of a function take its time, and all further ones the last time: interrupts come in its midst."""
     address = Elf(build("stm32f405")).symbols[function] & ~1
@@ -242,27 +231,6 @@ def test_what_a_host_does_not_read_stays_bounded() -> None:
     device = CortexM("cortex-m4")
     device.receive(b"".join(write_frame(messages.pack(messages.Hello(), n)) for n in range(5, 2000)), 0)
     assert 0 < len(device.transmit()) < 100_000
-
-
-def test_clock_that_runs_fast_is_seen_by_the_host() -> None:
-    link = MemoryLink(CortexM("cortex-m4", drift_ppm=5000))
-    host = Host(link, link.clock, link.sleep)
-    first, from_us = host.request_status().device_time_us, link.now_us
-    link.sleep(2.0)
-    passed_us = host.request_status().device_time_us - first
-    assert passed_us / (link.now_us - from_us) == pytest.approx(1.005, abs=2e-4)
-
-
-def test_instructions_are_counted() -> None:
-    device = CortexM("cortex-m4")
-    counter = device.processor.counter
-    booted = counter.instructions
-    device.advance(1000)
-    turn = counter.instructions - booted
-    device.advance(2000)
-    assert 50 < turn < 2000
-    assert counter.instructions - booted == pytest.approx(2 * turn, rel=0.2)
-    assert counter.cycles > counter.instructions
 
 
 def test_image_that_a_processor_would_stop_is_an_error_that_says_where() -> None:
