@@ -72,19 +72,3 @@ def test_a_quoted_figure_fits_as_far_as_it_is_written(
     (tmp_path / "a.csv").write_text("codec,kind,mean\nslp,,16.3211\nslp,tool,3\n")
     (tmp_path / "page.md").write_text(f"{text}2 more." if text == "needs 16.3" else f"{text} more.")
     assert (list(lint.figure_findings("page.md", text, "a.csv", row, "mean")) == []) == fits
-
-
-def test_the_command_prints_findings(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(lint, "ROOT", tmp_path)
-    (tmp_path / "docs").mkdir()
-    (tmp_path / lint.QUOTED).write_text("")
-    page = tmp_path / "page.md"
-    for text, code, printed in (
-        ("A tactor.", 1, 'page.md:1: "tactor" is a retired term: actuator; A tactor.\n'),
-        ("Fine.", 0, ""),
-    ):
-        page.write_text(text)
-        assert lint.main([str(page)]) == code
-        assert capsys.readouterr().out == printed
