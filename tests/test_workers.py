@@ -99,20 +99,6 @@ def test_an_error_that_cannot_be_carried_back_costs_only_itself() -> None:
     assert outcomes == {1: 2}
 
 
-def test_tasks_are_taken_as_they_are_needed() -> None:
-    taken: list[int] = []
-
-    def endless() -> Tasks:
-        while True:
-            taken.append(len(taken))
-            yield len(taken), partial(double, len(taken))
-
-    outcomes = on_cores(endless(), 1)
-    assert next(outcomes)[1] in (2, 4)
-    outcomes.close()
-    assert len(taken) <= 3
-
-
 def cluster(workers: int) -> Any:
     import dask  # loaded here only: the processes of `on_cores` load this module too
     import distributed

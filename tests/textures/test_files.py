@@ -15,27 +15,6 @@ from vibrocast.textures import Recording, TextureError, load, save
 NOISE = np.random.default_rng(0).uniform(-0.9, 0.9, (50, 2))
 
 
-@pytest.mark.parametrize(
-    ("subtype", "tolerance"),
-    [
-        ("PCM_U8", 1 / 127),
-        ("PCM_16", 1e-4),
-        ("PCM_24", 1e-6),
-        ("PCM_32", 1e-8),
-        ("FLOAT", 1e-7),
-        ("DOUBLE", 0),
-        ("ULAW", 0.03),
-        ("ALAW", 0.03),
-    ],
-)
-@pytest.mark.parametrize("container", ["WAV", "WAVEX", "RF64"])
-def test_every_wav_sample_format(tmp_path: Path, subtype: str, tolerance: float, container: str) -> None:
-    soundfile.write(tmp_path / "noise.wav", NOISE, 12345, subtype, format=container)
-    recording = load(tmp_path / "noise.wav")
-    assert (recording.rate_hz, recording.unit, recording.name) == (12345, "full scale", "noise")
-    np.testing.assert_allclose(recording.samples, NOISE, rtol=0, atol=tolerance)
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="only there files have such names")
 def test_a_name_that_is_no_text_is_rejected(tmp_path: Path) -> None:
     path = tmp_path / os.fsdecode(b"\xff.wav")
@@ -191,10 +170,17 @@ def test_a_wav_file_written_into_a_pipe(tmp_path: Path, stated_bytes: int) -> No
 
 
 @pytest.mark.parametrize("container", ["WAV", "WAVEX", "RF64"])
-@pytest.mark.parametrize("subtype", ["PCM_16", "PCM_24", "FLOAT", "ULAW"])
+@pytest.mark.parametrize(
+    ("subtype", "tolerance"), [("PCM_16", 1e-4), ("PCM_24", 1e-6), ("FLOAT", 1e-7), ("ULAW", 0.03)]
+)
 @pytest.mark.parametrize("missing_bytes", [1, 71])
-def test_a_wav_file_that_is_cut_off(tmp_path: Path, container: str, subtype: str, missing_bytes: int) -> None:
+def test_a_wav_file_is_read_unless_it_is_cut_off(
+    tmp_path: Path, container: str, subtype: str, tolerance: float, missing_bytes: int
+) -> None:
     soundfile.write(tmp_path / "a.wav", NOISE, 2800, subtype, format=container)
+    recording = load(tmp_path / "a.wav")
+    assert (recording.rate_hz, recording.unit, recording.name) == (2800, "full scale", "a")
+    np.testing.assert_allclose(recording.samples, NOISE, rtol=0, atol=tolerance)
     data = (tmp_path / "a.wav").read_bytes()
     (tmp_path / "a.wav").write_bytes(data[:-missing_bytes])
     with pytest.raises(TextureError, match=f"cut off, the last {missing_bytes} of .* are missing"):

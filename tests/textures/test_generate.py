@@ -104,15 +104,6 @@ def test_a_rough_surface_has_its_hurst_exponent_and_roughness(hurst: float) -> N
     assert slope == pytest.approx(-(1 + 2 * hurst), abs=0.15)
 
 
-def test_a_tap_is_a_decaying_sine_in_proportion_to_speed() -> None:
-    slow, fast = (taps(1, 2.0, speed, 28000.0).samples[:, 0] for speed in (50.0, 100.0))
-    np.testing.assert_allclose(fast, 2 * slow, atol=1e-9)
-    start = np.flatnonzero(np.abs(slow) > 1e-6)[0] - 1
-    time_s = np.arange(2000) / 28000
-    expected = 15 * np.exp(-60 * time_s) * np.sin(2 * np.pi * 200 * time_s)
-    np.testing.assert_allclose(slow[start : start + 2000], expected, atol=1e-6)
-
-
 @pytest.mark.parametrize("kind", sorted(SURFACES))
 def test_the_profile_of_a_surface_is_what_a_sweep_feels(kind: str, tmp_path: Path) -> None:
     profile = surface_profile(kind, 7, 1.0, 40.0, 2000.0)
