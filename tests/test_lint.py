@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import click
 import pytest
 
 from tests import lint
@@ -33,22 +32,6 @@ def test_words_are_read(
     monkeypatch.setattr(lint, "ROOT", tmp_path)
     (tmp_path / name).write_text(content)
     assert [each.partition("; ")[0] for each in lint.file_findings(name)] == [f"{name}:{each}" for each in found]
-
-
-@click.command(help="Play a recording.\n\nA longer text may follow.")
-@click.option("--fine", help="Process the signal. Default: off.")
-@click.option("--none")
-@click.option("--noun", help="The clock.")
-@click.option("--other-form", help="Prints the clock.")
-@click.option("--long", help="Set a very long list of all the words that one could want.")
-def play(**_options: object) -> None: ...
-
-
-def test_help_texts_open_with_a_verb_and_are_short() -> None:
-    found = [each.partition("; ")[0] for each in lint.help_findings(click.Group("x", {"play": play}, help="Do."), "x")]
-    verb = "begin the help with a verb"
-    wrong = {"none": verb, "noun": verb, "other-form": verb, "long": "first sentence of more than 12 words"}
-    assert found == [f"x play --{option}:0: {problem}" for option, problem in wrong.items()]
 
 
 @pytest.mark.parametrize(

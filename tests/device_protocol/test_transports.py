@@ -53,14 +53,6 @@ def test_serial_carries_every_byte_both_ways(pseudo_terminal: tuple[int, str]) -
         assert received(transport, len(EVERY_BYTE)) == EVERY_BYTE
 
 
-def test_serial_reopens(pseudo_terminal: tuple[int, str]) -> None:
-    controller, port = pseudo_terminal
-    with open_transport(f"serial:{port}") as transport:
-        transport.reopen()
-        transport.write(b"again")
-        assert os.read(controller, 10) == b"again"
-
-
 def test_serial_port_is_not_shared(pseudo_terminal: tuple[int, str]) -> None:
     with SerialTransport(pseudo_terminal[1]), pytest.raises(TransportError, match="no other program"):
         SerialTransport(pseudo_terminal[1])

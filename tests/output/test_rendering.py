@@ -235,12 +235,6 @@ def max_step(codes: NDArray[Any]) -> int:
     return int(np.abs(np.diff(codes.astype(int), axis=0)).max(initial=0))
 
 
-def excursion(unit: str) -> StreamHeader:
-    """A second, full scale of which is 30 um, at 100 Hz for an acceleration, or 3/4 of full drive."""
-    full_scale = {"um": 30.0, "full scale": 0.75, "m/s^2": 12.0}[unit]
-    return header(2800, unit, (full_scale,), 2800)
-
-
 NAMES = ["sine", "slow sine", "constant", "ramp", "noise"]
 
 
@@ -273,9 +267,9 @@ def test_full_scale_at_the_rate_of_the_dac_goes_through_unchanged() -> None:
 )
 @pytest.mark.parametrize("compensation", [False, True])
 def test_seam_of_a_recording_that_does_not_close_is_no_click(name: str, unit: str, compensation: bool) -> None:
-    decoded = recorded(name)
-    codes, _ = render(excursion(unit), decoded, 32, PIEZO_STACK, compensation=compensation, loops=3)
-    single, _ = render(excursion(unit), decoded, 32, PIEZO_STACK, compensation=compensation)
+    decoded, gain = recorded(name), {"um": 30.0, "full scale": 0.75, "m/s^2": 12.0}[unit]
+    codes, _ = render(header(2800, unit, (gain,), 2800), decoded, 32, PIEZO_STACK, compensation=compensation, loops=3)
+    single, _ = render(header(2800, unit, (gain,), 2800), decoded, 32, PIEZO_STACK, compensation=compensation)
     assert len(codes) == len(single) + 6000
     seam = slice(len(single) - 60, len(single) + 60)
     jump = np.ptp(single[200:-60].astype(int))

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from vibrocast import textures
 from vibrocast.errors import InputError
 from vibrocast.textures import TextureError
-from vibrocast.textures.dataset import DatasetEntry, entries, load, load_highpassed, read, split
+from vibrocast.textures.dataset import DatasetEntry, entries, load, read, split
 from vibrocast.textures.generate import wood
 
 REFERENCE = [
@@ -244,17 +244,3 @@ def test_a_material_in_both_parts_is_reported(tmp_path: Path) -> None:
         textures.save(tmp_path / f"{name}.wav", wood(0, 0.1))
     found = read(manifest(tmp_path, "file,material,split\na.wav,cork,train\nb.wav,Cork,test\n"))
     assert "puts 1 material into both parts: cork first" in found.remarks[0]
-
-
-def test_a_high_pass_goes_before_the_resampling(tmp_path: Path) -> None:
-    texture = wood(1, 1.0)
-    for name, added in (("flat", 0.0), ("gravity", 9.81)):
-        textures.save(tmp_path / f"{name}.csv", textures.Recording(texture.samples + added, 3000.5, "m/s^2", name))
-    flat, gravity = (
-        load_highpassed(DatasetEntry(name, tmp_path / f"{name}.csv"), 20.0, 2800) for name in ("flat", "gravity")
-    )
-    np.testing.assert_allclose(gravity.recording.samples, flat.recording.samples, atol=1e-4)
-    assert gravity.removed_energy > flat.removed_energy
-    np.save(tmp_path / "drive.npy", np.full(900, 0.5))
-    drive = load_highpassed(DatasetEntry("drive", tmp_path / "drive.npy"), 20.0, unit="drive", rate_hz=2800)
-    assert drive.highpass_hz is None and np.all(drive.recording.samples == 0.5)

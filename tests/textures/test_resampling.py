@@ -57,11 +57,6 @@ def test_length_and_axes(count: int, channels: int, old_hz: float, new_hz: float
     assert (resampled.rate_hz, resampled.unit, resampled.name, resampled.axes) == (new_hz, "m/s^2", "ones", axes)
 
 
-def test_equal_rates_change_nothing() -> None:
-    recording = Recording(np.ones((7, 1)), 2800, "um", "ones")
-    assert resample(recording, 2800) is recording
-
-
 @pytest.mark.parametrize("rate_hz", [0, -1, float("nan"), float("inf"), 1e15, 1e-5])
 def test_rejected_rates(rate_hz: float) -> None:
     with pytest.raises(TextureError, match="rate"):
