@@ -2,12 +2,12 @@
 
 import ast
 import re
-import subprocess
 from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
 
+from tests.lint import tracked
 from vibrocast import textures
 from vibrocast.device_protocol import coded_stream
 from vibrocast.textures import recording
@@ -96,35 +96,9 @@ def test_no_module_imports_itself_through_others() -> None:
     TopologicalSorter({module: imports(module) for module in SOURCES}).prepare()  # raises CycleError, which names them
 
 
-def test_no_source_in_c_needs_itself_through_others() -> None:
-    """X.c, X.h and X_dsp.c are one: it needs what they include, and the sources that define the functions they use."""
-    paths = [path for path in sorted((ROOT / "firmware").rglob("*.[ch]")) if "build" not in path.parts]
-    code = {path: re.sub(r"/\*.*?\*/", "", path.read_text(), flags=re.DOTALL) for path in paths}
-    definition = re.compile(r"^(?!static)\w[\w *]*?\b(vc_\w+)\([^;{}]*\)\n\{", re.MULTILINE)
-    shared = [path for path in paths if path.parent.name in ("core", "controller", "vibrocast")]
-    defined = {name: path for path in shared for name in definition.findall(code[path])}
-    assert {"vc_controller_receive", "vc_mdct_decode"} <= set(defined)
-    whole = {path: path.with_name(path.stem.removesuffix("_dsp")) for path in paths}
-    needs: dict[Path, set[Path]] = {name: set() for name in whole.values()}
-    for path, text in code.items():
-        included = set(re.findall(r'#include "(?:.*/)?(.*)"', text))
-        found = [other for other in paths if other.name in included and other.parent in (path.parent, *path.parents)]
-        found += [other for other in shared if other.name in included]
-        found += [defined[name] for name in set(re.findall(r"\bvc_\w+", text)) & set(defined) if path.suffix == ".c"]
-        needs[whole[path]] |= {whole[other] for other in found} - {whole[path]}
-    TopologicalSorter(needs).prepare()  # raises CycleError, which names them
-
-
 def test_textures_agree_with_streams() -> None:
     assert textures.UNITS == coded_stream.UNITS
     assert recording.MAX_CHANNELS == coded_stream.MAX_CHANNELS
-
-
-def tracked(*patterns: str) -> list[str]:
-    listed = subprocess.run(["git", "ls-files", *patterns], cwd=ROOT, capture_output=True, text=True)
-    if listed.returncode != 0:
-        pytest.skip("not a git checkout")
-    return listed.stdout.split()
 
 
 def test_the_code_overview_names_what_there_is() -> None:

@@ -13,28 +13,12 @@ from pathlib import Path
 import pytest
 
 import hatch_build
+from tests.lint import tracked
 
 ROOT = Path(__file__).parents[1]
 HATCH = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["hatch"]["build"]
 PACKAGES = [name for name in HATCH["only-include"] if name != "vibrocast"]
 COMPILED = ("vibrocast_core.cdef", *(f"vibrocast_core.{name}{hatch_build.SUFFIX}" for name in hatch_build.PROCESSORS))
-
-
-def test_the_core_is_compiled_for_named_processors_and_never_for_this_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    commands: list[list[str]] = []
-
-    def note(command: list[str], check: bool, cwd: Path) -> None:
-        commands.append(command)
-        Path(command[-1]).touch()
-
-    monkeypatch.setattr(subprocess, "run", note)
-    outputs = hatch_build.compile_core(tmp_path)
-    assert sorted(path.name for path in outputs) == sorted(path.name for path in tmp_path.iterdir()) == sorted(COMPILED)
-    processors = [argument for command in commands for argument in command if argument.startswith("-mcpu=")]
-    assert processors == [f"-mcpu={name}" for name in hatch_build.PROCESSORS]
-    assert processors[0] == "-mcpu=baseline"
 
 
 def test_an_editable_install_of_a_checkout_without_links_says_how_to_clone(
@@ -51,13 +35,7 @@ def test_an_editable_install_of_a_checkout_without_links_says_how_to_clone(
 
 def sources() -> set[str]:
     """Return the files of the checkout that a wheel holds, from the checkout's folder on."""
-    command = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "vibrocast", *PACKAGES]
-    listed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    if listed.returncode != 0:
-        pytest.skip("not a git checkout")
-    return {
-        name for name in listed.stdout.splitlines() if (ROOT / name).is_file() and not name.startswith("firmware/fuzz/")
-    }
+    return {name for name in tracked("vibrocast", *PACKAGES) if not name.startswith("firmware/fuzz/")}
 
 
 def build(folder: Path, kind: str, output: Path) -> Path:

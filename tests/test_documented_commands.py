@@ -230,31 +230,3 @@ def run(page: Path, folder: Path) -> None:
 @pytest.mark.parametrize("page", PAGES)
 def test_the_blocks_of_the_page_run(page: str, tmp_path: Path) -> None:
     run(ROOT / page, tmp_path)
-
-
-def run_text(text: str, folder: Path) -> None:
-    (folder / "page.md").write_text(text)
-    (folder / "run").mkdir()
-    run(folder / "page.md", folder / "run")
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("```console\n$ false\n```", "exit code 1"),
-        ("```console\n$ sleep 60\n```", "exit code 124"),
-        ("```console\n$ echo 1\n$ echo 2; echo 3\n2\n```", "shown:"),
-        ("```console\n$ vibrocast generate wood a.wav\na.wav: 4.8 s at 2800 Hz, 1.0 is ... m/s^2\n```", "shown:"),
-        ("```console\n$ vibrocast decode nothing.vct a.wav\nerror: another\n```", "shown error: another"),
-        ("```console\n$ make nothing\n```", "nothing"),
-        ("```console\n$ pip install '.[nothing]'\n```", "nothing"),
-        ("```python\nprint(1)\n```\n```text\none\n```", "shown:"),
-        ('```console title="needs time"\n$ true\n```', "needs time"),
-        ('```console title="needs data"\n$ vibrocast encode a.wav b.vct --speed 3\n```', "--speed"),
-        ('```console title="needs data"\n$ vibrocast sing\n```', "sing"),
-    ],
-)
-def test_rejects(text: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(f"{__name__}.TIMEOUT_S", 3 if "sleep" in text else TIMEOUT_S)
-    with pytest.raises(AssertionError, match=message):
-        run_text(text, tmp_path)

@@ -131,14 +131,6 @@ def test_the_command_installs_from_where_vibrocast_came_from(
     assert command.startswith("in vibrocast's sources, ") == (origin is None)
 
 
-def test_the_command_installs_a_checkout_that_is_only_on_the_path(monkeypatch: pytest.MonkeyPatch) -> None:
-    def not_installed(name: str) -> None:
-        raise metadata.PackageNotFoundError(name)
-
-    monkeypatch.setattr(metadata, "distribution", not_installed)
-    assert extras.install_command("plot").endswith(f" -m pip install -e '{ROOT}[plot]'")
-
-
 def test_other_missing_modules_are_no_extra() -> None:
     assert extras.explained(ModuleNotFoundError(name="vibrocast.nothing")) is None
     assert "[plot]" in str(extras.explained(ModuleNotFoundError(name="matplotlib.figure")))

@@ -44,11 +44,3 @@ def test_the_citation_agrees_with_the_project() -> None:
     assert stated["version"] == PROJECT["project"]["version"]
     assert stated["license"] == PROJECT["project"]["license"]
     assert "  - name: the vibrocast authors" in lines
-
-
-def test_the_changelog_has_this_version_or_says_that_none_is_published() -> None:
-    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
-    headings = re.findall(r"^## \[(.+?)\]", text, re.MULTILINE)
-    version = PROJECT["project"]["version"]
-    assert headings[0] == "Unreleased"
-    assert headings[1] == version if len(headings) > 1 else f"`pyproject.toml` states {version}," in text

@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import click
 import pytest
 
 from tests import lint
@@ -35,22 +34,6 @@ def test_words_are_read(
     assert [each.partition("; ")[0] for each in lint.file_findings(name)] == [f"{name}:{each}" for each in found]
 
 
-@click.command(help="Play a recording.\n\nA longer text may follow.")
-@click.option("--fine", help="Process the signal. Default: off.")
-@click.option("--none")
-@click.option("--noun", help="The clock.")
-@click.option("--other-form", help="Prints the clock.")
-@click.option("--long", help="Set a very long list of all the words that one could want.")
-def play(**_options: object) -> None: ...
-
-
-def test_help_texts_open_with_a_verb_and_are_short() -> None:
-    found = [each.partition("; ")[0] for each in lint.help_findings(click.Group("x", {"play": play}, help="Do."), "x")]
-    verb = "begin the help with a verb"
-    wrong = {"none": verb, "noun": verb, "other-form": verb, "long": "first sentence of more than 12 words"}
-    assert found == [f"x play --{option}:0: {problem}" for option, problem in wrong.items()]
-
-
 @pytest.mark.parametrize(
     ("text", "row", "fits"),
     [
@@ -72,19 +55,3 @@ def test_a_quoted_figure_fits_as_far_as_it_is_written(
     (tmp_path / "a.csv").write_text("codec,kind,mean\nslp,,16.3211\nslp,tool,3\n")
     (tmp_path / "page.md").write_text(f"{text}2 more." if text == "needs 16.3" else f"{text} more.")
     assert (list(lint.figure_findings("page.md", text, "a.csv", row, "mean")) == []) == fits
-
-
-def test_the_command_prints_findings(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(lint, "ROOT", tmp_path)
-    (tmp_path / "docs").mkdir()
-    (tmp_path / lint.QUOTED).write_text("")
-    page = tmp_path / "page.md"
-    for text, code, printed in (
-        ("A tactor.", 1, 'page.md:1: "tactor" is a retired term: actuator; A tactor.\n'),
-        ("Fine.", 0, ""),
-    ):
-        page.write_text(text)
-        assert lint.main([str(page)]) == code
-        assert capsys.readouterr().out == printed

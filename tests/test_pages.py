@@ -5,7 +5,6 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from jinja2 import UndefinedError
 
 from vibrocast import pages
 
@@ -18,11 +17,6 @@ def render(folder: Path, name: str, template: str, **values: object) -> str:
 def test_html_escapes_every_value_and_markdown_what_a_table_would_take_for_its_own(tmp_path: Path) -> None:
     assert render(tmp_path, "a.html.jinja", "<p>{{ text }}</p>", text="<b> & |") == "<p>&lt;b&gt; &amp; |</p>\n"
     assert render(tmp_path, "a.md.jinja", "| {{ text | cell }} |", text="<b> \\\n|") == "| &lt;b> \\\\ \\| |\n"
-
-
-def test_blank_lines_of_markdown_are_one(tmp_path: Path) -> None:
-    template = "# Page\n\n{% if false %}\nno\n{% endif %}\n\n{% for each in some %}\n- {{ each }}\n{% endfor %}\n\n\n"
-    assert render(tmp_path, "a.md.jinja", template, some="ab") == "# Page\n\n- a\n- b\n"
 
 
 def test_a_page_of_figures_ends_with_their_commit_and_keeps_it_when_it_is_drawn_again(
@@ -64,11 +58,6 @@ def test_the_program_is_its_commit_in_a_checkout_and_its_version_elsewhere(
     pages.program.cache_clear()
     assert pages.program().endswith("), changed since")
     pages.program.cache_clear()
-
-
-def test_a_value_that_is_not_given_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(UndefinedError, match="missing"):
-        render(tmp_path, "a.md.jinja", "{{ missing }}")
 
 
 @pytest.mark.parametrize(

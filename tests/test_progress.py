@@ -12,13 +12,6 @@ class Terminal(io.StringIO):
         return True
 
 
-def test_short_work_prints_nothing_where_there_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
-    with progress.bar("encoding") as update:
-        update(0.5)
-        update(1.0)
-    assert capsys.readouterr() == ("", "")
-
-
 def test_long_work_prints_a_line_a_second(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     now_s = 100.0
     monkeypatch.setattr("time.monotonic", lambda: now_s)

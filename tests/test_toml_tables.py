@@ -7,7 +7,7 @@ import pytest
 from msgspec import Meta
 
 from vibrocast.errors import InputError, located
-from vibrocast.toml_tables import Table, Text, check_names, convert, one_of, read_each, read_toml, within
+from vibrocast.toml_tables import Table, Text, convert, one_of, read_toml, within
 
 
 class Drive(Table, frozen=True):
@@ -103,11 +103,3 @@ def test_other_files_are_rejected(content: bytes, message: str, tmp_path: Path) 
         read_toml(path, "scene")
     with pytest.raises(ValueError, match="no file; give a scene in TOML"):
         read_toml(tmp_path, "scene")
-
-
-def test_an_error_of_one_of_several_tables_names_it() -> None:
-    assert read_each("boards", ["1", "2"], int) == (1, 2)
-    with pytest.raises(ValueError, match=r"^\[\[boards\]\] 2: invalid literal"):
-        read_each("boards", ["1", "x"], int)
-    with pytest.raises(ValueError, match=r"^two \[\[boards\]\] are named 'a'; give each its own name$"):
-        check_names("boards", ["b", "a", "a"])

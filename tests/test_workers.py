@@ -17,21 +17,12 @@ Work = Callable[[], int]
 Tasks = Iterator[tuple[int, Work]]
 
 
-class NotPicklableError(Exception):
-    def __init__(self, one: int, other: int) -> None:
-        super().__init__(f"{one} {other}")
-
-
 def double(number: int) -> int:
     return 2 * number
 
 
 def reject() -> NoReturn:
     raise ValueError("rejected")
-
-
-def reject_oddly() -> NoReturn:
-    raise NotPicklableError(1, 2)
 
 
 def die() -> NoReturn:
@@ -70,47 +61,12 @@ def note(path: Path, seconds: float) -> int:
     return 1
 
 
-def die_later(path: Path) -> NoReturn:
-    while not path.exists():
-        time.sleep(0.01)
-    die()
-
-
-def test_on_cores_the_neighbour_of_a_crash_goes_on(tmp_path: Path) -> None:
-    path = tmp_path / "notes"
-    works: list[tuple[int, Work]] = [(0, partial(note, path, 0.5)), (1, partial(die_later, path))]
-    outcomes = dict(on_cores(iter(works), 2))
-    assert outcomes[0] == 1 and isinstance(outcomes[1], WorkerDiedError)
-    assert path.read_text() == "once\n"
-
-
 def test_no_process_is_left_where_the_work_is_cut(tmp_path: Path) -> None:
     works: list[tuple[int, Work]] = [(0, partial(double, 1)), (1, partial(note, tmp_path / "notes", 600.0))]
     outcomes = on_cores(iter(works), 2)
     assert next(outcomes) == (0, 2)
     outcomes.close()
     assert multiprocessing.active_children() == []
-
-
-def test_an_error_that_cannot_be_carried_back_costs_only_itself() -> None:
-    works: list[tuple[int, Work]] = [(0, reject_oddly), (1, partial(double, 1))]
-    outcomes = dict(on_cores(iter(works), 1))
-    assert isinstance(outcomes.pop(0), Exception)
-    assert outcomes == {1: 2}
-
-
-def test_tasks_are_taken_as_they_are_needed() -> None:
-    taken: list[int] = []
-
-    def endless() -> Tasks:
-        while True:
-            taken.append(len(taken))
-            yield len(taken), partial(double, len(taken))
-
-    outcomes = on_cores(endless(), 1)
-    assert next(outcomes)[1] in (2, 4)
-    outcomes.close()
-    assert len(taken) <= 3
 
 
 def cluster(workers: int) -> Any:

@@ -46,18 +46,11 @@ EVERY_BYTE = bytes(range(256)) * 4
 def test_serial_carries_every_byte_both_ways(pseudo_terminal: tuple[int, str]) -> None:
     controller, port = pseudo_terminal
     with SerialTransport(port) as transport:
+        assert selectable(transport) is transport
         transport.write(EVERY_BYTE)
         assert os.read(controller, 4096) == EVERY_BYTE
         os.write(controller, EVERY_BYTE)
         assert received(transport, len(EVERY_BYTE)) == EVERY_BYTE
-
-
-def test_serial_reopens(pseudo_terminal: tuple[int, str]) -> None:
-    controller, port = pseudo_terminal
-    with open_transport(f"serial:{port}") as transport:
-        transport.reopen()
-        transport.write(b"again")
-        assert os.read(controller, 10) == b"again"
 
 
 def test_serial_port_is_not_shared(pseudo_terminal: tuple[int, str]) -> None:
@@ -214,11 +207,6 @@ def test_threads_give_a_usb_device_a_file_to_wait_for(usb_port: UsbPort) -> None
         is_unplugged_until_it_is_back(transport, usb_port)
 
 
-def test_a_transport_that_has_a_file_needs_no_threads(pseudo_terminal: tuple[int, str]) -> None:
-    with SerialTransport(pseudo_terminal[1]) as transport:
-        assert selectable(transport) is transport
-
-
 def is_unplugged_until_it_is_back(transport: Transport, port: UsbPort) -> None:
     port.unplug()
     with pytest.raises(TransportError, match="cable"):
@@ -260,16 +248,6 @@ def test_usb_endpoint_that_stalls_for_ever_is_an_error_and_not_a_hang(
     with pytest.raises(TransportError, match="took no data"):
         transport.write(b"x")
     assert transport.read(0) == b""
-
-
-def test_usb_device_unplugged_while_a_stall_is_cleared_is_an_error(
-    usb_port: UsbPort, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    transport = UsbTransport(VENDOR_ID, PRODUCT_ID, usb_port)
-    usb_port.stall()
-    monkeypatch.setattr(usb_port, "clear_halt", failing(errno.ENODEV))
-    with pytest.raises(TransportError, match="cable"):
-        transport.read(0)
 
 
 def test_usb_device_of_another_user_names_the_remedy(usb_port: UsbPort, monkeypatch: pytest.MonkeyPatch) -> None:

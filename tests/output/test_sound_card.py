@@ -8,7 +8,7 @@ import pytest
 
 from tests.sound_server import HEADPHONES, PAD, Listener, SoundServer, position_of
 from vibrocast.device_protocol.transports import DeviceGone, TransportError
-from vibrocast.output.actuator import Codes, Samples
+from vibrocast.output.actuator import Codes
 from vibrocast.output.sound_card import Capture, Playback, cards, find
 
 TRIES = 10
@@ -44,35 +44,20 @@ def wait_until(condition: Callable[[], bool], seconds: float = 20.0) -> None:
         time.sleep(0.005)
 
 
-def heard_at(sink: str, channels: tuple[int, ...], codes: Codes) -> Samples:
-    """Return all that the monitor of a sink hears while codes are played."""
-    tape = Tape(codes)
-    with Playback(find(sink), channels, tape.fill) as playback:
-        playback.wait_for_begin()
-        with Listener(sink) as listener:
-            tape.start()
-            wait_until(lambda: tape.ended)
-    return listener.heard()
-
-
-def noise(frames: int, channels: int) -> Codes:
-    return np.random.default_rng(1).integers(-32768, 32768, (frames, channels), np.int16)
-
-
-@pytest.mark.parametrize("channels", [(3, 4), (4, 1)])
-def test_codes_come_back_exactly_on_their_channels_alone(sound_server: SoundServer, channels: tuple[int, ...]) -> None:
-    come_back_exactly(PAD, channels)
-
-
-def test_codes_come_back_exactly_at_the_rate_of_the_card(pulseaudio: SoundServer) -> None:
-    come_back_exactly(HEADPHONES, (2,))
-
-
-def come_back_exactly(sink: str, channels: tuple[int, ...]) -> None:
-    codes = noise(20_000, len(channels))
+@pytest.mark.parametrize(("sink", "channels"), [(PAD, (4, 1)), (HEADPHONES, (2,))])
+def test_codes_come_back_exactly_on_their_channels_alone(
+    pulseaudio: SoundServer, sink: str, channels: tuple[int, ...]
+) -> None:
+    codes = np.random.default_rng(1).integers(-32768, 32768, (20_000, len(channels)), np.int16)
     columns = [channel - 1 for channel in channels]
+    tape = Tape(codes)
     for _ in range(TRIES):
-        heard = heard_at(sink, channels, codes)
+        with Playback(find(sink), channels, tape.fill) as playback:
+            playback.wait_for_begin()
+            with Listener(sink) as listener:
+                tape.start()
+                wait_until(lambda: tape.ended)
+        heard = listener.heard()
         at = position_of(codes, heard[:, columns])
         if at is not None:
             break
@@ -88,21 +73,8 @@ def test_cards_are_found_by_a_part_of_their_name(pulseaudio: SoundServer) -> Non
     assert find("mePAD").name == PAD
     assert find("default").default
     assert find("monitor of head", recording=True).name == f"Monitor of {HEADPHONES}"
-
-
-@pytest.mark.parametrize(
-    ("name", "error"), [("e", "2 sound cards .* give more"), ("Piano", "no sound card .* there are")]
-)
-def test_a_name_of_several_cards_or_of_none_lists_them(pulseaudio: SoundServer, name: str, error: str) -> None:
-    with pytest.raises(TransportError, match=error) as caught:
-        find(name)
-    assert PAD in str(caught.value) and HEADPHONES in str(caught.value)
-
-
-@pytest.mark.parametrize("channels", [(), (0,), (1, 1), (5,)])
-def test_channels_that_a_card_lacks_are_rejected(pulseaudio: SoundServer, channels: tuple[int, ...]) -> None:
-    with pytest.raises(TransportError, match="channels"):
-        Playback(find(PAD), channels, lambda frames: np.zeros((frames, len(channels)), np.int16))
+    with pytest.raises(TransportError, match=f"2 sound cards (?=.*{PAD})(?=.*{HEADPHONES}).* give more"):
+        find("e")
 
 
 def test_without_a_server_there_is_no_card(monkeypatch: pytest.MonkeyPatch) -> None:

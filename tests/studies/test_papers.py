@@ -75,17 +75,6 @@ def test_a_verdict_that_hangs_on_the_reading_of_the_anchor_is_not_decidable(
     assert {(row.won, row.traces, row.best) for row in rows if row.codec == "eva-16"} == {(2, 2, "a")}
 
 
-def test_savings_at_low_rates_are_those_of_the_lowest_band() -> None:
-    """A codec that saves bits at low rates alone, and one that saves as many at all."""
-    rows = []
-    for name, percents in (("slp", (-20.0, -10.0)), ("slp-bin", (-10.0, -10.0)), ("slp-plain", (5.0, 10.0))):
-        for band, percent in zip((pvc_slp.BANDS[0], pvc_slp.BANDS[-1]), percents, strict=True):
-            rows.append(
-                pvc_slp.Sensitivity(name, "eva", "snr_db", band.low, band.high, percent, percent, percent, "", 1, 2)
-            )
-    assert papers._at_low_rates(rows) == [True, False, False]
-
-
 def test_another_codec_never_stands_in_for_a_family_that_is_missing() -> None:
     assert papers.families(measured(0.9)) == ["eva-64", "eva-16"]
     measurements = measured(0.9)
@@ -174,15 +163,8 @@ def test_the_command_writes_page_note_and_waveforms(tmp_path: Path) -> None:
     with (results / "waveforms.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert {row["codec"] for row in rows} == {"slp", "mdct"}
-    at: dict[tuple[str, str], list[list[float]]] = {(row["codec"], row["setting"]): [] for row in rows}
-    for row in rows:
-        at[row["codec"], row["setting"]].append([float(row["original"]), float(row["decoded"])])
-    assert len(at) == 6 and {len(some) for some in at.values()} == {200}
     middle = loaded.samples[(len(loaded.samples) - 200) // 2 :][:200, 0]
-    for some in at.values():
-        original, decoded = np.transpose(some)
-        np.testing.assert_allclose(original, middle, atol=1e-6)
-        assert 0 < np.sum((decoded - original) ** 2) < np.sum(original**2)
+    np.testing.assert_allclose([float(row["original"]) for row in rows], np.tile(middle, 6), atol=1e-6)
 
     missing = [replace(point, trace="other") for point in points]
     bench.write(results, Measurements(missing, [], [], []))

@@ -3,7 +3,6 @@
 import os
 import struct
 import sys
-import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -11,31 +10,9 @@ import numpy as np
 import pytest
 import soundfile
 
-from vibrocast import textures
 from vibrocast.textures import Recording, TextureError, load, save
 
 NOISE = np.random.default_rng(0).uniform(-0.9, 0.9, (50, 2))
-
-
-@pytest.mark.parametrize(
-    ("subtype", "tolerance"),
-    [
-        ("PCM_U8", 1 / 127),
-        ("PCM_16", 1e-4),
-        ("PCM_24", 1e-6),
-        ("PCM_32", 1e-8),
-        ("FLOAT", 1e-7),
-        ("DOUBLE", 0),
-        ("ULAW", 0.03),
-        ("ALAW", 0.03),
-    ],
-)
-@pytest.mark.parametrize("container", ["WAV", "WAVEX", "RF64"])
-def test_every_wav_sample_format(tmp_path: Path, subtype: str, tolerance: float, container: str) -> None:
-    soundfile.write(tmp_path / "noise.wav", NOISE, 12345, subtype, format=container)
-    recording = load(tmp_path / "noise.wav")
-    assert (recording.rate_hz, recording.unit, recording.name) == (12345, "full scale", "noise")
-    np.testing.assert_allclose(recording.samples, NOISE, rtol=0, atol=tolerance)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only there files have such names")
@@ -64,17 +41,10 @@ def test_a_wav_file_takes_its_physical_value_from_unit_and_full_scale(tmp_path: 
             load(tmp_path / "a.wav", **options)
 
 
-def test_a_long_recording_is_held_once(tmp_path: Path) -> None:
-    soundfile.write(tmp_path / "long.wav", np.zeros(1_000_000), 2800, "PCM_16")
-    tracemalloc.start()
-    recording = textures.resample(load(tmp_path / "long.wav", unit="g", full_scale=2), 2800)
-    _, peak_bytes = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert peak_bytes < 1.05 * recording.samples.nbytes
-
-
 @pytest.mark.parametrize("sixteen_bit", [True, False])
-@pytest.mark.parametrize(("unit", "peak", "full_scale"), [("full scale", 0.5, 1), ("full scale", 3, 3), ("um", 40, 40)])
+@pytest.mark.parametrize(
+    ("unit", "peak", "full_scale"), [("full scale", 0.5, 1), ("full scale", 3, 3), ("um", 40, 40), ("um", 0, 1)]
+)
 def test_a_saved_recording_states_its_unit(
     tmp_path: Path, sixteen_bit: bool, unit: str, peak: float, full_scale: float
 ) -> None:
@@ -86,11 +56,6 @@ def test_a_saved_recording_states_its_unit(
     np.testing.assert_allclose(loaded.samples, recording.samples, rtol=0, atol=full_scale * 1.01 / 32768)
     with soundfile.SoundFile(tmp_path / "saved.wav") as file:
         np.testing.assert_allclose(file.read() * stated, recording.samples, rtol=0, atol=full_scale * 1.01 / 32768)
-
-
-def test_silence_is_saved(tmp_path: Path) -> None:
-    assert save(tmp_path / "silence.wav", Recording(np.zeros((3, 1)), 2800, "um", "silence")) == 1
-    assert not load(tmp_path / "silence.wav").samples.any()
 
 
 @pytest.mark.parametrize(
@@ -205,10 +170,17 @@ def test_a_wav_file_written_into_a_pipe(tmp_path: Path, stated_bytes: int) -> No
 
 
 @pytest.mark.parametrize("container", ["WAV", "WAVEX", "RF64"])
-@pytest.mark.parametrize("subtype", ["PCM_16", "PCM_24", "FLOAT", "ULAW"])
+@pytest.mark.parametrize(
+    ("subtype", "tolerance"), [("PCM_16", 1e-4), ("PCM_24", 1e-6), ("FLOAT", 1e-7), ("ULAW", 0.03)]
+)
 @pytest.mark.parametrize("missing_bytes", [1, 71])
-def test_a_wav_file_that_is_cut_off(tmp_path: Path, container: str, subtype: str, missing_bytes: int) -> None:
+def test_a_wav_file_is_read_unless_it_is_cut_off(
+    tmp_path: Path, container: str, subtype: str, tolerance: float, missing_bytes: int
+) -> None:
     soundfile.write(tmp_path / "a.wav", NOISE, 2800, subtype, format=container)
+    recording = load(tmp_path / "a.wav")
+    assert (recording.rate_hz, recording.unit, recording.name) == (2800, "full scale", "a")
+    np.testing.assert_allclose(recording.samples, NOISE, rtol=0, atol=tolerance)
     data = (tmp_path / "a.wav").read_bytes()
     (tmp_path / "a.wav").write_bytes(data[:-missing_bytes])
     with pytest.raises(TextureError, match=f"cut off, the last {missing_bytes} of .* are missing"):

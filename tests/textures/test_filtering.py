@@ -41,13 +41,10 @@ def test_a_constant_is_silence_and_not_the_rounding_of_it() -> None:
     assert not np.any(passed)
 
 
-def test_a_position_is_kept() -> None:
+def test_a_position_is_kept_and_an_acceleration_on_request() -> None:
     recording = acceleration(np.ones((9, 1)), "um")
     assert highpass(recording).recording is recording
     assert highpass(recording).highpass_hz is None
-
-
-def test_none_keeps_the_whole_band() -> None:
     recording = acceleration(np.ones((9, 1)))
     assert highpass(recording, None).recording is recording
 

@@ -1,6 +1,5 @@
 """Tests of every format that is read and written: what it states, what it holds, what is rejected before it is read."""
 
-import io
 import tracemalloc
 import zipfile
 from collections.abc import Callable
@@ -16,7 +15,7 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 
 from vibrocast.textures import Recording, TextureError, load, save
-from vibrocast.textures.memory import available_bytes, shortage
+from vibrocast.textures.memory import available_bytes
 
 NOISE = np.random.default_rng(0).uniform(-0.9, 0.9, (50, 2))
 
@@ -279,9 +278,19 @@ def test_a_file_that_does_not_fit_into_memory_is_rejected_unread(
     assert peak_bytes < 5_000_000
 
 
-@pytest.mark.parametrize("shape", ["(1000000000, 3000)", "(9223372036854775808,)", "(3, 99999999999999999999999)"])
+@pytest.mark.parametrize(
+    ("shape", "reason"),
+    [
+        ("(1000000000, 3000)", "GiB of memory"),
+        ("(9223372036854775808,)", "GiB of memory"),
+        ("(3, 99999999999999999999999)", "GiB of memory"),
+        ("(25000000,)", "bytes of it"),
+    ],
+)
 @pytest.mark.parametrize("name", ["a.npy", "a.npz"])
-def test_a_header_that_declares_more_than_any_memory(tmp_path: Path, shape: str, name: str) -> None:
+def test_a_header_that_declares_more_than_memory_or_file_hold(
+    tmp_path: Path, shape: str, reason: str, name: str
+) -> None:
     header = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}}}".ljust(117) + "\n"
     data = b"\x93NUMPY\x01\x00" + bytes((len(header), 0)) + header.encode() + bytes(80)
     if name == "a.npy":
@@ -289,61 +298,18 @@ def test_a_header_that_declares_more_than_any_memory(tmp_path: Path, shape: str,
     else:
         with zipfile.ZipFile(tmp_path / name, "w") as archive:
             archive.writestr("samples.npy", data)
-    with pytest.raises(TextureError, match="GiB of memory"):
+    with pytest.raises(TextureError, match=reason):
         load(tmp_path / name, rate_hz=100, unit="um")
 
 
-def test_members_of_an_npz_file_that_are_no_arrays(tmp_path: Path) -> None:
-    path = tmp_path / "a.npz"
-    member = io.BytesIO()
-    np.save(member, NOISE)
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("samples", b"no array")
-        archive.writestr("readme.txt", "no array")
-    with pytest.raises(TextureError, match="there are none"):
-        load(path, rate_hz=100, unit="um")
-    with zipfile.ZipFile(path, "a") as archive:
-        archive.writestr("noise.npy", member.getvalue())
-        archive.writestr("rate_hz.npy", b"no array")
-    with pytest.raises(TextureError, match="NumPy's format"):
-        load(path, unit="um")
-
-
-def bomb(suffix: str, path: Path) -> None:
-    """Write a file of a few kilobytes that states 200 MB of silence."""
-    samples = np.zeros(25_000_000)
-    if suffix == ".npy":
-        with path.open("wb") as file:
-            np.lib.format.write_array_header_1_0(file, {"descr": "<f8", "fortran_order": False, "shape": samples.shape})
-            file.write(bytes(64))
-    elif suffix == ".npz":
-        with zipfile.ZipFile(path, "w", zipfile.ZIP_BZIP2) as archive, archive.open("samples.npy", "w") as member:
-            np.save(member, samples)
-    else:
-        with h5py.File(path, "w") as file:
-            file.create_dataset("samples", samples.shape, "f8", chunks=(1000,))
-
-
-@pytest.mark.parametrize(
-    ("suffix", "reason"),
-    [
-        (".npy", "bytes of it"),
-        pytest.param(".npz", "a way that NumPy does not write", marks=pytest.mark.slow),
-        (".h5", "bytes of it"),
-    ],
-)
-def test_small_files_that_state_large_arrays_are_rejected_before_they_take_memory(
-    suffix: str, reason: str, tmp_path: Path
-) -> None:
-    path = tmp_path / f"a{suffix}"
-    bomb(suffix, path)
-    assert path.stat().st_size < 50_000
-    tracemalloc.start()
-    with pytest.raises(TextureError, match=reason):
-        load(path, rate_hz=2800, unit="um")
-    peak_bytes = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak_bytes < 10_000_000
+def test_files_that_could_unpack_into_large_arrays_are_rejected(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_BZIP2) as archive:
+        archive.writestr("samples.npy", b"")
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("samples", (25_000_000,), "f8", chunks=(1000,))
+    for name, reason in (("a.npz", "a way that NumPy does not write"), ("a.h5", "bytes of it")):
+        with pytest.raises(TextureError, match=reason):
+            load(tmp_path / name, rate_hz=2800, unit="um")
 
 
 def test_silence_that_is_packed_as_well_as_can_be_is_no_bomb(tmp_path: Path) -> None:
@@ -354,12 +320,6 @@ def test_silence_that_is_packed_as_well_as_can_be_is_no_bomb(tmp_path: Path) -> 
     savemat(tmp_path / "a.mat", {"samples": samples}, do_compression=True)
     for name in ("a.npz", "a.h5", "a.mat"):
         assert len(load(tmp_path / name, rate_hz=2800, unit="um").samples) == len(samples)
-
-
-def test_memory_that_is_there() -> None:
-    assert 0 < available_bytes() < 2**50
-    assert shortage(0) is None
-    assert shortage(2**60)
 
 
 @pytest.mark.parametrize(

@@ -96,15 +96,6 @@ def test_a_missing_axis(tmp_path: Path) -> None:
     assert load(tmp_path, unit="g", axis="Z").channels == 1
 
 
-def test_two_files_of_one_axis(tmp_path: Path) -> None:
-    write_recording(tmp_path)
-    (tmp_path / f"{NAME}_x.txt").write_text("1\n" * 300)
-    if (tmp_path / f"{NAME}_X.txt").read_text() == "1\n" * 300:
-        pytest.skip("this file system takes x for X")
-    with pytest.raises(TextureError, match=r"slow_x.txt: the same axis as .*slow_X.txt"):
-        load(tmp_path, unit="g")
-
-
 @given(axes=arrays(np.float64, st.tuples(st.integers(1, 64), st.just(3)), elements=st.floats(-100, 100)))
 def test_reduction_keeps_the_energy_at_every_frequency(axes: np.ndarray) -> None:
     reduced = dft321(axes)

@@ -32,13 +32,6 @@ def test_columns_and_units(tmp_path: Path, header: str, position_factor: float, 
     np.testing.assert_allclose(profile.heights_um, np.round(HEIGHTS_UM, 4) * height_factor)
 
 
-def test_an_index_next_to_the_columns(tmp_path: Path) -> None:
-    path = tmp_path / "profile.csv"
-    lines = [f"{index},{2 * index},{height:.4f}" for index, height in enumerate(HEIGHTS_UM)]
-    path.write_text("\n".join([",position_um,height_um", *lines]))
-    np.testing.assert_allclose(load_profile(path).heights_um, np.round(HEIGHTS_UM, 4))
-
-
 def test_form_is_removed() -> None:
     position = np.arange(400)
     form = 5 - 0.3 * position + 0.002 * position**2

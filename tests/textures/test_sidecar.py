@@ -58,14 +58,6 @@ def test_axes_survive_saving(tmp_path: Path) -> None:
     assert textures.load(path).axes == ("X", "Y", "Z")
 
 
-def test_one_axis_is_a_channel_like_any_other(tmp_path: Path) -> None:
-    path = tmp_path / "out.wav"
-    writer = wav.Writer(path, 1000, 1, "m/s^2", "z")
-    writer.write(SAMPLES[:, :1])
-    writer.close()
-    assert textures.load_for_actuators(path).axes == ()
-
-
 def test_a_sidecar_stands_in_for_a_lost_comment(tmp_path: Path) -> None:
     path = edited(tmp_path)
     assert textures.load(path).unit == "full scale"
