@@ -32,7 +32,6 @@ from vibrocast.output.actuator import ACTUATORS, Codes
 from vibrocast.simulated_device.controller import Controller
 from vibrocast.simulated_device.pty_port import PtyPort
 
-SHARED = ROOT / ".." / "shared" / "data"
 IMAGE = ROOT / "models" / "mdct-textures" / "mdct-textures.vcmi"
 PROFILE = ROOT / "examples" / "leather_profile.csv"
 RATE_HZ = 2800
