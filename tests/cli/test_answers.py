@@ -40,22 +40,6 @@ def test_files_are_described(tmp_path: Path) -> None:
     assert "sim" in answer("devices")
 
 
-def test_what_was_played_is_a_report() -> None:
-    played = answer("play", OAK)
-    assert played["dac_equals_offline"] is True
-    assert [each["device"]["address"] for each in answer("play", OAK, "--device", "sim", "--device", "sim-usb")] == [
-        "sim",
-        "sim-usb",
-    ]
-    streamed = answer("live", "rough", "--seconds", "0.5", "--playout-delay-ms", "300")
-    assert streamed["schema"] == 3 and len(streamed["minutes"]) == 1
-
-
-def test_an_error_is_in_the_answer() -> None:
-    told = failure(3, "play", OAK, "--device", "serial:nowhere")
-    assert "cannot open serial port nowhere" in told["error"]
-
-
 def test_a_log_is_kept_in_a_file(tmp_path: Path) -> None:
     log = tmp_path / "bench.log"
     assert run("--log", log, "play", OAK).exit_code == 0

@@ -16,25 +16,22 @@ import click
 import numpy as np
 import pytest
 import soundfile
-from click.testing import CliRunner
 
 from tests.command import OAK, ROOT, answer, fails, run, started, succeeds, titles
 from vibrocast import codec, models, textures
 from vibrocast.codec.stream import read_stream
 from vibrocast.device_protocol.messages import State
 from vibrocast.device_protocol.model_image import ModelImage
-from vibrocast.errors import LIMIT_MISSED, NO_DEVICE
+from vibrocast.errors import NO_DEVICE
 from vibrocast.host import devices
 from vibrocast.host.bench_file import actuator_toml
 from vibrocast.host.cli import sections
 from vibrocast.host.cli.command_line import main
-from vibrocast.host.cli.commands import SECTIONS, subcommands
 from vibrocast.host.report import Report
 from vibrocast.output.actuator import ACTUATORS, Codes
 from vibrocast.simulated_device.controller import Controller
 from vibrocast.simulated_device.pty_port import PtyPort
 
-SHARED = ROOT / ".." / "shared" / "data"
 IMAGE = ROOT / "models" / "mdct-textures" / "mdct-textures.vcmi"
 PROFILE = ROOT / "examples" / "leather_profile.csv"
 RATE_HZ = 2800
@@ -183,17 +180,6 @@ def test_axes_are_chosen_or_reduced(three_axes: Path, tmp_path: Path) -> None:
     assert f"{three_axes}: three axes of one texture; encode it with --axis" in fails(2, "play", three_axes)
 
 
-def test_encode_info_decode(texture: Path, tmp_path: Path) -> None:
-    coded_path, wav_path = tmp_path / "out.vct", tmp_path / "out.wav"
-    assert "SNR 30." in succeeds("encode", texture, coded_path, "--snr-db", 30.2)
-    facts = answer("info", coded_path)
-    assert (facts["codec"], facts["rate_hz"], facts["unit"], facts["samples"]) == ("mdct", RATE_HZ, "m/s^2", 560)
-    assert facts["size_bytes"] == coded_path.stat().st_size
-    assert "mdct" in succeeds("info", coded_path)
-    assert "m/s^2" in succeeds("decode", coded_path, wav_path)
-    assert textures.load(wav_path).samples.shape == textures.load(texture).samples.shape
-
-
 def test_encode_to_a_rate_and_at_another_stream_rate(tmp_path: Path) -> None:
     out = tmp_path / "oak.vct"
     succeeds("encode", OAK, out, "--rate-bps", 3000, "--stream-rate-hz", 2000)
@@ -222,14 +208,6 @@ def test_generate(tmp_path: Path) -> None:
         succeeds("generate", "rough", path, "--seed", seed, "--seconds", 0.5, "--hand-speed-mm-s", 80)
     assert one.read_bytes() == again.read_bytes() != other.read_bytes()
     assert textures.load(one).seconds == 0.5
-
-
-def test_generate_with_a_hand_speed_that_varies(tmp_path: Path) -> None:
-    path = tmp_path / "varying.wav"
-    succeeds("generate", "grating", path, "--seconds", 1, "--speed-variation", 0.3)
-    speed_mm_s = textures.varying_speed(1, RATE_HZ, 50, 0.3)
-    expected = textures.GENERATORS["grating"](seconds=1, hand_speed_mm_s=speed_mm_s).samples
-    np.testing.assert_allclose(textures.load(path).samples, expected, atol=0.01)
 
 
 def test_generate_a_height_profile(tmp_path: Path) -> None:
@@ -334,35 +312,6 @@ def test_interrupt_stops_the_actuator_and_leaves_the_port_usable(
     assert json.loads(report_path.read_text())["error"] == "interrupted"
     with devices.connect(watched.address) as controller:
         assert controller.request_status().state == State.STOPPED
-
-
-@pytest.mark.slow
-def test_pulled_cable_is_found_again(tmp_path: Path, watched: Watched) -> None:
-    path, report_path = tmp_path / "long.wav", tmp_path / "report.json"
-    textures.save(path, textures.GENERATORS["rough"](seconds=1.5))
-    process = started("play", path, "--device", watched.address, "--snr-db", 5, "--report", report_path)
-    assert watched.moved.wait(30)
-    watched.port.unplug()
-    watched.port.plug()
-    process.communicate(timeout=30)
-    assert json.loads(report_path.read_text())["reconnects"] >= 1
-
-
-def test_play_says_where_it_is_where_there_is_no_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vibrocast.progress.LINE_INTERVAL_S", 0.0)
-    path = tmp_path / "texture.wav"
-    textures.save(path, textures.GENERATORS["rough"](seconds=0.5))
-    result = run("play", path, "--snr-db", 5)
-    assert result.exit_code == 0
-    lines = result.stderr.splitlines()
-    assert lines[0].startswith("encoding ")
-    assert re.match(r"playing 1?\d?\d % +\d\.\d of 0\.\d s +\d+\.\d\d kbit/s +buffer \d+ ms +underruns \d+$", lines[-1])
-
-
-def test_no_arguments_and_help_and_version() -> None:
-    for arguments in ((), ("--help",), ("play", "-h")):
-        assert "Usage" in succeeds(*arguments)
-    assert "version" in succeeds("--version")
 
 
 @pytest.mark.parametrize(
@@ -492,12 +441,6 @@ def test_fails_on_the_device(texture: Path, tmp_path: Path) -> None:
     assert "plug it in" in fails(3, "status", "--device", "usb:dead:beef")
 
 
-def test_a_good_file_outlives_a_failed_run(texture: Path, coded: Path) -> None:
-    before = coded.read_bytes()
-    fails(2, "encode", texture, coded, "--snr-db", 300)
-    assert coded.read_bytes() == before
-
-
 def test_unexpected_errors_are_one_line_and_debug_shows_them(texture: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def breaks(*_: object, **__: object) -> None:
         raise ZeroDivisionError("two\nlines")
@@ -540,13 +483,6 @@ def test_a_file_that_describes_no_actuator_is_an_error_of_one_line(
     assert str(path) in told and cause in told
 
 
-def test_a_level_beyond_any_stream_is_rejected(texture: Path) -> None:
-    for gain_db in (-401, 401):
-        assert "--gain-db" in fails(2, "play", texture, f"--gain-db={gain_db}")
-    assert "(silence)" in succeeds("play", texture, "--gain-db", -200)
-    assert re.search(r"stroke [1-9]\d+, voltage", succeeds("play", texture, "--gain-db", 200))
-
-
 def test_one_channel_of_eight_that_is_felt_is_enough(tmp_path: Path) -> None:
     path, noise = tmp_path / "eight.wav", np.random.default_rng(0).normal(size=(560, 8))
     for loud, felt in ((1.0, True), (1e-3, False)):
@@ -572,32 +508,6 @@ def test_help_lists_options_by_section(name: str) -> None:
     known = (sections.INPUT, sections.CODING, sections.CONTROLLER, sections.PLAYBACK, sections.RUN, sections.OUTPUT)
     found = titles(succeeds(name, "--help"))
     assert len(found) > 2 and set(found) <= {f"{title}:" for title in (*known, "Codecs", "Recordings", "Options")}
-
-
-def test_help_lists_commands_by_section() -> None:
-    main_help = succeeds("--help")
-    for title in SECTIONS:
-        section = main_help.split(f"{title}:\n")[1].split("\n\n")[0]
-        names = [name for name, row in subcommands().items() if row.section == title]
-        assert [line.split()[0] for line in section.splitlines() if line[2] != " "] == names
-
-
-def test_an_option_belongs_to_the_section_that_is_nearest_to_it() -> None:
-    @click.command(cls=sections.SectionedCommand)
-    @sections.section("Outer", sections.section("Inner", click.option("--one")), click.option("--two"))
-    @click.option("--three")
-    def command(**_options: object) -> None: ...
-
-    text = CliRunner().invoke(command, ["--help"]).output
-    assert re.findall(r"(\w+):\n  --(\w+)", text) == [("Inner", "one"), ("Outer", "two"), ("Options", "three")]
-
-
-@pytest.mark.parametrize("name", subcommands())
-def test_help_prints_units_and_ranges_for_people(name: str) -> None:
-    text = succeeds(name, "--help")
-    for internal in ("x<", "x>", "<x", "None", "RANGE", "FLOAT", "INTEGER", "TEXT  ", "DIRECTORY", "PATH"):
-        assert internal not in text
-    assert len(subcommands()[name].summary) <= 67, "a line of `vibrocast --help`"
 
 
 def test_a_scene_needs_few_options() -> None:
@@ -650,14 +560,6 @@ def test_play_tells_what_is_coded_what_is_felt_and_what_the_actuator_follows(tmp
     assert (report["schema"], report["bad_frames"], report["run"]["bench_sha256"]) == (3, 0, None)
 
 
-def test_play_says_where_the_actuator_is_the_limit(tmp_path: Path) -> None:
-    report_path = tmp_path / "out.json"
-    printed = succeeds("play", OAK, "--actuator", "lra", "--report", report_path)
-    report = json.loads(report_path.read_text())
-    assert f"; {report['skin_note']}" in printed
-    assert report["skin_note"].startswith("the actuator is the limit: ")
-
-
 def test_a_recording_is_coded_for_touch(tmp_path: Path) -> None:
     out, sizes = tmp_path / "oak.vct", {}
     for touch in (0, 0.25, 1):
@@ -666,15 +568,6 @@ def test_a_recording_is_coded_for_touch(tmp_path: Path) -> None:
     succeeds("encode", OAK, out, "--snr-db", 16)
     assert sizes[0] < sizes[0.25] == out.stat().st_size < sizes[1]
     assert "felt error" in succeeds("encode", OAK, out, "--touch", 1, "--live", "--rate-bps", 3000)
-
-
-def test_limits_of_a_bench_file_judge_a_playback(texture: Path, tmp_path: Path) -> None:
-    bench = tmp_path / "bench.toml"
-    bench.write_text('[[controllers]]\nname = "it"\naddress = "sim"\n[limits]\nmin_snr_db = 99\n')
-    assert "snr_db = " in fails(LIMIT_MISSED, "play", texture, "--bench", bench)
-    bench.write_text('[[controllers]]\nname = "it"\naddress = "cortex-m4"\n[[actuators]]\nmodel = "lra"\n')
-    rejected = fails(2, "play", texture, "--bench", bench, "--device", "it")
-    assert "it drives piezo-stack, and the bench has lra there" in rejected
 
 
 @pytest.mark.parametrize("options", [("--hand-speed-mm-s", 50), ()], ids=["over time", "over position"])

@@ -70,40 +70,35 @@ def test_interrupted_while_a_library_computes(number: signal.Signals, tmp_path: 
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_signal_for_someone_else_does_not_end_the_command() -> None:
-    code = """
-import os, signal, time
-from vibrocast.host.cli import command_line, entry
-
-def serve():
+# A command that hears the signal itself, and one that cleans up for longer than a computation may go on.
+HEARING = """
     heard = []
     signal.signal(signal.SIGTERM, lambda number, _: heard.append(number))
     os.kill(os.getpid(), signal.SIGTERM)
     time.sleep(3 * entry.HEED_S)
     print(heard == [signal.SIGTERM])
-
-command_line.main = serve
-entry.main()
 """
-    assert run(code).stdout == "True\n"
-
-
-def test_cleaning_up_may_take_its_time() -> None:
-    code = """
-import os, signal, time
-from vibrocast.host.cli import command_line, entry
-
-def work():
+CLEANING_UP = """
     try:
         os.kill(os.getpid(), signal.SIGTERM)
     except KeyboardInterrupt:
         time.sleep(3 * entry.HEED_S)
         print("at rest")
+"""
 
+
+@pytest.mark.parametrize(("work", "printed"), [(HEARING, "True\n"), (CLEANING_UP, "at rest\n")])
+def test_a_command_that_deals_with_a_signal_is_left_to_it(work: str, printed: str) -> None:
+    code = f"""
+import os, signal, time
+from vibrocast.host.cli import command_line, entry
+
+def work():
+{work}
 command_line.main = work
 entry.main()
 """
-    assert run(code).stdout == "at rest\n"
+    assert run(code).stdout == printed
 
 
 # Where the interruption of a command comes while a library is being loaded, or while an object is finalised.

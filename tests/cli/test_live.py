@@ -138,22 +138,6 @@ def test_lost_packets_and_damaged_frames_fail_and_are_named(put: Put) -> None:
     assert re.search(r"error: limits missed: live: lost_percent = [\d.]+, max_lost_percent = 1;", result.stderr)
 
 
-def test_a_bench_file_gives_controller_and_limits(tmp_path: Path, put: Put) -> None:
-    bench = bench_file(tmp_path, "sim", "max_lost_percent = 100")
-    assert live("rough", "--seconds", 0.5, "--bench", bench).exit_code == 0
-    put(damaged)
-    bench = bench_file(tmp_path, "sim-usb", "max_lost_percent = 100\nmax_bad_frames = 0")
-    result = live("rough", "--seconds", 1, "--bench", bench, "--device", "it")
-    assert result.exit_code == LIMIT_MISSED
-    assert re.search(r"error: limits missed: live: bad_frames = \d+, max_bad_frames = 0;", result.output)
-
-
-def test_minutes_are_counted() -> None:
-    (minute,) = answer("live", "rough", "--seconds", 0.5, *PATIENT)["minutes"]
-    assert (minute["packets"], minute["cause"]) == (88, None)
-    assert 0 < minute["margin_ms"] <= 310 and minute["host_late_ms"] >= 0 and minute["host_jitter_ms"] >= 0
-
-
 def test_the_quality_of_the_codec_stands_next_to_that_at_the_skin() -> None:
     skin = r"SNR [\d.]+ dB; at the skin, by models, weighted SNR [\d.]+ dB with the codec"
     assert re.search(skin, succeeds("live", "wood", "--seconds", 1.5, *PATIENT))

@@ -82,27 +82,6 @@ def test_a_signal_of_unknown_size_is_no_silent_guess() -> None:
     assert np.max(vibrocast.render(stream, unit="drive").samples) > 0.1
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ((TEXTURE,), "`rate_hz` is missing"),
-        ((TEXTURE, RATE_HZ, "bar"), "unknown unit 'bar'"),
-        ((TEXTURE[None, None], RATE_HZ), r"shape \(1, 1, 2800\)"),
-        ((TEXTURE + 1j, RATE_HZ), "complex128"),
-        ((["a"], RATE_HZ), "store integers or floats"),
-        (([[1.0], [1.0, 2.0]], RATE_HZ), "no array of numbers"),
-        ((np.full(100, np.nan), RATE_HZ), "sample 0 of channel 0 is nan"),
-        ((np.zeros(0), RATE_HZ), "holds no samples"),
-        ((TEXTURE, -1.0), "sample rate -1 Hz"),
-        ((TEXTURE, 30.0), "highpass_hz=None"),
-    ],
-)
-def test_errors_name_the_parameter(arguments: tuple[Any, ...], message: str) -> None:
-    with pytest.raises(ValueError, match=message) as raised:
-        vibrocast.encode(*arguments)
-    assert "--" not in str(raised.value)
-
-
 def test_damaged_bytes_are_an_error() -> None:
     data = bytes(vibrocast.encode(TEXTURE, RATE_HZ))
     for damaged in (b"", data[:-1], data[:20] + bytes((data[20] ^ 1,)) + data[21:]):
@@ -118,19 +97,6 @@ def test_level_and_actuator_are_your_own(tmp_path: Path) -> None:
     with vibrocast.connect("sim", actuator=tmp_path / "mine.toml") as controller:
         report = controller.play(stream, gain_db=-20)
     assert report.actuator.name == "mine" and report.dac_equals_offline
-    for text, message in (("corner_hz = 9", "missing"), ('model = "lra"\ncolour = 1', "colour"), ("[[", "a TOML file")):
-        (tmp_path / "bad.toml").write_text(text)
-        with pytest.raises(ValueError, match=message):
-            vibrocast.render(stream, tmp_path / "bad.toml")
-    with pytest.raises(ValueError, match="no actuator of that name"):
-        vibrocast.render(stream, "piezo")
-
-
-def test_lists_codecs_and_its_own_names() -> None:
-    assert {"mdct", "dct", "eva"} <= set(vibrocast.codecs())
-    assert set(vibrocast.__all__) <= set(dir(vibrocast))
-    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
-        vibrocast.__getattr__("nothing")
 
 
 def test_encodes_a_wav_file_of_known_unit(tmp_path: Path) -> None:
@@ -213,51 +179,46 @@ def played(*arguments: Any, **options: Any) -> Any:
         return controller.play(*arguments, **options)
 
 
-def encoded(**options: Any) -> Any:
-    return vibrocast.encode(TEXTURE, options.pop("rate_hz", RATE_HZ), **options)
+def encoded(samples: Any = TEXTURE, rate_hz: Any = RATE_HZ, **options: Any) -> Any:
+    return vibrocast.encode(samples, rate_hz, **options)
 
 
 @pytest.mark.parametrize(
     ("call", "message"),
     [
+        (lambda: vibrocast.encode(TEXTURE), "`rate_hz` is missing"),
+        (lambda: encoded(TEXTURE[None, None]), "shape (1, 1, 2800)"),
+        (lambda: encoded(TEXTURE + 1j), "complex128"),
+        (lambda: encoded(["a"]), "store integers or floats"),
+        (lambda: encoded([[1.0], [1.0, 2.0]]), "no array of numbers"),
+        (lambda: encoded(np.full(100, np.nan)), "sample 0 of channel 0 is nan"),
+        (lambda: encoded(np.zeros(0)), "holds no samples"),
+        (lambda: encoded(rate_hz=-1.0), "sample rate -1 Hz"),
+        (lambda: encoded(rate_hz=30.0), "highpass_hz=None"),
         (lambda: encoded(rate_hz="2800"), "`rate_hz` is of type str"),
-        (lambda: encoded(rate_hz=[1, 2]), "`rate_hz` is of type list"),
         (lambda: encoded(unit=["g"]), "`unit` is of type list"),
-        (lambda: encoded(unit=""), "`unit`: unknown unit ''"),
+        (lambda: encoded(unit="bar"), "`unit`: unknown unit 'bar'"),
         (lambda: encoded(codec=vibrocast.codecs()["mdct"]), "`codec` is of type Codec"),
         (lambda: encoded(setting="step=1"), "`setting` is of type str"),
         (lambda: encoded(setting={"step": None}), "step is None"),
-        (lambda: encoded(setting={"colour": 1}), "no parameter colour"),
         (lambda: encoded(snr_db="15"), "`snr_db` is of type str"),
         (lambda: encoded(rate_bps=True), "`rate_bps` is of type bool"),
         (lambda: encoded(rate_bps=1000, snr_db=10), "`rate_bps` and `snr_db` are both given"),
         (lambda: encoded(stream_rate_hz=2800.5), "`stream_rate_hz` is 2800.5"),
-        (lambda: encoded(stream_rate_hz=None), "`stream_rate_hz` is of type NoneType"),
         (lambda: encoded(highpass_hz="20"), "`highpass_hz` is of type str"),
-        (lambda: encoded(model=5), "`model` is of type int"),
         (lambda: encoded(progress=5), "`progress` is of type int"),
         (lambda: untyped.encode("wood.wav"), "`samples` is a path"),
         (lambda: untyped.decode(TEXTURE), "`data` is of type ndarray"),
         (lambda: untyped.decode(STREAM, model="eva-16-4"), "leave out `model`"),
-        (lambda: untyped.decode(STREAM, progress=5), "`progress` is of type int"),
         (lambda: untyped.Stream.from_bytes("VCT"), "`data` is of type str"),
-        (lambda: untyped.Stream.save(STREAM, None), "`path` is of type NoneType"),
         (lambda: untyped.measure(TEXTURE, vibrocast.decode(STREAM), RATE_HZ), "`decoded` is a Recording"),
-        (lambda: untyped.measure(TEXTURE, TEXTURE, RATE_HZ, highpass_hz="x"), "`highpass_hz` is of type str"),
         (lambda: untyped.render(None), "`stream` is of type NoneType"),
-        (lambda: untyped.render(STREAM, None), "`actuator` is of type NoneType"),
-        (lambda: untyped.render(STREAM, gain_db="3"), "`gain_db` is of type str"),
         (lambda: untyped.render(STREAM, gain_db=1e9), "`gain_db`=1e+09"),
-        (lambda: untyped.render(STREAM, gain_db=-1e9), "`gain_db`=-1e+09"),
+        (lambda: untyped.render(STREAM, "piezo"), "no actuator of that name"),
         (lambda: untyped.render(STREAM, unit="bar"), "`unit` is 'bar'"),
         (lambda: untyped.render(STREAM, unit="drive"), "leave out `unit`"),
-        (lambda: connected(None), "`address` is of type NoneType"),
         (lambda: connected(runtime="x"), "`runtime` is 'x'"),
-        (lambda: connected(actuator=5), "`actuator` is of type int"),
         (lambda: played(STREAM, loops=0), "`loops` is 0"),
-        (lambda: played(STREAM, loops="2"), "`loops` is of type str"),
-        (lambda: untyped.load(None), "`path` is of type NoneType"),
-        (lambda: untyped.load("wood.wav", axis=3), "`axis` is of type int"),
         (lambda: untyped.load("wood.wav", full_scale="x"), "`full_scale` is of type str"),
         (lambda: untyped.load_profile(None), "`path` is of type NoneType"),
     ],

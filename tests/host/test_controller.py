@@ -33,15 +33,6 @@ from vibrocast.host.stream_session import Capture
 IDLE_STATUS = Status(State.IDLE, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
 
 
-def test_hello_and_status() -> None:
-    scripted = ScriptedController()
-    with scripted.connect() as controller:
-        assert controller.description == scripted.description
-        assert controller.request_status().state == State.IDLE
-        assert controller.bytes_sent > 0
-        assert controller.bytes_received > 0
-
-
 def test_hello_under_a_number_of_the_last_session_is_said_again_under_another(monkeypatch: pytest.MonkeyPatch) -> None:
     draws = [41, 41, 41, 500]
     monkeypatch.setattr("vibrocast.host.controller.random.randrange", lambda end: draws.pop(0))
@@ -77,21 +68,6 @@ def test_nobody_at_the_other_end_is_known_after_two_seconds() -> None:
         scripted.connect()
     assert len(attempts) == TRIES
     assert 2.0 <= scripted.now_s < 2.5
-
-
-def test_lost_requests_are_sent_again_and_carried_out_once() -> None:
-    scripted = ScriptedController()
-    controller = scripted.connect()
-    attempts = []
-
-    def swallow_two(message: Message) -> bool:
-        attempts.append(message)
-        return len(attempts) <= 2
-
-    scripted.swallow = swallow_two
-    controller.request(Gain(0.5), Status)
-    assert len(attempts) == 3
-    assert scripted.handled.count(Gain(0.5)) == 1
 
 
 def test_lost_answers_are_requested_again_and_requests_carried_out_once() -> None:

@@ -1,7 +1,6 @@
 """One loop for many controllers: each plays bit for bit what was sent and fails alone; interruptions stop them all."""
 
 from collections.abc import Callable
-from contextlib import ExitStack
 
 import numpy as np
 import pytest
@@ -9,17 +8,15 @@ import pytest
 from tests.conftest import coded, noise, session
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import State
-from vibrocast.device_protocol.transports import SerialTransport, Transport, TransportError, UsbTransport
+from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import player
-from vibrocast.host.controller import ConnectionLost, Controller
+from vibrocast.host.controller import Controller
 from vibrocast.host.event_loop import Pause, Steps, run_all
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.output.rendering import render
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
 from vibrocast.simulated_device.memory_link import MemoryLink, SimulatedTime
-from vibrocast.simulated_device.serial_port import serial_port
-from vibrocast.simulated_device.usb_backend import PRODUCT_ID, VENDOR_ID, UsbPort
 
 CHANNELS = 4
 SECONDS = 1.5
@@ -78,35 +75,6 @@ def test_of_five_controllers_three_play_on_while_one_is_unplugged_and_one_stops(
         check_played(results[name], played)
 
 
-@pytest.mark.slow
-def test_of_usb_and_serial_ports_those_play_on_whose_controllers_are_there() -> None:
-    played = stream()
-    with ExitStack() as stack:
-        ports = [stack.enter_context(UsbPort(SimulatedController())) for _ in range(5)]
-        usb = [stack.enter_context(UsbTransport(VENDOR_ID, PRODUCT_ID, port)) for port in ports]
-        terminals = [serial_port(SimulatedController()) for _ in range(3)]
-        for terminal in terminals:
-            stack.enter_context(terminal)
-        serial = [SerialTransport(terminal.name) for terminal in terminals]
-        transports: list[Transport] = [*usb, *serial]
-        controllers = {str(number): Controller(each) for number, each in enumerate(transports)}
-
-        def fail(name: str, now: player.Progress) -> None:
-            if name == "2" and now.position_s > 0.3:
-                ports[2].unplug()
-            if name == "4" and now.position_s > 0.3:
-                ports[4].keep_busy(60.0)
-
-        # A large buffer, for a computer that is busy with other tests.
-        results = play_on(controllers, played, fail, buffer_s=1.0)
-        for controller in controllers.values():
-            controller.close()
-    assert isinstance(results["2"], TransportError)
-    assert isinstance(results["4"], ConnectionLost | TransportError)
-    for name in set(results) - {"2", "4"}:
-        check_played(results[name], played)
-
-
 @pytest.mark.parametrize("at", ["0", "1"])
 def test_an_interruption_stops_every_controller(at: str) -> None:
     _, controllers = several(2)
@@ -135,7 +103,3 @@ def test_a_pause_reads_nothing_and_the_others_go_on() -> None:
 
     run_all({"pauses": (controllers["0"], pauses()), "polls": (controllers["1"], polls())})
     assert order == ["polled", "paused"]
-
-
-def test_nobody_is_served_at_once() -> None:
-    assert run_all({}) == {}

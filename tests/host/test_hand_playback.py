@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 from numpy.typing import NDArray
 from scipy.fft import dct
 
 from tests.codec.test_dct_equations import B0_DB, PAPER_RULES, heights_um
+from tests.command import fails, run, succeeds
 from tests.conftest import linked, noise, texture
 from vibrocast import codec, textures
 from vibrocast.codec import profiles
@@ -21,7 +22,6 @@ from vibrocast.codec.threshold import read_threshold, threshold_amplitude
 from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.errors import InputError
 from vibrocast.host import hand_playback, playback
-from vibrocast.host.cli.command_line import main
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.limits import playable
 from vibrocast.output.actuator import PIEZO_STACK
@@ -111,21 +111,13 @@ def test_too_slow_a_hand_is_rejected_with_the_slowest_that_can_be() -> None:
 
 def test_command_says_what_a_spatial_stream_is(tmp_path: Path) -> None:
     coded, decoded = tmp_path / "a.vct", tmp_path / "a.csv"
-    run = CliRunner().invoke
-    done = run(main, ["encode", str(PROFILE), str(coded), "--snr-db", "20"])
-    assert done.exit_code == 0, done.output
-    assert "samples per metre" in run(main, ["info", str(coded)]).output
-    done = run(main, ["decode", str(coded), str(decoded)])
-    assert done.exit_code == 0, done.output
+    succeeds("encode", PROFILE, coded, "--snr-db", 20)
+    assert "samples per metre" in succeeds("info", coded)
+    succeeds("decode", coded, decoded)
     assert textures.load(decoded, hand_speed_mm_s=50).unit == "um"
-    for arguments, reason in (
-        (["decode", str(coded), str(tmp_path / "a.wav")], "into a CSV file"),
-        (["play", str(coded)], "give --hand"),
-        (["play", str(coded), "--hand", "3"], "--hand-speed-mm-s"),
-        (["encode", str(PROFILE), str(coded), "--rate-bps", "900"], "--snr-db"),
-    ):
-        done = run(main, arguments)
-        assert done.exit_code == 2 and reason in done.output, done.output
+    assert "into a CSV file" in fails(2, "decode", coded, tmp_path / "a.wav")
+    assert "--hand-speed-mm-s" in fails(2, "play", coded, "--hand", 3)
+    assert "--snr-db" in fails(2, "encode", PROFILE, coded, "--rate-bps", 900)
 
 
 @pytest.mark.parametrize(
@@ -201,8 +193,7 @@ def test_the_papers_chain_from_end_to_end(rule: str, material: str, tmp_path: Pa
     textures.save_profile(heights, textures.Profile(heights_um(material), 0.5, material))
     settings = {"block": "whole", "dc": "drop", **PAPER_SETTINGS[rule]}
     options = [option for name, value in settings.items() for option in ("--setting", f"{name}={value}")]
-    done = CliRunner().invoke(main, ["encode", str(heights), str(coded), "--codec", "dct", *options])
-    assert done.exit_code == 0, done.output
+    succeeds("encode", heights, coded, "--codec", "dct", *options)
     stream = read_stream(coded)
     # Each coefficient takes its level, although a controller's samples lie 16 times as far apart.
     _, by_equations = PAPER_RULES[rule]
@@ -232,10 +223,8 @@ def test_the_papers_chain_from_end_to_end(rule: str, material: str, tmp_path: Pa
 def test_a_whole_transform_plays_in_time(tmp_path: Path) -> None:
     recording, coded = tmp_path / "a.wav", tmp_path / "a.vct"
     textures.save(recording, texture(noise(0.36), "m/s^2"))
-    setting = ("--codec", "dct", "--setting", "block=whole", "--setting", "levels=14")
-    for arguments in (("encode", recording, coded, *setting), ("play", coded, "--device", "serial:port")):
-        done = CliRunner().invoke(main, list(map(str, arguments)))
-        assert done.exit_code == 0, done.output
+    succeeds("encode", recording, coded, "--codec", "dct", "--setting", "block=whole", "--setting", "levels=14")
+    succeeds("play", coded, "--device", "serial:port")
 
 
 def test_controllers_that_cannot_are_named(stream: Stream) -> None:
@@ -256,7 +245,7 @@ def simulated_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vibrocast.host.devices.connect", connect)
 
 
-def stroked(folder: Path, limits: str, *options: str, actuator: str = PIEZO_STACK.name) -> Result:
+def stroked(folder: Path, limits: str, *options: object, actuator: str = PIEZO_STACK.name) -> Result:
     """Play the profile under a hand on a bench with these limits."""
     bench = folder / "bench.toml"
     bench.write_text(
@@ -264,14 +253,14 @@ def stroked(folder: Path, limits: str, *options: str, actuator: str = PIEZO_STAC
         f'[[actuators]]\nmodel = "{actuator}"\n[limits]\n{limits}\n'
     )
     hand = ("--hand", "10", "--hand-speed-mm-s", "60")
-    return CliRunner().invoke(main, ["play", str(PROFILE), *hand, "--bench", str(bench), *options])
+    return run("play", PROFILE, *hand, "--bench", bench, *options)
 
 
 @pytest.mark.usefixtures("simulated_time")
 def test_a_bench_file_judges_a_profile_under_a_hand(tmp_path: Path) -> None:
     """As any playback: its actuator, its limits, the comparison, the report."""
     report, kept = tmp_path / "stroke.json", "min_snr_db = 5\nmin_gain = 0.8\nmax_bad_frames = 0\nmax_lost_percent = 0"
-    done = stroked(tmp_path, kept, "--json", "--report", str(report))
+    done = stroked(tmp_path, kept, "--json", "--report", report)
     assert done.exit_code == 0, done.output
     told = json.loads(report.read_text())
     assert json.loads(done.stdout) == told
@@ -290,11 +279,3 @@ def test_a_profile_that_is_not_played_as_computed_fails(
 ) -> None:
     monkeypatch.setattr(hand_playback, "as_computed", lambda *_: equal)
     assert stroked(tmp_path, "").exit_code == exit_code
-
-
-def test_a_controller_that_keeps_no_captures_is_judged_by_the_rest(stream: Stream) -> None:
-    movement = hand_playback.back_and_forth(1.0, 500.0, 1)
-    for settings in (Settings(), Settings(capture_samples=0)):
-        member = playback.member(linked(settings)[1], "sim", None)
-        report = hand_playback.play_and_compare(member, "short", stream, movement).report
-        assert (report.dac_equals_offline, report.underruns) == (True if settings == Settings() else None, 0)

@@ -98,14 +98,6 @@ def test_a_lost_start_is_sent_again() -> None:
     assert result.underruns == 0
 
 
-def test_a_lost_packet_costs_itself_alone() -> None:
-    _, controller = linked(faults=[Fault(lost=0.02, direction="to_controller")], seed=1)
-    stream = LiveStream(controller, FORMAT)
-    result = live.play(stream, blocks(stream, noise(3.0, rms=2.0)))
-    assert result.streams == 1
-    assert 0 < result.lost_packets < 30
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("drift_ppm", [-3000, 3000])
 def test_a_clock_that_drifts_restarts_the_stream_and_the_delay_stays_bounded(drift_ppm: int) -> None:
@@ -185,11 +177,6 @@ def test_an_interrupted_stream_is_stopped() -> None:
     with pytest.raises(KeyboardInterrupt):
         live.play(stream, interrupted())
     assert controller.request_status().state == State.STOPPED
-
-
-def test_a_source_without_a_sample_plays_nothing() -> None:
-    _, controller = linked()
-    assert live.play(LiveStream(controller, FORMAT), []).underruns == 0
 
 
 def test_a_source_that_does_not_keep_its_rate_is_rejected() -> None:

@@ -3,7 +3,6 @@
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from tests.command import fails, succeeds
@@ -14,7 +13,6 @@ from vibrocast.codec.encoding import default_model, encode_recording
 from vibrocast.codec.rate_controlled import RateTarget
 from vibrocast.codec.rate_controlled import encode as encode_rate_controlled
 from vibrocast.codec.stream import read_stream
-from vibrocast.host import devices, playback
 
 
 @pytest.fixture(autouse=True)
@@ -98,40 +96,12 @@ def test_progress_never_falls_from_one_model_to_the_next() -> None:
     assert told[0] > 0 and told[-1] <= 1
 
 
-def test_a_model_that_is_named_is_used(shipped: tuple[models.Model, ...]) -> None:
-    single = shipped[0]
-    encoding = encode_recording(texture(), model=single)
-    assert (encoding.stream.codec_name, encoding.stream.model_name) == ("eva", "low-1")
-
-
-def test_without_any_model_the_error_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(models, "shipped", lambda: ())
-    with pytest.raises(models.ModelError, match="no model for the codec eva ships"):
-        chosen()
-
-
-def test_streams_find_their_model_again(tmp_path: Path) -> None:
-    stream = encode_recording(texture(), codec_name="eva").stream
-    stream.save(tmp_path / "rough.vct")
-    again = read_stream(tmp_path / "rough.vct")
-    assert again.facts()["model"] == stream.model_name
-    np.testing.assert_array_equal(again.decode(), stream.decode())
-
-
 def test_a_stream_of_an_unknown_model_is_named_by_its_hash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stream = encode_recording(texture(), codec_name="eva").stream
     stream.save(tmp_path / "rough.vct")
     monkeypatch.setattr(models, "shipped", lambda: ())
     with pytest.raises(CodecError, match=f"{stream.header.image_hash.hex()}, which does not ship"):
         read_stream(tmp_path / "rough.vct")
-
-
-@pytest.mark.parametrize("runtime", [None, "core", "onnx"])
-def test_play_on_a_simulated_controller_needs_nothing_else(runtime: str | None) -> None:
-    stream = encode_recording(texture(), codec_name="eva", snr_db=25, runtime=runtime).stream
-    with devices.connect("sim", runtime) as controller:
-        report = playback.play(controller, "sim", "rough", stream).report
-    assert (report.codec, report.model, report.decoded_equals_offline) == ("eva", "fine-1", True)
 
 
 def test_commands_name_the_model_that_they_chose(tmp_path: Path) -> None:

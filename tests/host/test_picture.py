@@ -7,7 +7,6 @@ import pytest
 from matplotlib.image import imread
 from numpy.typing import NDArray
 
-from vibrocast.codec.threshold import read_threshold
 from vibrocast.host.picture import Trace, draw, third_octave_levels
 
 RATE_HZ = 2800
@@ -46,20 +45,6 @@ def test_draws_any_name_as_it_is(tmp_path: Path) -> None:
     assert "$x_{$" in (tmp_path / "picture.svg").read_text()
 
 
-def test_draws_a_stream_without_its_recording(tmp_path: Path) -> None:
-    draw(tmp_path / "picture.png", "coded", "caption", traces(np.ones((500, 1)))[1:])
-    assert (tmp_path / "picture.png").stat().st_size > 1000
-
-
-def test_keeps_a_good_picture_when_the_new_one_fails(tmp_path: Path) -> None:
-    path = tmp_path / "picture.nonsense"
-    path.write_text("good")
-    with pytest.raises(ValueError, match="nonsense"):
-        draw(path, "noise", "caption", traces(np.ones((50, 1))))
-    assert path.read_text() == "good"
-    assert list(tmp_path.iterdir()) == [path]
-
-
 @pytest.mark.parametrize("frequency_hz", [60.0, 250.0, 700.0])
 @pytest.mark.parametrize("seconds", [0.5, 20.0])
 def test_level_of_a_sine_is_its_amplitude(frequency_hz: float, seconds: float) -> None:
@@ -68,13 +53,3 @@ def test_level_of_a_sine_is_its_amplitude(frequency_hz: float, seconds: float) -
     nearest = np.argmin(np.abs(frequencies_hz - frequency_hz))
     assert levels_db[nearest] == pytest.approx(20 * np.log10(3.0), abs=0.2)
     assert levels_db[frequencies_hz > 2 * frequency_hz].max(initial=-200) < -20
-
-
-def test_mean_is_not_felt() -> None:
-    assert third_octave_levels(np.ones(1000), RATE_HZ)[1].max() < -200
-
-
-def test_threshold_is_most_sensitive_near_250_hz() -> None:
-    threshold = read_threshold()
-    assert (np.diff(threshold[:, 0]) > 0).all()
-    assert threshold[np.argmin(threshold[:, 1]), 0] == 250

@@ -19,7 +19,6 @@ from vibrocast.device_protocol.messages import (
     State,
     Status,
     StatusRequest,
-    Stop,
 )
 from vibrocast.host.controller import ConnectionLost, Controller, ControllerError
 from vibrocast.host.player import Progress, play
@@ -43,23 +42,6 @@ PACKETS = make_packets(150)
 SECONDS = len(PACKETS) * PACKET_SAMPLES / RATE_HZ
 
 
-def test_plays_to_the_end_without_underrun() -> None:
-    scripted = ScriptedController()
-    seen: list[Progress] = []
-    result = play(scripted.connect(), HEADER, PACKETS, PACKET_SAMPLES, progress=seen.append)
-    assert result.state == State.FINISHED
-    assert result.underruns == result.lost_packets == result.reconnects == 0
-    assert SECONDS <= result.seconds < SECONDS + 0.5
-    assert scripted.received == set(range(len(PACKETS)))
-    assert 0 < result.buffered_s <= 0.2
-    assert result.wire_bytes_sent > sum(map(len, PACKETS))
-    assert result.wire_bytes_received > 0
-    positions = [progress.position_s for progress in seen]
-    assert positions == sorted(positions)
-    assert seen[-1].position_s == seen[-1].duration_s == SECONDS
-    assert result.decoded is None
-
-
 @pytest.mark.parametrize("buffer_s", [0.05, 0.1])
 def test_buffers_no_more_than_required_without_underrun(buffer_s: float) -> None:
     scripted = ScriptedController()
@@ -75,17 +57,6 @@ def test_controller_that_holds_one_packet_gets_the_next_while_it_plays() -> None
     _, controller = linked(Settings(buffer_samples=played.packet_samples))
     result = play(controller, played.header, played.packets, played.packet_samples)
     assert (result.state, result.underruns, result.lost_packets) == (State.FINISHED, 0, 0)
-
-
-def test_captures_are_read_back_whole_though_the_controller_keeps_less() -> None:
-    scripted = ScriptedController()
-    result = play(scripted.connect(), HEADER, PACKETS, PACKET_SAMPLES, capture=True)
-    samples = np.arange(len(PACKETS) * PACKET_SAMPLES)[:, np.newaxis]
-    assert len(samples) > scripted.description.limits.capture_samples
-    assert result.decoded is not None
-    assert result.dac_codes is not None
-    np.testing.assert_array_equal(result.decoded, samples)
-    np.testing.assert_array_equal(result.dac_codes, -samples)
 
 
 @pytest.mark.parametrize("fault", [Fault(lost=0.2), Fault(flipped=0.2), Fault(doubled=0.2)], ids=str)
@@ -179,40 +150,11 @@ def test_pause_in_the_callback_is_no_stall() -> None:
     assert scripted.received == set(range(len(PACKETS)))
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
-def test_whatever_is_raised_the_controller_is_stopped_and_usable(error: type[BaseException]) -> None:
-    scripted = ScriptedController()
-    controller = scripted.connect()
-
-    def interrupt(progress: Progress) -> None:
-        if progress.position_s > 0.3:
-            raise error
-
-    with pytest.raises(error):
-        play(controller, HEADER, PACKETS, PACKET_SAMPLES, progress=interrupt)
-    assert scripted.handled[-1] == Stop()
-    assert play(controller, HEADER, PACKETS, PACKET_SAMPLES).state == State.FINISHED
-
-
 def unplug_between(scripted: ScriptedController, start_s: float, end_s: float) -> None:
     def unplug() -> None:
         scripted.unplugged = start_s <= scripted.now_s < end_s
 
     scripted.at_read = unplug
-
-
-def test_after_a_long_cut_playing_resumes_at_the_next_refresh() -> None:
-    scripted = ScriptedController()
-    unplug_between(scripted, 0.5, 3.0)
-    result = play(scripted.connect(), HEADER, PACKETS, PACKET_SAMPLES, capture=True)
-    first, second = (message for message in scripted.handled if isinstance(message, Configure))
-    assert (first.first_packet, second.first_packet % REFRESH_PACKETS) == (0, 0)
-    assert 50 <= second.first_packet <= 100
-    assert second.stream != first.stream
-    assert result.state == State.FINISHED
-    assert result.captured_from == second.first_packet
-    assert result.decoded is not None
-    assert len(result.decoded) == (len(PACKETS) - second.first_packet) * PACKET_SAMPLES
 
 
 def test_restarted_controller_goes_on_within_the_loops() -> None:

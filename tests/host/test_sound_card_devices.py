@@ -1,24 +1,21 @@
 """Sound cards as devices: addresses, what reaches the card, and how it comes to rest."""
 
-import os
 import signal
 import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import soundfile
-from click.testing import CliRunner
 
 import vibrocast
+from tests.command import fails, run, started, succeeds
 from tests.output.test_sound_card import TRIES, wait_until
 from tests.sound_server import HEADPHONES, PAD, Listener, SoundServer, position_of
 from vibrocast import extras
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import bench_file, devices
-from vibrocast.host.cli.command_line import main
 from vibrocast.output.actuator import LRA, VOICE_COIL, Actuator, Codes, Samples
 from vibrocast.output.rendering import render
 
@@ -71,7 +68,7 @@ def test_without_the_extra_the_error_says_how_to_install_it(monkeypatch: pytest.
 
 def test_cards_are_listed(pulseaudio: SoundServer) -> None:
     assert devices.available()[f"audio:{HEADPHONES}"].startswith("sound card, PulseAudio, 2 channels, 44100 Hz")
-    assert f"audio:{PAD} " in CliRunner().invoke(main, ["devices"]).output
+    assert f"audio:{PAD} " in succeeds("devices")
 
 
 def test_an_actuator_that_no_card_can_drive_is_rejected(pulseaudio: SoundServer) -> None:
@@ -111,12 +108,6 @@ def test_without_volts_the_actuators_own_are_full_scale(pulseaudio: SoundServer)
     assert status["actuator"]["dac_rate_hz"] == 44_100
 
 
-def test_other_controllers_have_no_sound_card() -> None:
-    with vibrocast.connect("sim") as connection:
-        assert connection.play(short_stream(0.1)).sound_card is None
-        assert "sound_card" not in connection.status()
-
-
 def test_a_bench_plays_on_a_card_with_its_actuator(pulseaudio: SoundServer, tmp_path: Path) -> None:
     path = tmp_path / "bench.toml"
     path.write_text(
@@ -132,17 +123,15 @@ def test_a_bench_plays_on_a_card_with_its_actuator(pulseaudio: SoundServer, tmp_
 
 @pytest.mark.parametrize("arguments", [["live", "wood", "--seconds", "0.5", "--playout-delay-ms", "300"], ["status"]])
 def test_commands_run_on_a_card(pulseaudio: SoundServer, arguments: list[str]) -> None:
-    result = CliRunner().invoke(main, [*arguments, "--device", ADDRESS, "--actuator", "voice-coil"])
-    assert result.exit_code == 0, result.output
-    assert PAD in result.output
+    assert PAD in succeeds(*arguments, "--device", ADDRESS, "--actuator", "voice-coil")
 
 
 def test_a_profile_is_played_on_a_card_under_a_hand(pulseaudio: SoundServer, tmp_path: Path) -> None:
     profile = tmp_path / "profile.csv"
-    assert CliRunner().invoke(main, ["generate", "wood", str(profile)]).exit_code == 0
+    succeeds("generate", "wood", profile)
     arguments = ["--hand", "10", "--hand-speed-mm-s", "40", "--device", ADDRESS, "--actuator", "voice-coil"]
     for _ in range(TRIES):  # a busy machine may render a position late
-        result = CliRunner().invoke(main, ["play", str(profile), *arguments])
+        result = run("play", profile, *arguments)
         if result.exit_code == 0:
             break
     assert result.exit_code == 0, result.output
@@ -150,18 +139,15 @@ def test_a_profile_is_played_on_a_card_under_a_hand(pulseaudio: SoundServer, tmp
 
 
 def test_an_actuator_is_for_those_that_take_one() -> None:
-    result = CliRunner().invoke(main, ["status", "--device", "host", "--actuator", "lra"])
-    assert result.exit_code == 2
-    assert "host has its actuator compiled in; drop --actuator" in result.output
+    told = fails(2, "status", "--device", "host", "--actuator", "lra")
+    assert "host has its actuator compiled in; drop --actuator" in told
 
 
 def playing(tmp_path: Path) -> subprocess.Popen[str]:
     """Return the command that plays for long, after it has begun to."""
     file = tmp_path / "long.vct"
     short_stream(20.0).save(file)
-    code = "from vibrocast.host.cli.entry import main; main()"
-    command = [sys.executable, "-c", code, "play", str(file), "--device", ADDRESS, "--actuator", "voice-coil"]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ)
+    return started("play", file, "--device", ADDRESS, "--actuator", "voice-coil")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -217,22 +203,10 @@ def test_a_lost_card_ends_the_program_with_its_reason(mortal_sound_server: Sound
 def test_render_writes_what_a_card_plays(tmp_path: Path) -> None:
     stream, out = short_stream(), tmp_path / "drive.wav"
     stream.save(tmp_path / "short.vct")
-    options = ["--actuator", "voice-coil", "--dac-rate-hz", "44100", "--full-scale-volts", "2.5", "--gain-db", "-6"]
-    result = CliRunner().invoke(main, ["render", str(tmp_path / "short.vct"), str(out), *options])
-    assert result.exit_code == 0, result.output
-    assert "1.0 is 2.5 V at voice-coil" in result.output
+    options = ("--actuator", "voice-coil", "--dac-rate-hz", 44_100, "--full-scale-volts", 2.5, "--gain-db", -6)
+    assert "1.0 is 2.5 V at voice-coil" in succeeds("render", tmp_path / "short.vct", out, *options)
     written, rate_hz = soundfile.read(out, dtype="int16", always_2d=True)
     assert rate_hz == 44_100
     assert np.array_equal(written, rendered(stream.with_gain(-6), VOICE_COIL, 44_100, 2.5))
     assert soundfile.SoundFile(out).comment.endswith("; drive of voice-coil, 1.0 is 2.5 V")
     assert vibrocast.load(out).unit == "full scale"
-
-
-def test_render_codes_a_recording_as_play_does(tmp_path: Path) -> None:
-    wav, out = tmp_path / "wood.wav", tmp_path / "drive.wav"
-    assert CliRunner().invoke(main, ["generate", "wood", str(wav)]).exit_code == 0
-    result = CliRunner().invoke(main, ["render", str(wav), str(out), "--actuator", "lra"])
-    assert result.exit_code == 0, result.output
-    stream = vibrocast.encode(vibrocast.load(wav), live=True)
-    written, _ = soundfile.read(out, dtype="int16", always_2d=True)
-    assert np.array_equal(written, rendered(stream, LRA, 48_000, LRA.volts / 2))

@@ -5,30 +5,14 @@ import re
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
+from tests.command import fails, run, succeeds
 from tests.conftest import noise, texture
 from vibrocast import textures
-from vibrocast.device_protocol.frames import write_frame
-from vibrocast.device_protocol.messages import HelloResponse, StatusRequest, pack
+from vibrocast.device_protocol.messages import HelloResponse
 from vibrocast.device_protocol.trace import TracedFrame, read_trace
 from vibrocast.host import devices, tracing
-from vibrocast.host.cli.command_line import main
-from vibrocast.host.tracing import TappedTransport, Tracer
-from vibrocast.simulated_device.controller import Controller
-from vibrocast.simulated_device.memory_link import MemoryLink
-
-
-def test_frames_of_both_directions_are_seen() -> None:
-    tracer = Tracer()
-    link = TappedTransport(MemoryLink(Controller()), "memory", tracer)
-    frame = write_frame(pack(StatusRequest(), 7))
-    for piece in (frame[:3], frame[3:]):
-        link.write(piece)
-    link.read(0.1)
-    sent, answered = tracer.frames
-    assert (sent.from_host, sent.link, sent.message()) == (True, "memory", (7, StatusRequest()))
-    assert answered.from_host is False and answered.message() is not None
+from vibrocast.host.tracing import Tracer
 
 
 def test_no_more_than_the_last_frames_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -51,21 +35,20 @@ def test_every_address_is_tapped(address: str, tmp_path: Path) -> None:
 
 def test_any_command_writes_a_trace(tmp_path: Path) -> None:
     path = tmp_path / "trace.pcapng"
-    assert CliRunner().invoke(main, ["--trace", str(path), "status"]).exit_code == 0
+    succeeds("--trace", path, "status")
     hello, *_ = [found[1] for frame in read_trace(path) if not frame.from_host and (found := frame.message())]
     assert isinstance(hello, HelloResponse)
-    other = CliRunner().invoke(main, ["--trace", str(tmp_path / "trace.txt"), "status"])
-    assert other.exit_code == 2 and "the name must end in .pcapng or .jsonl" in other.output
+    assert "the name must end in .pcapng or .jsonl" in fails(2, "--trace", tmp_path / "trace.txt", "status")
 
 
 def test_a_failed_run_leaves_a_trace_next_to_its_report(tmp_path: Path) -> None:
     bench, report = tmp_path / "bench.toml", tmp_path / "report.json"
     bench.write_text('[[controllers]]\nname = "it"\naddress = "sim"\n[limits]\nmin_gain = 9\n')
     textures.save(tmp_path / "short.wav", texture(noise(0.2, rms=5.0), "m/s^2"))
-    arguments = ["play", str(tmp_path / "short.wav"), "--report", str(report)]
-    assert CliRunner().invoke(main, arguments).exit_code == 0
+    arguments = ("play", tmp_path / "short.wav", "--report", report)
+    succeeds(*arguments)
     assert not report.with_suffix(".pcapng").exists()
-    failed = CliRunner().invoke(main, [*arguments, "--bench", str(bench)])
+    failed = run(*arguments, "--bench", bench)
     assert re.search(r"^trace of the last frames: .*report\.pcapng$", failed.output, re.MULTILINE)
     assert any(frame.message() for frame in read_trace(report.with_suffix(".pcapng")))
     json.loads(report.read_text())

@@ -20,7 +20,6 @@ from vibrocast.device_protocol.messages import (
     SlotState,
 )
 from vibrocast.device_protocol.model_image import ModelError, ModelImage, sha256
-from vibrocast.device_protocol.transports import TransportError
 from vibrocast.firmware import keys
 from vibrocast.host import uploader
 from vibrocast.host.controller import ControllerError
@@ -31,18 +30,6 @@ IMAGES_ON_TRIAL = (
     ImageDescription(0, SlotState.CONFIRMED),
     ImageDescription(1, SlotState.TESTING, sha256(IMAGE), "oak", "1.0"),
 )
-
-
-def test_flashes_verifies_tries_and_confirms() -> None:
-    scripted = ScriptedController()
-    seen: list[tuple[int, int]] = []
-    assert flash(scripted.connect(), IMAGE, progress=lambda *step: seen.append(step)).state == SlotState.CONFIRMED
-    assert bytes(scripted.flash) == IMAGE
-    assert seen[-1] == (len(IMAGE), len(IMAGE))
-    kinds = [type(message) for message in scripted.handled if type(message).__name__.startswith("Flash")]
-    assert kinds[0] is FlashBegin
-    assert kinds[-3:] == [FlashVerify, FlashActivate, FlashConfirm]
-    assert set(kinds[1:-3]) == {FlashData}
 
 
 def test_image_without_the_signature_that_the_controller_needs_is_not_sent() -> None:
@@ -78,24 +65,6 @@ def test_cut_in_the_middle_is_resumed_without_sending_again() -> None:
     offsets = [message.offset for message in scripted.handled if isinstance(message, FlashData)]
     assert offsets == sorted(set(offsets))
     assert sum(isinstance(message, FlashBegin) for message in scripted.handled) == 2
-
-
-def test_cable_that_stays_out_is_an_error_and_a_later_call_resumes() -> None:
-    scripted = ScriptedController()
-    controller = scripted.connect()
-
-    def unplug() -> None:
-        scripted.unplugged = len(scripted.flash) > 2000
-
-    scripted.at_read = unplug
-    with pytest.raises(TransportError):
-        flash(controller, IMAGE, reconnect_s=1)
-    written = len(scripted.flash)
-    scripted.at_read, scripted.unplugged = lambda: None, False
-    before = len(scripted.handled)
-    assert flash(scripted.connect(), IMAGE).state == SlotState.CONFIRMED
-    offsets = [message.offset for message in scripted.handled[before:] if isinstance(message, FlashData)]
-    assert offsets[0] == written
 
 
 @pytest.mark.parametrize("fallen_back", [{"state": SlotState.VERIFIED}, {"name": "", "version": ""}])
@@ -145,14 +114,6 @@ def test_other_bytes_read_back_are_an_error_and_nothing_is_activated() -> None:
     assert not any(isinstance(message, FlashActivate) for message in scripted.handled)
 
 
-def test_image_that_runs_already_is_left_alone() -> None:
-    scripted = ScriptedController()
-    running = ImageDescription(0, SlotState.CONFIRMED, sha256(IMAGE), "oak", "1.0")
-    scripted.description = replace(scripted.description, images=(running,))
-    assert flash(scripted.connect(), IMAGE) == running
-    assert len(scripted.handled) == 1
-
-
 def test_image_left_on_trial_is_confirmed() -> None:
     scripted = ScriptedController()
     scripted.description = replace(scripted.description, images=IMAGES_ON_TRIAL)
@@ -167,10 +128,3 @@ def test_controller_without_a_free_slot_is_an_error() -> None:
     scripted.description = replace(scripted.description, images=())
     with pytest.raises(ControllerError, match="no free slot"):
         flash(scripted.connect(), IMAGE)
-
-
-def test_file_that_is_no_image_is_rejected_before_anything_is_sent() -> None:
-    scripted = ScriptedController()
-    with pytest.raises(ModelError):
-        flash(scripted.connect(), IMAGE[:-1])
-    assert len(scripted.handled) == 1

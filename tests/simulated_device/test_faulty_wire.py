@@ -6,7 +6,7 @@ import pytest
 
 from tests.simulated_device.bench import Echo
 from vibrocast.errors import InputError
-from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire, FrameDamage, RemoteDevice, read_faults
+from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire, read_faults
 
 FRAMES = [bytes([number, 1, 2, 3, 0]) for number in range(1, 201)]
 
@@ -41,14 +41,6 @@ def test_frames_are_lost_and_damaged_by_seed() -> None:
     assert 5 < sum(data not in FRAMES for _, data in flipped) < 40
     there, back = carried(Fault(lost=0.1, direction="to_host"))
     assert len(there) == 200 > back.count(0)
-
-
-def test_damage_is_the_same_for_the_same_seed_and_waits_for_whole_frames() -> None:
-    data = b"".join(FRAMES)
-    every = Fault(lost=0.1, flipped=0.1, doubled=0.1, swapped=0.1)
-    assert len({FrameDamage(every, seed).carry(data) for seed in (1, 1, 2)}) == 2
-    assert FrameDamage(Fault(), 0).carry(data[:7]) == data[:5]
-    assert FrameDamage(Fault(lost=1.0), 0).carry(data) == b""
 
 
 def test_faults_change_while_bytes_are_on_their_way() -> None:
@@ -97,16 +89,3 @@ def test_a_schedule_is_read_and_its_mistakes_are_named(tmp_path: Path) -> None:
         path.write_text(text)
         with pytest.raises(InputError, match=message):
             read_faults(path)
-
-
-def test_what_breaks_the_way_to_a_remote_controller_is_kept() -> None:
-    class Broken:
-        def write(self, data: bytes) -> None:
-            raise TransportError("gone")
-
-    from vibrocast.device_protocol.transports import TransportError
-
-    remote = RemoteDevice(Broken())  # type: ignore[arg-type]
-    with pytest.raises(TransportError):
-        remote.receive(b"x", 0)
-    assert str(remote.failure) == "gone"

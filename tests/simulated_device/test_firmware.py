@@ -130,13 +130,3 @@ def test_playing_begins_when_no_more_of_the_prebuffer_has_room() -> None:
         bench.send_payload(pack(StreamData(7, 0, (packet,))))
     bench.run(1)
     assert bench.status().state == State.PLAYING
-
-
-def test_credit_that_grows_while_data_comes_is_notified() -> None:
-    played = stream(2.0)
-    bench = board()
-    bench.configure(played)
-    bench.send(played, range(8))
-    grown = [message for message in bench.notified if isinstance(message, Status)]
-    assert grown[-1].state == State.BUFFERING
-    assert grown[-1].credit_until > 8 * played.packet_samples

@@ -1,16 +1,13 @@
 """The controller behind a real pseudo-terminal, a socket and a USB device: plugged, unplugged, opened and closed."""
 
-import errno
 import os
 import socket
 import struct
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-import usb.core
 
 from tests.simulated_device.bench import stream
 from vibrocast.device_protocol.messages import State, Status
@@ -19,9 +16,8 @@ from vibrocast.host.controller import Controller as Host
 from vibrocast.host.player import Progress, play
 from vibrocast.simulated_device.controller import Controller
 from vibrocast.simulated_device.pty_port import PtyPort
-from vibrocast.simulated_device.serial_port import serial_port
 from vibrocast.simulated_device.socket_port import SocketPort
-from vibrocast.simulated_device.usb_backend import ENDPOINT_IN, ENDPOINT_OUT, PRODUCT_ID, VENDOR_ID, UsbPort
+from vibrocast.simulated_device.usb_backend import PRODUCT_ID, VENDOR_ID, UsbPort
 
 
 @pytest.fixture
@@ -47,10 +43,6 @@ def socket_port() -> Iterator[SocketPort]:
 def usb_port() -> Iterator[UsbPort]:
     with UsbPort(Controller()) as port:
         yield port
-
-
-def find(port: UsbPort) -> usb.core.Device:
-    return usb.core.find(backend=port, idVendor=VENDOR_ID, idProduct=PRODUCT_ID)
 
 
 def test_the_link_of_a_controller_that_was_killed_is_replaced_and_no_other(tmp_path: Path) -> None:
@@ -83,25 +75,6 @@ def test_pty_unplugged_breaks_the_transport_and_comes_back_under_the_same_name(p
         assert isinstance(host.request_status(), Status)
 
 
-def test_pty_leaves_nothing_behind() -> None:
-    with PtyPort(Controller()) as port:
-        name = Path(port.name)
-        assert name.exists()
-    assert not name.parent.exists()
-    port.close()
-
-
-def test_pty_that_is_closed_or_not_yet_open_does_not_wait_for_ever() -> None:
-    port = PtyPort(Controller())
-    port.unplug()
-    with port:
-        port.plug()
-        assert Path(port.name).exists()
-    port.unplug()
-    port.plug()
-    assert not Path(port.name).exists()
-
-
 class FailingController(Controller):
     """A controller with a fault that strikes on request."""
 
@@ -131,26 +104,9 @@ def test_port_goes_away_with_a_controller_that_fails_and_says_why(
         assert not Path(port.name).exists()
 
 
-def test_system_without_pseudo_terminals_has_a_socket(monkeypatch: pytest.MonkeyPatch) -> None:
-    with serial_port(Controller()) as port:
-        assert isinstance(port, PtyPort)
-    monkeypatch.setitem(sys.modules, "termios", None)
-    with serial_port(Controller()) as port:
-        assert isinstance(port, SocketPort)
-
-
 def connected(port: SocketPort) -> socket.socket:
     address, _, number = port.name.removeprefix("socket://").partition(":")
     return socket.create_connection((address, int(number)), timeout=10)
-
-
-def test_stream_plays_over_a_socket(socket_port: SocketPort) -> None:
-    played = stream(1.0)
-    with Host(open_transport(f"serial:{socket_port.name}")) as host:
-        result = play(host, played.header, played.packets, played.packet_samples, capture=True)
-    assert (result.state, result.underruns, result.lost_packets) == (State.FINISHED, 0, 0)
-    assert result.decoded is not None
-    np.testing.assert_array_equal(result.decoded, played.decoded)
 
 
 def test_socket_listens_to_this_machine_alone(socket_port: SocketPort) -> None:
@@ -204,86 +160,12 @@ def test_socket_serves_one_host_at_a_time(socket_port: SocketPort) -> None:
         assert isinstance(host.request_status(), Status)
 
 
-def test_socket_that_is_closed_breaks_the_transport() -> None:
-    with SocketPort(Controller()) as port:
-        host = Host(SerialTransport(port.name))
-        port.close()
-        with pytest.raises(TransportError, match="broke off"):
-            host.request_status()
-        with pytest.raises(TransportError, match="cannot open"):
-            host.reconnect(0.0)
-    port.close()
-
-
 @pytest.mark.parametrize(
     "url", ["socket://127.0.0.1", "socket://127.0.0.1:x", "socket://127.0.0.1:99999", "no-such://x"]
 )
 def test_url_that_is_no_port_is_an_error(url: str) -> None:
     with pytest.raises(TransportError, match="cannot open serial port"):
         open_transport(f"serial:{url}")
-
-
-def test_usb_device_is_found_and_talks(usb_port: UsbPort) -> None:
-    device = find(usb_port)
-    assert device.idVendor == VENDOR_ID
-    assert len(list(usb.core.find(backend=usb_port, find_all=True))) == 1
-    with Host(UsbTransport(VENDOR_ID, PRODUCT_ID, usb_port)) as host:
-        assert isinstance(host.request_status(), Status)
-
-
-def test_usb_descriptors_out_of_range_raise_index_error(usb_port: UsbPort) -> None:
-    with pytest.raises(IndexError):
-        usb_port.get_configuration_descriptor("controller", 1)
-    with pytest.raises(IndexError):
-        usb_port.get_interface_descriptor("controller", 1, 0, 0)
-    with pytest.raises(IndexError):
-        usb_port.get_endpoint_descriptor("controller", 2, 0, 0, 0)
-
-
-def test_usb_errors_are_those_of_libusb(usb_port: UsbPort) -> None:
-    device = find(usb_port)
-    device.set_configuration()
-    with pytest.raises(usb.core.USBTimeoutError) as timed_out:
-        device.read(ENDPOINT_IN, 64, 10)
-    assert timed_out.value.errno == errno.ETIMEDOUT
-    with pytest.raises(usb.core.USBError) as stalled:
-        device.ctrl_transfer(0xC0, 1, 0, 0, 4)
-    assert stalled.value.errno == errno.EPIPE
-    usb_port.unplug()
-    with pytest.raises(usb.core.USBError) as gone:
-        device.write(ENDPOINT_OUT, b"x", 10)
-    assert gone.value.errno == errno.ENODEV
-    assert find(usb_port) is None
-
-
-def test_usb_endpoints_stall_until_cleared(usb_port: UsbPort) -> None:
-    device = find(usb_port)
-    device.set_configuration()
-    for by_reset in (False, True):
-        usb_port.stall()
-        with pytest.raises(usb.core.USBError) as stalled:
-            device.write(ENDPOINT_OUT, b"x", 10)
-        assert stalled.value.errno == errno.EPIPE
-        with pytest.raises(usb.core.USBError) as stalled:
-            device.read(ENDPOINT_IN, 64, 10)
-        assert stalled.value.errno == errno.EPIPE
-        if by_reset:
-            usb_port.reset_device(usb_port.open_device("controller"))
-        else:
-            device.clear_halt(ENDPOINT_OUT)
-        assert device.write(ENDPOINT_OUT, b"x", 10) == 1
-
-
-def test_usb_endpoints_that_are_busy_time_out_and_go_on(usb_port: UsbPort) -> None:
-    device = find(usb_port)
-    device.set_configuration()
-    usb_port.keep_busy(3600.0)
-    with pytest.raises(usb.core.USBTimeoutError):
-        device.write(ENDPOINT_OUT, b"x", 10)
-    with pytest.raises(usb.core.USBTimeoutError):
-        device.read(ENDPOINT_IN, 64, 10)
-    usb_port.keep_busy(0.02)
-    assert device.write(ENDPOINT_OUT, b"x", 10_000) == 1
 
 
 def test_stream_plays_through_stalls_and_busy_endpoints(usb_port: UsbPort) -> None:
@@ -300,17 +182,3 @@ def test_stream_plays_through_stalls_and_busy_endpoints(usb_port: UsbPort) -> No
     assert (result.state, result.underruns, result.lost_packets) == (State.FINISHED, 0, 0)
     assert result.decoded is not None
     np.testing.assert_array_equal(result.decoded, played.decoded)
-
-
-def test_usb_handle_from_before_the_pull_stays_dead_and_a_new_one_works(usb_port: UsbPort) -> None:
-    device = find(usb_port)
-    device.set_configuration()
-    with Host(UsbTransport(VENDOR_ID, PRODUCT_ID, usb_port)) as host:
-        usb_port.unplug()
-        with pytest.raises(TransportError):
-            host.request_status()
-        usb_port.plug()
-        with pytest.raises(usb.core.USBError):
-            device.write(ENDPOINT_OUT, b"x", 10)
-        host.reconnect(5.0)
-        assert isinstance(host.request_status(), Status)
