@@ -16,14 +16,14 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator
 from numpy.typing import ArrayLike, NDArray
 
-from vibrocast import pictures
+from vibrocast.evaluation import pictures
 from vibrocast.evaluation.bd_rate import SPQI, ST_SIM_2800, ST_SIM_8000, Scale
 from vibrocast.evaluation.comparison import FIT, TIMES, best_of
 from vibrocast.evaluation.labels import Label, write_beside
 from vibrocast.evaluation.peers import named
+from vibrocast.evaluation.pictures import GREY, INK, PALE, POINTS, SMALL_POINTS, Style
 from vibrocast.evaluation.points import IMPORTED, MEASURED
 from vibrocast.evaluation.tables import as_rows, by_codec, grouped, write_table
-from vibrocast.pictures import GREY, INK, PALE, POINTS, SMALL_POINTS, Style
 
 WIDTH_IN, DPI = 8.0, 150
 FONT_POINTS = 8.5

@@ -1,26 +1,74 @@
-"""Writes pictures of pages: the same bytes from the same data, SVG or PNG by the path's suffix."""
+"""Pictures of pages: colours of codecs, readable in grey print, and the same bytes from the same data."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-
-from matplotlib import rc_context
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING, Any
 
 from vibrocast.files import atomic_write
 
-POINTS = 8
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+INK, GREY, PALE = "#222222", "#767676", "#e6e6e6"
+"""Of text and axes; of what stays in the background; of grids and areas."""
+BLUE, SKY, PURPLE, ORANGE = "#00558c", "#2f86cc", "#8e3fa8", "#d55e00"
+BROWN, GREEN, AMBER = "#7f3b08", "#00856a", "#a87400"
+POINTS, SMALL_POINTS = 9.0, 7.5
+"""Sizes of letters: of titles, axes and labels, and of labels in grey."""
+_PAGE_POINTS = 8
 _DPI = 120
 
 
+@dataclass(frozen=True)
+class Style:
+    """How a codec is drawn. `dashes`: a line style of matplotlib; lines of this project's codecs are solid."""
+
+    colour: str
+    dashes: Any = "-"
+    width: float = 1.6
+
+
+CODECS: Mapping[str, Style] = {
+    "mdct": Style(BLUE, width=2.8),
+    "eva": Style(PURPLE),
+    "vcpwq": Style(ORANGE, (0, (5, 1.5))),
+    "mpeg": Style(BROWN, (0, (1.5, 1))),
+    "opus": Style(GREEN, (0, (6, 1.5, 1.5, 1.5))),
+    "speex": Style(AMBER, (0, (3, 1))),
+}
+"""By the first letters of a curve's name."""
+OTHERS = Style("#c2185b", width=2.0)
+"""Of codecs that are not known."""
+
+
 @contextmanager
-def figure_file(path: Path, width_in: float, height_in: float) -> Iterator[Figure]:
+def figure_file(path: Path, width_in: float, height_in: float) -> "Iterator[Figure]":
     """Yield a figure to draw on, which is written when the block succeeds. Raises OSError."""
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     # Matplotlib names the parts of an SVG file by chance, unless it gets a salt.
-    with rc_context({"font.size": POINTS, "axes.titlesize": POINTS, "svg.hashsalt": "vibrocast"}):
+    with rc_context({"font.size": _PAGE_POINTS, "axes.titlesize": _PAGE_POINTS, "svg.hashsalt": "vibrocast"}):
         figure = Figure((width_in, height_in), dpi=_DPI, layout="constrained")
         FigureCanvasAgg(figure)
         yield figure
         with atomic_write(path) as partial:
             figure.savefig(partial, metadata={"Date": None} if path.suffix == ".svg" else None)
+
+
+def write(figure: "Figure", path: Path) -> None:
+    """Write a figure in the format of the path's suffix. Text of an SVG file stays text. Raises OSError."""
+    from matplotlib import rc_context
+
+    # Matplotlib draws the names of an SVG file's parts at random, unless it gets a salt.
+    settings: Any = {
+        "svg.fonttype": "none",
+        "svg.hashsalt": "vibrocast",
+        "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial"],
+    }
+    is_svg = path.suffix == ".svg"
+    with rc_context(settings):
+        figure.savefig(path, metadata={"Date": None, "Creator": None} if is_svg else None)

@@ -20,7 +20,8 @@ from scipy import stats
 
 from studies import page
 from studies.texture_paper import HAND_SPEED_MM_S, STRETCH_MM, generated_profiles
-from vibrocast import pictures, textures
+from vibrocast import textures
+from vibrocast.evaluation import pictures
 from vibrocast.files import atomic_write
 from vibrocast.output.actuator import ACTUATORS
 from vibrocast.study import statistics, stimuli

@@ -12,7 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from vibrocast import pages, pictures
+from vibrocast import pages
+from vibrocast.evaluation import pictures
 from vibrocast.files import atomic_folder
 from vibrocast.study import analysis
 from vibrocast.study.analysis import METRICS, Analysis

@@ -12,4 +12,5 @@ COMMANDS = (
         "Export a checkpoint: ONNX graphs, model image and card.",
         "train",
     ),
+    Subcommand("keys", "Controllers", f"{CLI}.keys:keys", "Make keys, sign model images and check signatures."),
 )

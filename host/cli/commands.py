@@ -61,7 +61,6 @@ CORE = (
     ),
     Subcommand("status", "Controllers", f"{CLI}.devices:status", "Show the properties and state of a controller."),
     Subcommand("flash", "Controllers", f"{CLI}.devices:flash", "Upload a trained model to a controller."),
-    Subcommand("keys", "Controllers", f"{CLI}.keys:keys", "Make keys, sign model images and check signatures."),
     Subcommand("simulate", "Controllers", f"{CLI}.devices:simulate", "Run a simulated controller until Ctrl-C."),
     Subcommand(
         "models", "Learned codecs", f"{CLI}.codecs:list_models", "List the shipped models, with rate and quality."

@@ -23,7 +23,7 @@ ABOUT_ONE_CODEC = {
     "evaluation/stability/settings.py": "maps of the parameters and entropy coders of one codec",
     "evaluation/stability/learned_signals.py": "a map of the learned codec beside one without a network",
     "harness/conformance/test_playing.py": "a packet that one codec is sure to find damaged",
-    "vibrocast/pictures.py": "the colours of the curves that charts emphasise",
+    "evaluation/pictures.py": "the colours of the curves that charts emphasise",
 }
 
 
