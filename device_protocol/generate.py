@@ -1,4 +1,4 @@
-"""Writes the files that depend on the messages: C, JavaScript, Wireshark's dissector, tables of the protocol's page.
+"""Writes the files that depend on the messages: C, JavaScript, tables of the protocol's page.
 
 Run it after a change: `python -m vibrocast.device_protocol.generate`.
 """
@@ -18,12 +18,11 @@ from vibrocast.device_protocol.messages import FROM_HOST, RESPONSES, Described, 
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "reference" / "protocol.md"
-DISSECTOR = ROOT / "device_protocol" / "vibrocast.lua"
 SCRIPT = ROOT / "docs" / "javascripts" / "messages.js"
 FIRMWARE = ROOT / "firmware"
 _NUMBERS = {"uint8_t": 1, "uint16_t": 2, "uint32_t": 4, "uint64_t": 8, "int64_t": 8}
 _TYPES = {"u8": "uint8_t", "u16": "uint16_t", "u32": "uint32_t", "u64": "uint64_t", "i64": "int64_t", "f32": "uint32_t"}
-_NESTED = (
+NESTED = (
     messages.Limits,
     messages.ActuatorDescription,
     messages.CodecDescription,
@@ -40,7 +39,6 @@ def generated_files() -> dict[Path, str]:
         FIRMWARE / "include" / "vibrocast" / "protocol.h": _in_c_file("protocol.h"),
         FIRMWARE / "src" / "controller" / "vc_messages.h": _in_c_file("messages.h"),
         FIRMWARE / "src" / "controller" / "vc_messages.c": _in_c_file("messages.c"),
-        DISSECTOR: dissector(),
         SCRIPT: script(),
         PAGE: page(PAGE.read_text(encoding="utf-8")),
     }
@@ -58,8 +56,8 @@ def _in_c_file(name: str) -> str:
         from_host=FROM_HOST,
         responses=RESPONSES,
         with_body=tuple(message for message in FROM_HOST if wire_fields(message)),
-        nested=_NESTED,
-        snake=_snake,
+        nested=NESTED,
+        snake=snake,
         struct=_struct,
         structure=_structure,
         statements=_statements,
@@ -73,12 +71,13 @@ def _in_c_file(name: str) -> str:
 # ---- fields in C ----
 
 
-def _snake(owner: type) -> str:
+def snake(owner: type) -> str:
+    """Return the name of a class in snake case."""
     return re.sub(r"(?<!^)(?=[A-Z])", "_", owner.__name__).lower()
 
 
 def _struct(owner: type) -> str:
-    return _STRUCTS.get(owner, f"vc_{_snake(owner)}")
+    return _STRUCTS.get(owner, f"vc_{snake(owner)}")
 
 
 @dataclass
@@ -127,13 +126,13 @@ def _in_c(field: WireField, struct: str) -> CField:
         case Tag(number=number) if field.is_tuple:
             kind, count = _struct(field.item), f"{name.removesuffix('s')}_count"
             loop = f"for (i = 0; i < {struct}{count}; i++)"
-            write = [loop, f"    write_{_snake(field.item)}(writer, {number}, &{place}[i]);"]
+            write = [loop, f"    write_{snake(field.item)}(writer, {number}, &{place}[i]);"]
             return CField([f"const {kind} *{name};", f"unsigned {count};"], write=write)
         case Tag(number=number) if field.is_optional:
-            write = [f"if ({place} != NULL)", f"    write_{_snake(field.item)}(writer, {number}, {place});"]
+            write = [f"if ({place} != NULL)", f"    write_{snake(field.item)}(writer, {number}, {place});"]
             return CField([f"const {_struct(field.item)} *{name}; /* NULL: none */"], write=write)
-        case Tag(number=number) if field.item in _NESTED:
-            write = [f"write_{_snake(field.item)}(writer, {number}, &{place});"]
+        case Tag(number=number) if field.item in NESTED:
+            write = [f"write_{snake(field.item)}(writer, {number}, &{place});"]
             return CField([f"{_struct(field.item)} {name};"], write=write)
         case Tag(number=number):
             read = [f"value = &{place};", f"tag = {number};"]
@@ -166,7 +165,7 @@ def _checks(message: type[Message]) -> list[tuple[str, str]]:
     """Return the wrong values of a message, and their rejections: expressions in C."""
     checks = []
     for field in wire_fields(message):
-        place = f"message->body.{_snake(message)}.{field.name}"
+        place = f"message->body.{snake(message)}.{field.name}"
         text = f'"{message.__name__}: {field.name}'
         if isinstance(field.wire, Fixed) and field.wire.check is layout.check_factor:
             no_factor = f'vc_reject(rejection, VC_BAD_VALUE, {text} is not a finite factor of at least 0")'
@@ -183,7 +182,7 @@ def _checks(message: type[Message]) -> list[tuple[str, str]]:
 
 def _writer(message: type[Message]) -> str:
     parameters = f"vc_frame_writer *writer, uint16_t sequence, const {_struct(message)} *message"
-    return f"void vc_write_{_snake(message)}({parameters})"
+    return f"void vc_write_{snake(message)}({parameters})"
 
 
 def _size(owner: type) -> str:
@@ -191,54 +190,21 @@ def _size(owner: type) -> str:
     return " + ".join(term for field in wire_fields(owner) for term in _in_c(field, "value->").size)
 
 
-# ---- Wireshark's dissector in Lua ----
-
-_LUA_TYPES = {"u8": "uint8", "u16": "uint16", "u32": "uint32", "u64": "uint64", "i64": "int64", "f32": "float"}
+# ---- JavaScript ----
 
 
-def dissector() -> str:
-    """Return the dissector: the template next to this module, with the fields of all messages."""
-    return pages.render(
-        Path(__file__).with_name("vibrocast.lua.jinja"),
-        messages=messages,
-        layout=layout,
-        all_messages=messages.ALL,
-        owners=(*messages.ALL, *_NESTED),
-        nested=_NESTED,
-        snake=_snake,
-        lua_fields=_lua_fields,
-        lua_values=_lua_values,
-        wire_fields=wire_fields,
-    )
-
-
-def _lua_values(field: WireField) -> str:
-    """Return the names of an enumeration's numbers as a table of Lua, "nil" for any other field."""
-    if not (isinstance(field.type, type) and issubclass(field.type, IntEnum)):
-        return "nil"
-    return "{" + ", ".join(f'[{member.value}] = "{member.name}"' for member in field.type) + "}"
-
-
-def _lua_fields(owner: type) -> list[tuple[str, str, str, str]]:
-    """Return name, kind for `read`, type of the ProtoField and names of values of each field but those in tags."""
+def fixed_fields(owner: type) -> list[tuple[WireField, str]]:
+    """Return each field but those in tags, and how it is read: its number of bytes, or the name of its kind."""
     found = []
     for field in wire_fields(owner):
-        values = _lua_values(field)
         match field.wire:
             case Fixed() if field.type is bytes:
-                found.append((field.name, str(layout.SHA256_BYTES), "bytes", values))
-            case Fixed(name=wire):
-                found.append((field.name, wire, _LUA_TYPES[wire], values))
+                found.append((field, str(layout.SHA256_BYTES)))
             case Flag():
-                found.append((field.name, "u8", "uint8", values))
-            case Rest(name=kind):
-                found.append((field.name, kind, "string" if kind == "text" else "bytes", values))
-            case Part(name=kind):
-                found.append((field.name, kind, "uint32" if kind == "varint" else "string", values))
+                found.append((field, "u8"))
+            case Fixed(name=kind) | Rest(name=kind) | Part(name=kind):
+                found.append((field, kind))
     return found
-
-
-# ---- JavaScript ----
 
 
 def script() -> str:
@@ -247,8 +213,8 @@ def script() -> str:
         Path(__file__).with_name("messages.js.jinja"),
         messages=messages,
         all_messages=messages.ALL,
-        nested=_NESTED,
-        fields=_lua_fields,
+        nested=NESTED,
+        fields=fixed_fields,
         tags=lambda owner: [field for field in wire_fields(owner) if isinstance(field.wire, Tag)],
         script_types=_script_types,
     )
@@ -260,8 +226,8 @@ _SCRIPT_TYPES = {"items": "Uint8Array[]", "bytes": "Uint8Array", "text": "string
 def _script_types(owner: type) -> list[tuple[str, str]]:
     """Return the name and the JSDoc type of each field."""
     fixed = {
-        name: "Uint8Array" if kind.isdigit() else _SCRIPT_TYPES.get(kind, "number")
-        for name, kind, _, _ in _lua_fields(owner)
+        field.name: "Uint8Array" if kind.isdigit() else _SCRIPT_TYPES.get(kind, "number")
+        for field, kind in fixed_fields(owner)
     }
     plain = {str: "string", bytes: "Uint8Array"}
     tags = {
@@ -286,7 +252,7 @@ def page(text: str) -> str:
         )
         for message in RESPONSES
         for field in wire_fields(message)
-        if isinstance(field.wire, Tag) and field.item in _NESTED
+        if isinstance(field.wire, Tag) and field.item in NESTED
     ]
     tables = {
         "requests": _table((*heads, "answer"), [(*_message_row(message), message.ANSWER) for message in FROM_HOST]),

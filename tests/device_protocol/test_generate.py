@@ -4,15 +4,16 @@ from pathlib import Path
 
 import pytest
 
-from vibrocast.device_protocol import generate
 from vibrocast.device_protocol.generate import generated_files, page
+from vibrocast.harness.dissector import DISSECTOR, dissector
 
-HINT = "run `python -m vibrocast.device_protocol.generate`"
+FILES = {**generated_files(), DISSECTOR: dissector()}
+HINT = "run `python -m vibrocast.device_protocol.generate` and `python -m vibrocast.harness.dissector`"
 
 
-@pytest.mark.parametrize("path", generated_files(), ids=lambda path: str(path.relative_to(generate.ROOT)))
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
 def test_generated_file_is_fresh(path: Path) -> None:
-    assert path.read_text(encoding="utf-8") == generated_files()[path], HINT
+    assert path.read_text(encoding="utf-8") == FILES[path], HINT
 
 
 def test_page_without_a_place_for_a_table_is_named() -> None:

@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vibrocast.device_protocol.frames import write_frame
-from vibrocast.device_protocol.generate import DISSECTOR
 from vibrocast.device_protocol.messages import (
     ActuatorDescription,
     CodecDescription,
@@ -26,6 +25,7 @@ from vibrocast.device_protocol.messages import (
 )
 from vibrocast.device_protocol.trace import SUFFIXES, FrameSplitter, TracedFrame, read_trace, writer
 from vibrocast.errors import InputError
+from vibrocast.harness.dissector import DISSECTOR
 
 frames = st.lists(
     st.builds(

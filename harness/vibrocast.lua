@@ -1,4 +1,4 @@
--- Wireshark's dissector of vibrocast's protocol. Written by device_protocol/generate.py.
+-- Wireshark's dissector of vibrocast's protocol. Written by harness/dissector.py.
 --
 -- A packet of a trace (link type USER0) is a frame without its delimiter: COBS(message, CRC-16).
 -- tshark -X lua_script:vibrocast.lua -r trace.pcapng
