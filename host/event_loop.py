@@ -80,11 +80,27 @@ class _Member(Generic[_Key]):
 
 
 def run(reader: Reader, steps: Steps[_Result]) -> _Result:
-    """Do the work with one controller; return its result or raise its error."""
-    (result,) = run_all({None: (reader, steps)}).values()
-    if isinstance(result, Exception):
-        raise result
-    return result
+    """Do the work with one controller; return its result or raise its error.
+
+    What breaks the transport, and an interruption, is raised in the step that waits.
+    """
+    step: Callable[[Any], float] = steps.send
+    given: Any = None
+    try:
+        while True:
+            wait = step(given)
+            step = steps.send
+            try:
+                if isinstance(wait, Pause):
+                    reader.sleep(wait)
+                    given = b""
+                else:
+                    given = reader.read(wait)
+            except BaseException as error:
+                step, given = steps.throw, error
+    except StopIteration as end:
+        result: _Result = end.value
+        return result
 
 
 def run_all(works: Mapping[_Key, tuple[Reader, Steps[_Result]]]) -> dict[_Key, _Result | Exception]:
@@ -93,7 +109,13 @@ def run_all(works: Mapping[_Key, tuple[Reader, Steps[_Result]]]) -> dict[_Key, _
     All have the same clock. KeyboardInterrupt, and whatever else is no Exception, is raised in every step that waits;
     the caller gets it when all have ended.
     """
-    return _Loop[_Key, _Result](works).run()
+    if len(works) != 1:
+        return _Loop[_Key, _Result](works).run()
+    ((key, work),) = works.items()
+    try:
+        return {key: run(*work)}
+    except Exception as error:
+        return {key: error}
 
 
 class _Loop(Generic[_Key, _Result]):
@@ -105,49 +127,36 @@ class _Loop(Generic[_Key, _Result]):
         self._left = len(self._members)
         self._due: list[tuple[float, int, _Member[_Key]]] = []
         self._number = itertools.count()
-        self._selector: selectors.BaseSelector | None = None
+        self._selector = selectors.DefaultSelector()
         self._polled: set[_Member[_Key]] = set()
         self._interrupt: BaseException | None = None
 
     def run(self) -> dict[_Key, _Result | Exception]:
-        turn = self._serve_one
-        if len(self._members) != 1:
-            self._selector, turn = selectors.DefaultSelector(), self._serve_all
-            for member in self._members:
-                member.reader.make_selectable()
+        for member in self._members:
+            member.reader.make_selectable()
         try:
             for member in self._members:
                 if not member.ended:
                     self._step(member, next, member.steps)
             while self._left:
                 try:
-                    turn()
+                    self._serve()
                 except BaseException as interrupt:  # while the loop waits
                     self._interrupt_all(interrupt)
         finally:
-            if self._selector is not None:
-                self._selector.close()
+            self._selector.close()
         if self._interrupt is not None:
             raise self._interrupt
         return {member.key: self._results[member.key] for member in self._members}
 
-    def _serve_one(self) -> None:
-        """Wait for the only member, and serve it."""
-        (member,) = self._members
-        if member.pauses:
-            member.reader.sleep(member.wait)
-            self._step(member, member.steps.send, b"")
-        else:
-            self._read(member, member.wait, is_due=True)
-
-    def _serve_all(self) -> None:
+    def _serve(self) -> None:
         """Wait until something comes or is due, and serve those whom it concerns."""
         clock = self._members[0].reader.clock
         while self._due and (self._due[0][2].ended or self._due[0][0] != self._due[0][2].due_s):
             heapq.heappop(self._due)
         for member in self._wait(max(0.0, self._due[0][0] - clock())):
             if not (member.ended or member.pauses):
-                self._read(member, 0.0, is_due=False)
+                self._read(member)
         now_s = clock()
         due = []
         while self._due and self._due[0][0] <= now_s:
@@ -160,7 +169,6 @@ class _Loop(Generic[_Key, _Result]):
 
     def _wait(self, timeout_s: float) -> list[_Member[_Key]]:
         """Return those whose files are ready, and all that have none, after `timeout_s` at most."""
-        assert self._selector is not None
         watches = bool(self._selector.get_map())
         if timeout_s and (self._polled or not watches):
             timeout_s = max(_MIN_SLEEP_S, min(timeout_s, _POLL_S) if self._polled else timeout_s)
@@ -169,15 +177,15 @@ class _Loop(Generic[_Key, _Result]):
         ready = self._selector.select(timeout_s) if watches else []
         return [*self._polled, *(key.data for key, _ in ready)]
 
-    def _read(self, member: _Member[_Key], timeout_s: float, is_due: bool) -> None:
+    def _read(self, member: _Member[_Key]) -> None:
         """Read what has come for a member, and do its next step unless it may wait on."""
         was_sending = member.reader.is_sending
         try:
-            data = member.reader.read(timeout_s)
+            data = member.reader.read(0.0)
         except TransportError as error:
             self._step(member, member.steps.throw, error)
             return
-        if data or is_due or member.reader.is_sending != was_sending:
+        if data or member.reader.is_sending != was_sending:
             self._step(member, member.steps.send, data)
 
     def _step(self, member: _Member[_Key], step: Callable[..., float], *arguments: Any) -> None:
@@ -185,9 +193,8 @@ class _Loop(Generic[_Key, _Result]):
         try:
             member.wait = step(*arguments)
             member.due_s = member.reader.clock() + member.wait
-            if self._selector is not None:
-                heapq.heappush(self._due, (member.due_s, next(self._number), member))
-                self._watch(member)
+            heapq.heappush(self._due, (member.due_s, next(self._number), member))
+            self._watch(member)
             return
         except StopIteration as end:
             self._results[member.key] = end.value
@@ -203,8 +210,7 @@ class _Loop(Generic[_Key, _Result]):
     def _end(self, member: _Member[_Key]) -> None:
         member.ended = True
         self._left -= 1
-        if self._selector is not None:
-            self._watch(member)
+        self._watch(member)
 
     def _interrupt_all(self, interrupt: BaseException) -> None:
         """Raise an interruption in every step that waits; a second one ends the loop at once."""
@@ -217,7 +223,6 @@ class _Loop(Generic[_Key, _Result]):
 
     def _watch(self, member: _Member[_Key]) -> None:
         """Update the events of a member that the selector waits for."""
-        assert self._selector is not None
         waits = not (member.ended or member.pauses)
         file = member.reader.file if waits else None
         events = selectors.EVENT_READ | (selectors.EVENT_WRITE if member.reader.is_sending else 0)
