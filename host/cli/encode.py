@@ -4,13 +4,16 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import click
 
 from vibrocast import codec, progress, textures
 from vibrocast.codec import rate_controlled
 from vibrocast.codec.encoding import Encoding
-from vibrocast.host.cli.answers import add, tell, wants_json
+from vibrocast.codec.stream import Stream
+from vibrocast.host.cli.answers import tell
+from vibrocast.host.cli.describe import describe_felt_error, describe_quality
 from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, positive, reject_overwriting
 from vibrocast.host.cli.options import (
     QualityOptions,
@@ -26,14 +29,7 @@ from vibrocast.host.cli.options import (
 )
 from vibrocast.host.cli.sections import CODING, SectionedCommand, section
 from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
-from vibrocast.host.cli.steps import (
-    describe_felt_error,
-    describe_quality,
-    encoded,
-    encoded_profile,
-    files_of,
-    show,
-)
+from vibrocast.host.cli.steps import encoded, encoded_profile, files_of
 
 
 def parsed_setting(ctx: click.Context, param: click.Parameter, values: Sequence[str]) -> dict[str, str]:
@@ -124,7 +120,9 @@ def encode(file: Path, out: Path, live: bool, quality: QualityOptions, recording
     if target is not None:
         encode_rate_controlled(loaded, out, target, quality, recording.unit)
         return
-    write_encoding(out, encoded(loaded, quality, recording.unit, live), recording.hand_speed_mm_s)
+    speed_mm_s = recording.hand_speed_mm_s
+    how = "" if speed_mm_s is None else f", coded over time at {speed_mm_s:g} mm/s"
+    write_stream(out, encoded(loaded, quality, recording.unit, live).stream, how)
 
 
 def write_profile_encoding(out: Path, encoding: Encoding) -> None:
@@ -139,20 +137,20 @@ def write_profile_encoding(out: Path, encoding: Encoding) -> None:
     )
 
 
-def write_encoding(out: Path, encoding: Encoding, hand_speed_mm_s: float | None) -> None:
-    """Write a .vct file, and print its size and quality. `hand_speed_mm_s`: over a height profile."""
-    encoding.stream.save(out)
-    stream = encoding.stream
-    over_time = "" if hand_speed_mm_s is None else f", coded over time at {hand_speed_mm_s:g} mm/s"
+def write_stream(out: Path, stream: Stream, how: str = "", **facts: Any) -> None:
+    """Write a .vct file, and print its size and quality. `how`: it was coded, in words; `facts`: more, for JSON."""
+    stream.save(out)
+    quality = stream.quality
+    assert quality is not None, "it has just been coded"
     model = f", model {stream.model_name}" if stream.image else ""
-    size = f"{stream.size_bytes} bytes, {stream.bits_per_second:.0f} bit/s{over_time}{model}"
-    felt = encoding.quality.felt_error
+    felt = "" if quality.felt_error is None else f"; felt error: {describe_felt_error(quality.felt_error)}"
     tell(
-        f"{out}: {size}, {describe_quality(encoding.quality)}"
-        + ("" if felt is None else f"; felt error: {describe_felt_error(felt)}"),
+        f"{out}: {stream.size_bytes} bytes, {stream.bits_per_second:.0f} bit/s{how}{model}, "
+        f"{describe_quality(quality)}{felt}",
         out=str(out),
         **stream.facts(),
-        quality=asdict(encoding.quality),
+        quality=asdict(quality),
+        **facts,
     )
 
 
@@ -168,23 +166,13 @@ def encode_rate_controlled(
     del arguments["rate_bps"], arguments["snr_db"]  # they are in the target
     with progress.bar("encoding") as update:
         stream, outcome = rate_controlled.encode(recording, target, progress=update, **arguments)
-    stream.save(out)
-    quality = stream.quality
-    assert quality is not None, "it has just been coded"
-    lines = {
-        str(out): f"{stream.size_bytes} bytes, codec {stream.codec_name}"
-        + (f", model {stream.model_name}" if stream.image else ""),
-        "coded": describe_quality(quality),
-        "felt error": describe_felt_error(quality.felt_error),
-        "rate": describe_rate(target, outcome),
-        "framing": f"packets {outcome.packets_bps:.0f} bit/s, frames add {100 * outcome.frames_add:.1f} %, "
-        f"padding {100 * outcome.padding:.1f} %",
-        "packets": f"{1000 * outcome.packet_s:.1f} ms each, {describe_packets(outcome)}",
-    }
-    if wants_json():
-        add({"out": str(out), **stream.facts(), "quality": asdict(quality), "rate_control": asdict(outcome)})
-    else:
-        show(lines)
+    write_stream(out, stream, rate_control=asdict(outcome))
+    tell(f"rate: {describe_rate(target, outcome)}")
+    tell(
+        f"framing: packets {outcome.packets_bps:.0f} bit/s, frames add {100 * outcome.frames_add:.1f} %, "
+        f"padding {100 * outcome.padding:.1f} %"
+    )
+    tell(f"packets: {1000 * outcome.packet_s:.1f} ms each, {describe_packets(outcome)}")
 
 
 def describe_rate(target: rate_controlled.RateTarget, outcome: rate_controlled.Outcome) -> str:
