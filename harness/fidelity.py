@@ -7,11 +7,10 @@ import numpy as np
 
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.harness.sensors import Recorder, recorded
-from vibrocast.host import playback
-from vibrocast.host.controller import Controller
+from vibrocast.host import playback, player
 from vibrocast.host.picture import third_octave_levels
+from vibrocast.host.session import Session
 from vibrocast.host.skin_quality import compare_skin, displacement_above_20_hz, high_passed
-from vibrocast.output.actuator import Actuator
 from vibrocast.textures import Recording
 
 
@@ -58,35 +57,28 @@ class Fidelity:
 
 
 def measure_fidelity(
-    controller: Controller,
-    address: str,
+    session: Session,
     texture: Recording,
     *,
-    actuator: Actuator,
-    skin_model: Actuator,
     recorder: Recorder | None = None,
     sensor_name: str = "",
     progress: Callable[[float], None] | None = None,
 ) -> Fidelity:
     """Play the first channel of a texture and compare the skin with the sent signal.
 
-    `actuator`: the one that the controller works with. `recorder`: the sensor on that channel; None = the DAC's codes
-    through `skin_model`. Raises SensorError, AlignmentError, and whatever `host.playback.play` raises.
+    `recorder`: the sensor on that channel; None = the DAC's codes through the model of the actuator. Raises
+    SensorError, AlignmentError, and whatever `host.playback.play` raises.
     """
     one = Recording(np.ascontiguousarray(texture.samples[:, :1]), texture.rate_hz, texture.unit, texture.name)
     encoding = encode_recording(one, live=True)
-    with recorded(recorder, controller, one.seconds) as finish:
-        outcome = playback.play(
-            controller,
-            address,
-            texture.name,
-            encoding.stream,
-            encoding,
-            progress=progress and (lambda now: progress(now.position_s / (now.duration_s or 1.0))),
-            actuator=actuator,
-            skin_model=skin_model,
-        )
-        sent, decoded, skin = outcome.traces
+
+    def tell(now: player.Progress) -> None:
+        if progress is not None:
+            progress(now.position_s / (now.duration_s or 1.0))
+
+    with recorded(recorder, session.controller, one.seconds) as finish:
+        played = playback.play(session, texture.name, encoding.stream, encoding, progress=tell)
+        sent, decoded, skin = played.traces
         if finish is None:
             moved, source = Recording(skin.values, skin.rate_hz, "um", "skin"), "the DAC's codes and a model"
         else:
@@ -97,11 +89,12 @@ def measure_fidelity(
     quality, laid, aligned_um = compare_skin(sent_um, decoded_um, moved_um, rate_hz, drifts=finish is not None)
     frequencies_hz, sent_db = third_octave_levels(sent_um, rate_hz)
     _, residual_db = third_octave_levels(sent_um - aligned_um, rate_hz)
+    report = played.report
     return Fidelity(
         texture=texture.name,
         source=source,
-        as_decoded=outcome.report.decoded_equals_offline,
-        as_computed=outcome.report.dac_equals_offline,
+        as_decoded=report.decoded_equals_offline,
+        as_computed=report.dac_equals_offline,
         coding_snr_db=encoding.quality.snr_db,
         decoded_snr_db=quality.decoded_snr_db,
         snr_db=quality.snr_db,
@@ -111,8 +104,8 @@ def measure_fidelity(
         gain=laid.gain,
         lag_ms=1e3 * laid.lag_s,
         drift_ppm=laid.drift_ppm,
-        packets=len(outcome.stream.packets),
-        underruns=outcome.report.underruns,
-        lost_packets=outcome.report.lost_packets,
+        packets=report.packets,
+        underruns=report.underruns,
+        lost_packets=report.lost_packets,
         spectrum=Spectrum(tuple(frequencies_hz.tolist()), tuple(sent_db.tolist()), tuple(residual_db.tolist())),
     )

@@ -7,14 +7,14 @@ import numpy as np
 
 from vibrocast import codec, textures
 from vibrocast.codec.live_format import recording_format
-from vibrocast.device_protocol.messages import State, Tap
+from vibrocast.device_protocol.messages import Status
 from vibrocast.harness.sensors import Recorder, TimedRecording, recorded
 from vibrocast.host import live
-from vibrocast.host.controller import Controller, ControllerError
-from vibrocast.host.device_clock import ClockFit, DeviceClock
+from vibrocast.host.controller import ControllerError
+from vibrocast.host.live_playback import ClockFit, LivePlayback
 from vibrocast.host.playback import displacement_um
+from vibrocast.host.session import Session
 from vibrocast.host.skin_quality import align, displacement_above_20_hz, high_passed
-from vibrocast.host.stream_session import read_capture, stopped_on_error
 from vibrocast.output.actuator import Actuator
 from vibrocast.output.rendering import Drive
 from vibrocast.textures import Recording
@@ -50,12 +50,11 @@ class Spread:
 class Latency:
     """The delay of a live stream, from a block's last sample at the host to the DAC.
 
-    `parts`: by the names of PARTS. `total_ms`: the median wait of a sample in all parts; every sample of a stream has
-    the same. `jitter_ms`: between the 5 % and the 95 % of the times at which packets arrive, relative to when their
-    samples were taken. `playout_delay_ms`: the time that packets should lie ready. `stable`: no underrun and no
-    lost packet. `packets`: that were sent; `blocks`: those of them that were timed. `as_sent`: what the controller
-    decoded, as far as it keeps that, is bit for bit what the packets hold. `to_sensor_ms`: the same way on to a
-    sensor's sample in this computer, with the actuator's and the sensor's own delay; None without such a sensor.
+    `parts`: by the names of PARTS. `total_ms`, `jitter_ms`: as of the report of a live stream. `playout_delay_ms`: the
+    time that packets should lie ready. `stable`: no underrun and no lost packet. `packets`: that were sent; `blocks`:
+    those of them that were timed. `as_sent`: what the controller decoded, as far as it keeps that, is bit for bit what
+    the packets hold; None where some were lost, or it keeps none. `to_sensor_ms`: the same way on to a sensor's sample
+    in this computer, with the actuator's and the sensor's own delay; None without such a sensor.
     """
 
     codec: str
@@ -70,7 +69,7 @@ class Latency:
     jitter_ms: float
     underruns: int
     lost_packets: int
-    as_sent: bool
+    as_sent: bool | None
     clock: ClockFit
     to_sensor_ms: float | None = None
 
@@ -112,8 +111,7 @@ class MinLatency:
 
 
 def measure_latency(
-    controller: Controller,
-    actuator: Actuator,
+    session: Session,
     texture: Recording,
     *,
     seconds: float = 4.0,
@@ -123,7 +121,7 @@ def measure_latency(
     recorder: Recorder | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Latency:
-    """Stream a texture live, as long as `seconds`, and measure where the time goes; `actuator`: the controller's.
+    """Stream a texture live, as long as `seconds`, and measure where the time goes.
 
     `recorder`: of a sensor at an input of this computer; None = the measurement ends at the DAC. Everything else is by
     the session's clock and the device's, whose offset and drift come from Status round trips behind packets, one at a
@@ -131,76 +129,59 @@ def measure_latency(
     `live.LiveStream`.
     """
     source = looped(texture, seconds, rate_hz)
-    samples = source.samples
+    coding = live.LiveCoding(setting=setting)
     stream = live.LiveStream(
-        controller, recording_format(source), coding=live.LiveCoding(setting=setting), playout_delay_s=playout_delay_s
+        session.controller, recording_format(source), coding=coding, playout_delay_s=playout_delay_s
     )
-    clock = DeviceClock(controller)
-    packets: list[bytes] = []
-    times_s: list[tuple[float, float, float, float]] = []  # due, awake, coded, sent
-    recording: Recording | None = None
-    with recorded(recorder, controller, seconds) as finish, stopped_on_error(controller):
-        for due_s, block in live.paced(stream, samples, stream.packet_samples, clock.sleep):
-            awake_s = controller.clock()
-            coded = stream.code(block)
-            coded_s = controller.clock()
-            stream.send_packets(coded)
-            sent_s = controller.clock()
-            clock.ask(len(times_s))
-            packets += coded
-            times_s.append((due_s, awake_s, coded_s, sent_s))
-            if progress is not None:
-                progress(len(times_s) * stream.packet_samples / len(samples))
-        result = stream.finish()
-        if finish is not None:
-            recording = finish()
-    fit = clock.fit()
-    decoder = codec.decoder(stream.header.codec_identifier, stream.header.configuration, stream.header.channels)
-    first, decoded = read_capture(controller, Tap.DECODED, stream.header.channels)
-    expected = np.concatenate([decoder.decode(packet) for packet in packets])
-    # The first packet is left out: it waited for the start of the stream.
-    numbers = np.array([number for number in clock.trips if number], np.int64)
-    due_s_, awake_s_, coded_s_, sent_s_ = np.array(times_s)[numbers].T
-    statuses = [clock.trips[number][2] for number in numbers]
-    arrived_s = np.array([fit.host_time_s(status.device_time_us / 1e6) for status in statuses])
-    # Positions are whole samples that have been played: the earliest estimate is the best.
-    playing = [at for at, status in enumerate(statuses) if status.state == State.PLAYING and status.position]
-    if not playing:
+    playing = LivePlayback(session, stream, texture.name, ask_s=0.0)
+
+    def tell(_: Status) -> None:
+        if progress is not None:
+            progress(stream.seconds / source.seconds)
+
+    with recorded(recorder, session.controller, seconds) as finish:
+        report = playing.play(playing.paced(source.samples), tell).report
+        recording = None if finish is None else finish()
+    latency_s = playing.latency_s()
+    if latency_s is None or report.live is None or report.live.jitter_ms is None:
         raise ControllerError(
             "the stream never played: no packet came in time; check the link, and what else it carries"
         )
-    began_s = min(arrived_s[at] - statuses[at].position / rate_hz for at in playing)
-    needed_s = began_s + numbers * stream.packet_samples / rate_hz
-    drive_s = Drive(stream.header, actuator, compensation=True).delay_seconds
-    codec_s = (stream.packet_samples - 1 + decoder.delay_samples) / rate_hz
-    parts_s = {
-        "wake": awake_s_ - due_s_,
-        "encode": coded_s_ - awake_s_,
-        "send": sent_s_ - coded_s_,
-        "wire": np.maximum(0.0, arrived_s - sent_s_),
-        "buffer": needed_s - arrived_s,
-        "codec": np.full(len(numbers), codec_s),
-        "drive": np.full(len(numbers), drive_s),
-        "dac": np.full(len(numbers), 1 / actuator.dac_rate_hz),
+    # The first packet is left out: it waited for the start of the stream.
+    asked = np.array([bool(number) for number in playing.clock.trips])
+    sent = np.array([playing.sent[number][:4] for number in playing.clock.trips])[asked]
+    due_s, awake_s, coded_s, sent_s = sent.T
+    arrived_s = playing.arrived_s()[asked]
+    fixed_s = {
+        "codec": (stream.packet_samples - 1 + stream.delay_samples) / rate_hz,
+        "drive": Drive(stream.header, session.driven, compensation=True).delay_seconds,
+        "dac": 1 / session.driven.dac_rate_hz,
     }
-    early_s, late_s = np.quantile(arrived_s - due_s_, (0.05, 0.95))
+    parts_s = {
+        "wake": awake_s - due_s,
+        "encode": coded_s - awake_s,
+        "send": sent_s - coded_s,
+        "wire": np.maximum(0.0, arrived_s - (sent_s - due_s)),
+        "buffer": latency_s - sum(fixed_s.values()) - arrived_s,
+        **{name: np.full(len(sent), value_s) for name, value_s in fixed_s.items()},
+    }
     return Latency(
-        codec=codec.codec_by_identifier(stream.header.codec_identifier, stream.header.configuration).name,
+        codec=stream.codec_name,
         setting={name: str(value) for name, value in stream.setting.items()},
         rate_hz=rate_hz,
         packet_samples=stream.packet_samples,
         playout_delay_ms=1e3 * playout_delay_s,
-        blocks=len(numbers),
-        packets=len(packets),
+        blocks=len(sent),
+        packets=report.packets,
         parts={name: _spread(values_s) for name, values_s in parts_s.items()},
-        total_ms=1e3 * float(np.median(sum(parts_s.values()))),
-        jitter_ms=1e3 * float(late_s - early_s),
-        underruns=result.underruns,
-        lost_packets=result.lost_packets,
-        as_sent=bool(np.array_equal(decoded[: len(expected) - first], expected[first:])),
-        clock=fit,
+        total_ms=1e3 * latency_s,
+        jitter_ms=report.live.jitter_ms,
+        underruns=report.underruns,
+        lost_packets=report.lost_packets,
+        as_sent=report.decoded_equals_offline,
+        clock=playing.clock.fit(),
         to_sensor_ms=(
-            1e3 * _to_sensor_s(source, actuator, recording, times_s[0][0] - stream.packet_s)
+            1e3 * _to_sensor_s(source, session.driven, recording, playing.sent[0].due_s - stream.packet_s)
             if isinstance(recording, TimedRecording)
             else None
         ),
@@ -219,8 +200,7 @@ def _to_sensor_s(source: Recording, actuator: Actuator, recording: TimedRecordin
 
 
 def measure_credible_latency(
-    controller: Controller,
-    actuator: Actuator,
+    session: Session,
     texture: Recording,
     *,
     recorder: Recorder | None = None,
@@ -228,15 +208,14 @@ def measure_credible_latency(
 ) -> Latency:
     """Measure the latency, once more if it has a flaw. Raises ControllerError if it has one then too, and as before."""
     for _ in range(2):
-        measured = measure_latency(controller, actuator, texture, recorder=recorder, progress=progress)
+        measured = measure_latency(session, texture, recorder=recorder, progress=progress)
         if measured.flaw is None:
             return measured
     raise ControllerError(f"{measured.flaw}; use a less busy machine or a faster link")
 
 
 def find_min_latency(
-    controller: Controller,
-    actuator: Actuator,
+    session: Session,
     texture: Recording,
     *,
     seconds: float = 4.0,
@@ -252,9 +231,7 @@ def find_min_latency(
 
     def measured(hop: str, playout_delay_s: float, lasts_s: float) -> Latency:
         setting = {"hop": hop}
-        return measure_latency(
-            controller, actuator, texture, seconds=lasts_s, setting=setting, playout_delay_s=playout_delay_s
-        )
+        return measure_latency(session, texture, seconds=lasts_s, setting=setting, playout_delay_s=playout_delay_s)
 
     for number, hop in enumerate(HOPS):
         for place, playout_delay_s in enumerate(PLAYOUT_DELAYS_S):

@@ -173,7 +173,7 @@ def _listen(controller: Controller, seconds: float) -> None:
 def _play(controller: Controller, texture: Recording, channels: int, rate_hz: int, seconds: float) -> live.LiveResult:
     samples = np.repeat(looped(texture, seconds, rate_hz).samples, channels, axis=1)
     stream = live.LiveStream(controller, _format(texture, samples, rate_hz))
-    return live.play(stream, (block for _, block in live.paced(stream, samples, stream.packet_samples)))
+    return live.play(stream, (block for _, block in live.paced(stream, samples)))
 
 
 def _format(texture: Recording, samples: Signal, rate_hz: int) -> SignalFormat:

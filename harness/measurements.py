@@ -6,17 +6,14 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
 
-import numpy as np
-
 from vibrocast.codec.encoding import encode_recording
+from vibrocast.codec.timing import cpu_name
 from vibrocast.harness import fidelity, latency, load, response
 from vibrocast.harness.sensors import Recorder, recorder
-from vibrocast.host import bench_file, devices, player
+from vibrocast.host import bench_file, devices, playback, player
 from vibrocast.host.bench_file import Bench
 from vibrocast.host.controller import Controller
-from vibrocast.host.event_loop import run_all
-from vibrocast.output.actuator import Actuator
-from vibrocast.output.rendering import render
+from vibrocast.host.session import Session
 from vibrocast.textures import Recording
 
 Progress = Callable[[float], None]
@@ -26,25 +23,16 @@ _FULL_BUFFER_S = 3600.0
 
 @dataclass(frozen=True)
 class Subject:
-    """The parts that a run measures: a session, the first channel's actuator, its sensor if any, and textures.
+    """The parts that a run measures: a session, the sensor on the first channel if any, and textures.
 
-    `actuator`: the model that the controller works with; `skin_model`: the one that the bench has there.
     `sensor_is_timed`: it is at an input of this computer, which knows when its samples came.
     """
 
-    bench: Bench
-    controller: Controller
-    actuator: Actuator
-    skin_model: Actuator
+    session: Session
     recorder: Recorder | None
     sensor_name: str
     sensor_is_timed: bool
     scene: tuple[Recording, ...]
-
-    @property
-    def address(self) -> str:
-        """The controller's address."""
-        return self.bench.first.address
 
 
 @dataclass(frozen=True)
@@ -57,14 +45,11 @@ class Together:
     failure: str | None
 
 
-def subject(bench: Bench, controller: Controller) -> Subject:
+def subject(bench: Bench, session: Session) -> Subject:
     """Return what a run measures on a session with the first controller of the bench. Raises InputError."""
     sensors = [each for each in bench.sensors if each.controller == bench.first.name and each.channel == 1]
     return Subject(
-        bench,
-        controller,
-        bench_file.driven_actuator(bench, bench.first, controller.description.actuator),
-        bench_file.actuator_of(bench, bench.first, controller.description.actuator),
+        session,
         recorder(sensors[0]) if sensors else None,
         sensors[0].name if sensors else "",
         bool(sensors and sensors[0].input),
@@ -76,25 +61,15 @@ def machine() -> dict[str, str]:
     """Return what is known of the host, for the report."""
     return {
         "vibrocast": version("vibrocast"),
-        "processor": _processor(),
+        "processor": cpu_name(),
         "system": f"{platform.system()} {platform.machine()}, Python {platform.python_version()}",
     }
-
-
-def _processor() -> str:
-    """Return the name of the processor as Linux gives it, or else as Python does."""
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8") as file:
-            names = [line.partition(":")[2].strip() for line in file if line.startswith("model name")]
-    except OSError:
-        names = []
-    return names[0] if names else platform.processor() or platform.machine()
 
 
 def _gap(on: Subject, progress: Progress) -> list[load.Gap]:
     buffers_s = player.BUFFER_S, _FULL_BUFFER_S
     return [
-        load.max_gap(on.controller, on.scene[0], buffer_s, progress=_part(progress, number, len(buffers_s)))
+        load.max_gap(on.session.controller, on.scene[0], buffer_s, progress=_part(progress, number, len(buffers_s)))
         for number, buffer_s in enumerate(buffers_s)
     ]
 
@@ -102,11 +77,8 @@ def _gap(on: Subject, progress: Progress) -> list[load.Gap]:
 def _fidelity(on: Subject, progress: Progress) -> list[fidelity.Fidelity]:
     return [
         fidelity.measure_fidelity(
-            on.controller,
-            on.address,
+            on.session,
             texture,
-            actuator=on.actuator,
-            skin_model=on.skin_model,
             recorder=on.recorder,
             sensor_name=on.sensor_name,
             progress=_part(progress, number, len(on.scene)),
@@ -122,21 +94,22 @@ def _part(progress: Progress, number: int, count: int) -> Progress:
 
 MEASUREMENTS: Mapping[str, Callable[[Subject, Progress], Any]] = {
     "latency": lambda on, progress: latency.measure_credible_latency(
-        on.controller,
-        on.actuator,
+        on.session,
         on.scene[0],
         recorder=on.recorder if on.sensor_is_timed else None,
         progress=progress,
     ),
-    "smallest": lambda on, progress: latency.find_min_latency(
-        on.controller, on.actuator, on.scene[0], progress=progress
-    ),
-    "throughput": lambda on, _: load.throughput(on.controller, on.scene[0]),
-    "load": lambda on, progress: load.underruns(on.controller, on.scene[0], progress),
+    "smallest": lambda on, progress: latency.find_min_latency(on.session, on.scene[0], progress=progress),
+    "throughput": lambda on, _: load.throughput(on.session.controller, on.scene[0]),
+    "load": lambda on, progress: load.underruns(on.session.controller, on.scene[0], progress),
     "gap": _gap,
     "fidelity": _fidelity,
     "response": lambda on, progress: response.measure_response(
-        on.controller, on.skin_model, recorder=on.recorder, sensor_name=on.sensor_name, progress=progress
+        on.session.controller,
+        on.session.skin,
+        recorder=on.recorder,
+        sensor_name=on.sensor_name,
+        progress=progress,
     ),
 }
 
@@ -147,25 +120,16 @@ def together(bench: Bench) -> list[Together]:
     A controller that fails does so alone. Raises InputError, CodecError.
     """
     stream = encode_recording(bench.scene()[0], live=True).stream
-    offline, decoder = stream.decode_integers(), stream.decoder()
     sessions = {each.name: bench_file.connect(bench, each) for each in bench.controllers}
-    settings = player.PlaybackSettings(capture=True)
-    with devices.open_all(sessions) as (controllers, failures):
-        works = {
-            name: (each, player.play_steps(each, stream.header, stream.packets, decoder.packet_samples, settings))
-            for name, each in controllers.items()
-        }
-        results = run_all(works)
+    with devices.open_all(sessions) as (opened, failures):
+        played = playback.play_together(opened, bench.texture_names[0], stream)
     measured = []
-    for each in bench.controllers:
-        result = failures.get(each.name) or results[each.name]
+    for name in sessions:
+        result = failures.get(name) or played[name]
         if isinstance(result, Exception):
-            measured.append(Together(each.name, None, None, str(result)))
-            continue
-        actuator = bench_file.driven_actuator(bench, each, controllers[each.name].description.actuator)
-        expected, _ = render(stream.header, offline, decoder.delay_samples, actuator)
-        assert result.dac_codes is not None, "required"
-        measured.append(Together(each.name, bool(np.array_equal(result.dac_codes, expected)), result.underruns, None))
+            measured.append(Together(name, None, None, str(result)))
+        else:
+            measured.append(Together(name, result.report.dac_equals_offline, result.report.underruns, None))
     return measured
 
 

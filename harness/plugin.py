@@ -17,13 +17,13 @@ import pytest
 if TYPE_CHECKING:
     from vibrocast.device_protocol.messages import ImageDescription
     from vibrocast.harness.latency import Latency
-    from vibrocast.harness.live_run import LiveRun
     from vibrocast.harness.timed_transport import TimedTransport
     from vibrocast.host.bench_file import Bench
     from vibrocast.host.bench_limits import Judged
     from vibrocast.host.controller import Controller
-    from vibrocast.host.hand_playback import Stroke
-    from vibrocast.host.playback import Member, Outcome
+    from vibrocast.host.playback import Playback
+    from vibrocast.host.report import Report
+    from vibrocast.host.session import Session
     from vibrocast.textures import Recording
 
 
@@ -155,16 +155,16 @@ class _Kept:
         self._properties.append((f"vibrocast_{kind}", str(path)))
         return path
 
-    def playback(self, outcome: Outcome) -> None:
+    def playback(self, played: Playback) -> None:
         """Keep the report of a playback, and its picture where matplotlib is there."""
         from vibrocast import extras
         from vibrocast.host import picture
 
         self._count += 1
         if path := self.path("report", ".json"):
-            outcome.report.write(path)
+            played.report.write(path)
             if extras.advice("plot") is None and (drawn := self.path("picture", ".png")):
-                picture.draw(drawn, outcome.report.file, outcome.caption, outcome.traces)
+                picture.draw(drawn, played.report.file, played.caption, played.traces)
 
 
 @pytest.fixture
@@ -212,11 +212,9 @@ def vibrocast_device(vibrocast_bench: Bench, vibrocast_wire: TimedTransport) -> 
     import contextlib
 
     from vibrocast.device_protocol.transports import TransportError
-    from vibrocast.host.bench_file import check_actuator
     from vibrocast.host.controller import Controller, ControllerError
 
     session = Controller(vibrocast_wire)
-    check_actuator(vibrocast_bench, vibrocast_bench.first, session.description.actuator)
     yield session
     vibrocast_wire.damage()
     vibrocast_wire.expire_after(None)
@@ -235,7 +233,8 @@ def vibrocast_devices(vibrocast_bench: Bench) -> Iterator[dict[str, Controller]]
 
     with contextlib.ExitStack() as stack:
         sessions = {
-            each.name: stack.enter_context(connect(vibrocast_bench, each)) for each in vibrocast_bench.controllers
+            each.name: stack.enter_context(connect(vibrocast_bench, each)).controller
+            for each in vibrocast_bench.controllers
         }
         yield sessions
         for session in sessions.values():
@@ -267,50 +266,47 @@ def vibrocast_power_cycle(vibrocast_bench: Bench, vibrocast_device: Controller) 
 
 
 @pytest.fixture
-def _vibrocast_member(vibrocast_bench: Bench, vibrocast_device: Controller) -> Member:
-    """The controller under test, with the models of its actuator: from the bench file, or from the controller."""
-    from vibrocast.host.bench_file import actuator_of, driven_actuator
-    from vibrocast.host.playback import Member
+def _vibrocast_session(vibrocast_bench: Bench, vibrocast_device: Controller) -> Session:
+    """The session with the controller under test, with the models of its actuator, which fit the bench file."""
+    from vibrocast.host.bench_file import check_actuator
+    from vibrocast.host.session import session_with
 
-    first, described = vibrocast_bench.first, vibrocast_device.description.actuator
-    driven = driven_actuator(vibrocast_bench, first, described)
-    return Member(vibrocast_device, first.address, driven, actuator_of(vibrocast_bench, first, described))
+    first = vibrocast_bench.first
+    opened = session_with(vibrocast_device, first.address, vibrocast_bench.actuator(first.name))
+    check_actuator(vibrocast_bench, first, opened)
+    return opened
 
 
 @pytest.fixture
-def vibrocast_play(vibrocast_bench: Bench, _vibrocast_member: Member, _vibrocast_kept: _Kept) -> Callable[..., Outcome]:
+def vibrocast_play(
+    vibrocast_bench: Bench, _vibrocast_session: Session, _vibrocast_kept: _Kept
+) -> Callable[..., Playback]:
     """A function that encodes a texture, plays it and compares: `vibrocast_play(texture, **options)`.
 
-    The options are those of `vibrocast.codec.encoding.encode_recording`. It returns an Outcome, whose `report` is a
+    The options are those of `vibrocast.codec.encoding.encode_recording`. It returns a Playback, whose `report` is a
     Report. The test fails where the playback misses limits of the bench file, or the controller plays something else
     than was sent though nothing was lost.
     """
     from vibrocast.codec.encoding import encode_recording
     from vibrocast.host import playback
 
-    member = _vibrocast_member
-
-    def play_texture(texture: Recording, **options: Any) -> Outcome:
+    def play_texture(texture: Recording, **options: Any) -> Playback:
         encoding = encode_recording(texture, live=True, **options)
-        outcome = playback.play(
-            member.controller,
-            member.address,
-            texture.name,
-            encoding.stream,
-            encoding,
-            actuator=member.actuator,
-            skin_model=member.skin_model,
-        )
-        _vibrocast_kept.playback(outcome)
-        report = outcome.report
-        _judge(vibrocast_bench, report.judged(), report.differs and not (report.lost_packets or report.underruns))
-        return outcome
+        played = playback.play(_vibrocast_session, texture.name, encoding.stream, encoding)
+        _vibrocast_kept.playback(played)
+        _judge(vibrocast_bench, played.report)
+        return played
 
     return play_texture
 
 
-def _judge(bench: Bench, figures: Iterable[Judged], differs: bool = False) -> None:
-    """Fail a test whose figures miss limits of the bench file, or whose controller played otherwise than was sent."""
+def _judge(bench: Bench, report: Report) -> None:
+    """Fail a test whose playback misses limits, or differs from what was sent though nothing was lost."""
+    lost = report.lost_packets or report.underruns
+    _judge_figures(bench, report.judged(), report.differs and not lost)
+
+
+def _judge_figures(bench: Bench, figures: Iterable[Judged], differs: bool) -> None:
     from vibrocast.host.bench_limits import missed
 
     if differs:
@@ -320,25 +316,26 @@ def _judge(bench: Bench, figures: Iterable[Judged], differs: bool = False) -> No
 
 
 @pytest.fixture
-def vibrocast_live(vibrocast_bench: Bench, _vibrocast_member: Member) -> Callable[..., LiveRun]:
+def vibrocast_live(vibrocast_bench: Bench, _vibrocast_session: Session) -> Callable[..., Playback]:
     """A function that streams a texture live: `vibrocast_live(texture, seconds=10.0, playout_delay_s=None)`.
 
-    It returns a LiveRun, with the counts of each minute: with many seconds, a soak. The test fails where the stream
-    misses limits of the bench file, or the controller plays something else than was sent though nothing was lost.
+    It returns a Playback. The `live` part of its report has the counts of each minute: with many seconds, a soak. The
+    test fails where the stream misses limits of the bench file, or the controller plays something else than was sent
+    though nothing was lost.
     """
-    from vibrocast.harness.live_run import run_live
-    from vibrocast.host.live_watch import judged
+    from vibrocast.harness.latency import looped
+    from vibrocast.host.live_playback import play_live
 
-    def stream(texture: Recording, seconds: float = 10.0, **options: Any) -> LiveRun:
-        run = run_live(_vibrocast_member, texture, seconds, **options)
-        _judge(vibrocast_bench, judged(run.result, run.quality, run.timing), run.quality.differs)
-        return run
+    def stream(texture: Recording, seconds: float = 10.0, rate_hz: int = 2800, **options: Any) -> Playback:
+        played = play_live(_vibrocast_session, looped(texture, seconds, rate_hz), **options)
+        _judge(vibrocast_bench, played.report)
+        return played
 
     return stream
 
 
 @pytest.fixture
-def vibrocast_latency(vibrocast_bench: Bench, _vibrocast_member: Member) -> Callable[..., Latency]:
+def vibrocast_latency(vibrocast_bench: Bench, _vibrocast_session: Session) -> Callable[..., Latency]:
     """A function that measures the latency of a live texture: `vibrocast_latency(texture, seconds=4.0)`.
 
     It returns a `vibrocast.harness.Latency`. The test fails where it misses limits of the bench file, or the
@@ -350,9 +347,8 @@ def vibrocast_latency(vibrocast_bench: Bench, _vibrocast_member: Member) -> Call
     from vibrocast.harness.results import judged_latency
 
     def measure(texture: Recording, **options: Any) -> Latency:
-        assert _vibrocast_member.skin_model is not None, "a fixture has made it"
-        latency = measure_latency(_vibrocast_member.controller, _vibrocast_member.skin_model, texture, **options)
-        _judge(vibrocast_bench, judged_latency(asdict(latency)), latency.stable and not latency.as_sent)
+        latency = measure_latency(_vibrocast_session, texture, **options)
+        _judge_figures(vibrocast_bench, judged_latency(asdict(latency)), latency.as_sent is False)
         return latency
 
     return measure
@@ -375,15 +371,16 @@ def vibrocast_flash(vibrocast_device: Controller) -> Iterator[Callable[[bytes], 
 
 
 @pytest.fixture
-def vibrocast_stroke(vibrocast_bench: Bench, _vibrocast_member: Member) -> Callable[..., Stroke]:
+def vibrocast_stroke(vibrocast_bench: Bench, _vibrocast_session: Session) -> Callable[..., Playback]:
     """A function that plays a height profile under a hand that strokes there and back.
 
     `vibrocast_stroke(profile, stroke_mm=10.0, hand_speed_mm_s=50.0, strokes=1, **options)`; the options are those of
-    `vibrocast.codec.profiles.encode`. It returns a `vibrocast.host.hand_playback.Stroke`. The test fails where the
+    `vibrocast.codec.profiles.encode`. It returns a Playback. The test fails where the
     playback misses limits of the bench file.
     """
     from vibrocast.codec import profiles
     from vibrocast.host import hand_playback
+    from vibrocast.host.report import Provenance
 
     def stroke(
         profile: Recording,
@@ -391,13 +388,18 @@ def vibrocast_stroke(vibrocast_bench: Bench, _vibrocast_member: Member) -> Calla
         hand_speed_mm_s: float = 50.0,
         strokes: int = 1,
         **options: Any,
-    ) -> Stroke:
+    ) -> Playback:
         encoding = profiles.encode(profile, **options)
         movement = hand_playback.back_and_forth(stroke_mm, hand_speed_mm_s, strokes)
         played = hand_playback.play_and_compare(
-            _vibrocast_member, profile.name, encoding.stream, movement, encoding.recording, vibrocast_bench.sha256
+            _vibrocast_session,
+            profile.name,
+            encoding.stream,
+            movement,
+            encoding.recording,
+            provenance=Provenance(vibrocast_bench.sha256),
         )
-        _judge(vibrocast_bench, played.report.judged())
+        _judge(vibrocast_bench, played.report)
         return played
 
     return stroke

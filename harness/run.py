@@ -79,9 +79,10 @@ def _possible(bench: Bench, names: Collection[str]) -> tuple[str, ...]:
 def _measure(bench: Bench, names: Collection[str], results: Results) -> None:
     """Take the measurements of these names; one that fails leaves the others, a lost controller ends all."""
     results.host.update(measurements.machine())
-    with bench_file.connect(bench, bench.first) as controller, _counted(controller, results):
+    with bench_file.connect(bench, bench.first) as session, _counted(session.controller, results):
+        controller = session.controller
         results.device.update(measurements.device_facts(bench, controller))
-        subject = measurements.subject(bench, controller)
+        subject = measurements.subject(bench, session)
         for name, measurement in measurements.MEASUREMENTS.items():
             if name not in names:
                 continue

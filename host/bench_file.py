@@ -13,13 +13,11 @@ from typing import Annotated, Any
 from msgspec import Meta, structs
 
 from vibrocast import textures
-from vibrocast.device_protocol.messages import ActuatorDescription
 from vibrocast.device_protocol.transports import SERIAL_FORM, TransportError, serial_port
 from vibrocast.errors import InputError, located
-from vibrocast.host import devices
+from vibrocast.host import devices, session
 from vibrocast.host.bench_limits import BenchLimits
-from vibrocast.host.controller import Controller
-from vibrocast.host.playback import actuator_model
+from vibrocast.host.session import Session
 from vibrocast.output.actuator import Actuator
 from vibrocast.output.actuator_files import ActuatorTable
 from vibrocast.textures import Recording, sensitivity
@@ -308,28 +306,28 @@ def choose_controller(bench: Bench | None, device: str | None) -> Bench:
 
 
 @contextlib.contextmanager
-def connect(bench: Bench, controller: BenchController) -> Iterator[Controller]:
+def connect(bench: Bench, controller: BenchController) -> Iterator[Session]:
     """Open a session with a controller of the bench; one that can be given an actuator has the bench's.
 
-    Raises as `host.devices.connect`.
+    Raises as `host.session.connect`, and InputError where it drives another actuator than the bench has there.
     """
-    with devices.connect(controller.address, actuator=bench.actuator(controller.name)) as session:
-        check_actuator(bench, controller, session.description.actuator)
-        yield session
+    with session.connect(controller.address, actuator=bench.actuator(controller.name)) as opened:
+        check_actuator(bench, controller, opened)
+        yield opened
 
 
-def check_actuator(bench: Bench, controller: BenchController, description: ActuatorDescription) -> None:
+def check_actuator(bench: Bench, controller: BenchController, opened: Session) -> None:
     """Raise InputError where a controller drives another actuator than the bench has there.
 
-    `description`: the controller's. A part differs from its data sheet by less than MAX_DIFFERENCE.
+    A part differs from its data sheet by less than MAX_DIFFERENCE.
     """
     expected = bench.actuator(controller.name)
     if expected is None or devices.takes_actuator(controller.address):
         return
-    differences = actuator_differences(expected, actuator_model(description))
+    differences = actuator_differences(expected, opened.driven)
     if differences:
         raise InputError(
-            f"{controller.name} drives {description.name}, and the bench has {expected.name} there: "
+            f"{controller.name} drives {opened.driven.name}, and the bench has {expected.name} there: "
             f"{'; '.join(differences)}; correct the actuator of the bench, or connect the right controller"
         )
 
@@ -348,22 +346,6 @@ def actuator_differences(expected: Actuator, found: Actuator) -> list[str]:
         for unit, (found_value, expected_value) in figures.items()
         if abs(found_value / expected_value - 1) > MAX_DIFFERENCE
     ]
-
-
-def actuator_of(bench: Bench, controller: BenchController, description: ActuatorDescription) -> Actuator:
-    """Return the model of the actuator on a controller's first channel: the bench's, or as the controller says.
-
-    `description`: the controller's own, whose DAC it is.
-    """
-    model = bench.actuator(controller.name)
-    return devices.behind_dac(controller.address, model, description) if model else actuator_model(description)
-
-
-def driven_actuator(bench: Bench, controller: BenchController, description: ActuatorDescription) -> Actuator:
-    """Return the model that a controller itself works with, whose limits and compensation make its DAC's codes."""
-    if devices.takes_actuator(controller.address):
-        return actuator_of(bench, controller, description)
-    return actuator_model(description)
 
 
 def _loader(folder: Path, table: _BenchTexture) -> Callable[[], Recording]:

@@ -62,7 +62,7 @@ def missed(limits: BenchLimits, figures: Iterable[Judged]) -> list[str]:
         for bound, sign in (("min", 1), ("max", -1)):
             name = f"{bound}_{key}"
             limit = getattr(limits, name, None)
-            if limit is None:
+            if limit is None or (key == "lost_percent" and limit == 100):  # no share is above it
                 continue
             size = abs(value) if value is not None and key == "drift_ppm" else value
             if size is None:

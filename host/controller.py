@@ -16,6 +16,7 @@ from vibrocast.device_protocol.messages import (
     Configure,
     Error,
     ErrorCode,
+    Gain,
     Hello,
     HelloResponse,
     Message,
@@ -88,7 +89,8 @@ class Controller(Closing):
     """A session with the controller behind a transport.
 
     `description`: what it said in its last hello. `status`: the last Status that came, asked for or not. `may_pause`:
-    whether this host has asked it to pause, and not yet to go on.
+    whether this host has asked it to pause, and not yet to go on. `altered`: whether this host has paused it, stopped
+    it or changed its gain since the last Configure, so that its output is no longer that of the stream alone.
     `bytes_sent`, `bytes_received`: all that crossed the transport. Every wait is a read of the transport, measured by
     `clock`, so that a simulated transport can run in simulated time.
     """
@@ -103,7 +105,7 @@ class Controller(Closing):
     ) -> None:
         """Say hello. Raises ControllerError (also for another protocol version) and TransportError."""
         self.status: Status | None = None
-        self.may_pause = False
+        self.may_pause = self.altered = False
         self.bytes_sent = 0
         self.bytes_received = 0
         self.clock = clock
@@ -336,6 +338,8 @@ class Controller(Closing):
         """Return the frame of a new request."""
         if isinstance(message, (Pause, Resume, Configure, Stop)):
             self.may_pause = isinstance(message, Pause)
+        if isinstance(message, (Pause, Gain, Stop, Configure)):
+            self.altered = not isinstance(message, Configure)
         self._sequence = self._sequence % MAX_SEQUENCE + 1
         return write_frame(pack(message, self._sequence))
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
 
 import usb.core
 import usb.util
@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from vibrocast.output.actuator import Actuator
     from vibrocast.output.sound_card import Card
     from vibrocast.simulated_device.controller import Controller as SimulatedController
+
+_Session = TypeVar("_Session")
 
 GROUP = "vibrocast.devices"
 _ENTRIES = {entry.name: entry for entry in sorted(entry_points(group=GROUP))}
@@ -122,23 +124,23 @@ def unique_names(addresses: Sequence[str]) -> dict[str, str]:
 
 @contextlib.contextmanager
 def open_all(
-    sessions: Mapping[str, AbstractContextManager[Controller]],
-) -> Iterator[tuple[dict[str, Controller], dict[str, Exception]]]:
+    sessions: Mapping[str, AbstractContextManager[_Session]],
+) -> Iterator[tuple[dict[str, _Session], dict[str, Exception]]]:
     """Open sessions, such as `connect` gives; yield those that are open, and by name why others are not.
 
-    Controllers that fail while their sessions are closed are among the latter too, then.
+    Those that fail while they are closed are among the latter too, then.
     """
-    controllers: dict[str, Controller] = {}
+    opened: dict[str, _Session] = {}
     failures: dict[str, Exception] = {}
     try:
         for name, session in sessions.items():
             try:
-                controllers[name] = session.__enter__()
+                opened[name] = session.__enter__()
             except (ControllerError, TransportError) as error:
                 failures[name] = error
-        yield controllers, failures
+        yield opened, failures
     finally:
-        for name in controllers:
+        for name in opened:
             try:
                 sessions[name].__exit__(None, None, None)
             except (ControllerError, TransportError) as error:

@@ -5,7 +5,6 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -18,12 +17,12 @@ from vibrocast.host import playback
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.limits import playable
 from vibrocast.host.picture import Trace
-from vibrocast.host.playback import Member
-from vibrocast.host.report import SCHEMA, Provenance, StrokeReport
-from vibrocast.host.skin_quality import COMPARED_S, SkinQuality, compare_channels
+from vibrocast.host.playback import Captured, Playback
+from vibrocast.host.report import PositionFigures, Provenance
+from vibrocast.host.session import Session
 from vibrocast.host.stream_session import StreamSession, configure_steps, read_capture
 from vibrocast.output import profile as rendering
-from vibrocast.output.actuator import SKIN_OVERSAMPLING, Actuator, Codes
+from vibrocast.output.actuator import SKIN_OVERSAMPLING, Codes
 from vibrocast.textures import Recording
 
 _POSITION_RATE_HZ = 500
@@ -36,7 +35,6 @@ _AHEAD_S, _BEHIND_S = 0.2, 0.05
 _LOADING_S, _MIN_LOADING_BYTES_PER_S = 5.0, 500
 _LATE_S = 5.0
 _READ_S, _MIN_READ_S = 0.02, 0.001
-_FULL_SCALE = 32768  # of a stream's integers
 # The controller's clock is at least at the time of the last Status, ten a second; the soonest of _HEARD counts. Sent
 # _SENT_AFTER_S later, no position comes before its time, even if that clock is slow by 1 %.
 _HEARD, _SENT_AFTER_S = 2, 0.003
@@ -114,16 +112,15 @@ def chosen_movement(hand: float | Path, speed_mm_s: float | None, strokes: int) 
 class Played:
     """The result of a playback by position.
 
-    `status`: at the end. `damaged`: frames that came damaged, `damaged_back`: to this computer. `dac_codes`: int16
-    (n, channels) as far as the controller kept them, from sample `captured_from` on. `positions`: as sent, device time
-    in us and place in nm. `start_us`: device time of the first DAC sample.
+    `status`: at the end. `damaged`: frames that came damaged, `damaged_back`: to this computer. `captured`: the DAC's
+    codes, as far as the controller kept them. `positions`: as sent, device time in us and place in nm. `start_us`:
+    device time of the first DAC sample.
     """
 
     status: Status
     damaged: int
     damaged_back: int
-    dac_codes: Codes
-    captured_from: int
+    captured: Captured
     start_us: int
     positions: tuple[tuple[int, int], ...]
 
@@ -212,140 +209,110 @@ def play(
                 progress(max(0.0, passed_s / whole_s))
     finally:
         status = controller.stop()
-    captured_from, codes = read_capture(controller, Tap.DAC, stream.header.channels)
+    captured = Captured(*read_capture(controller, Tap.DAC, stream.header.channels))
     damaged = status.bad_frames - begun.bad_frames
     damaged_back = controller.bad_frames - damaged_back
-    return Played(status, damaged, damaged_back, codes, captured_from, start_us, positions)
-
-
-@dataclass(frozen=True)
-class Computed:
-    """The controller's output if all positions come in time: heights in um and codes, both (n, channels)."""
-
-    heights_um: NDArray[np.float64]
-    codes: Codes
-
-
-def computed(stream: Stream, played: Played, actuator: Actuator) -> Computed:
-    """Return what a profile gives under the positions that were played, to the bit. Raises CodecError."""
-    samples = played.captured_from + len(played.dac_codes)
-    return _rendered(stream, stream.decode_integers(), stream.decoder().delay_samples, played, samples, actuator)
-
-
-def _rendered(
-    stream: Stream, heights: NDArray[np.int16], delay_samples: int, played: Played, samples: int, actuator: Actuator
-) -> Computed:
-    """Return what heights (n, channels), in the integers of a stream, give under the positions that were played."""
-    under_hand, codes = rendering.render(
-        stream.header, heights, delay_samples, played.positions, samples, actuator, start_us=played.start_us
-    )
-    return Computed(under_hand * (np.array(stream.header.gains) / _FULL_SCALE), codes)
-
-
-@dataclass(frozen=True)
-class Stroke:
-    """A playback under a hand, what it gives if all positions come in time, by which actuator, and the report."""
-
-    played: Played
-    expected: Computed
-    actuator: Actuator
-    report: StrokeReport
-
-    @property
-    def as_computed(self) -> bool | None:
-        """Whether the DAC's codes are those computed; None: unknown."""
-        return self.report.dac_equals_offline
+    return Played(status, damaged, damaged_back, captured, start_us, positions)
 
 
 def play_and_compare(
-    member: Member,
+    session: Session,
     file_name: str,
     stream: Stream,
     movement: Movement,
     texture: Recording | None = None,
-    bench_sha256: str | None = None,
     progress: Callable[[float], None] | None = None,
-) -> Stroke:
+    provenance: Provenance | None = None,
+) -> Playback:
     """Play a spatial stream as `play` does, compare with the same computed here, and report.
 
     A stream that only hosts decode is sent as `limits.carried` says; the report has the size of the given one.
-    `texture`: from which the stream was coded, at its rate, None = not known. Raises as `play`, and CodecError.
+    `texture`: from which the stream was coded, at its rate, None = not known. `file_name`, `provenance`: for the
+    report. Raises as `play`, and CodecError.
     """
-    controller, hello = member.controller, member.controller.description
     sent = playable(stream)
-    played = play(controller, sent, movement, progress)
-    actuator = member.actuator or playback.actuator_model(hello.actuator)
-    skin_model = member.skin_model or actuator
-    expected = computed(sent, played, actuator)
+    played = play(session.controller, sent, movement, progress)
+    heights_um, codes = computed(session, sent, played)
+    traces = _traces(session, sent, texture, played, heights_um)
     length_mm = 1e3 * stream.samples / stream.header.rate_hz
-    report = StrokeReport(
-        schema=SCHEMA,
-        run=Provenance(bench_sha256),
-        version=version("vibrocast"),
-        file=file_name,
+    report = playback.report_of(
+        session,
+        file_name,
+        played.status,
+        traces,
+        run=provenance or Provenance(),
         codec=stream.codec_name,
         model=stream.model_name,
         channels=stream.header.channels,
-        length_mm=length_mm,
-        stream_bytes=stream.size_bytes,
-        bits_per_mm=8 * stream.size_bytes / length_mm,
         seconds=movement.seconds,
-        fastest_mm_s=movement.fastest_mm_s,
-        positions=len(played.positions),
+        stream_bytes=stream.size_bytes,
         underruns=played.status.underruns,
+        packets=len(sent.packets),
+        lost_packets=played.status.lost_packets,
         bad_frames=played.damaged,
         bad_frames_back=played.damaged_back,
-        skin=_skin_quality(sent, texture, played, expected, actuator, skin_model),
-        device=playback.device_description(member.address, hello),
-        sound_card=controller.sound_card,
-        actuator=playback.actuator_use(actuator, skin_model, played.status),
-        dac_equals_offline=as_computed(played, expected, actuator),
+        dac_equals_offline=as_computed(session, played, codes),
+        position=PositionFigures(
+            length_mm=length_mm,
+            bits_per_mm=8 * stream.size_bytes / length_mm,
+            fastest_mm_s=movement.fastest_mm_s,
+            positions=len(played.positions),
+        ),
     )
-    return Stroke(played, expected, skin_model, report)
+    return Playback(session, sent, report, playback.caption(session, playback.READ_BACK), traces)
 
 
-def _skin_quality(
-    stream: Stream, texture: Recording | None, played: Played, expected: Computed, actuator: Actuator, skin: Actuator
-) -> SkinQuality | None:
-    """Return how the skin moves against the texture under the hand, in the beginning; None where nothing is read back.
+def computed(session: Session, stream: Stream, played: Played) -> tuple[NDArray[np.float64], Codes]:
+    """Return what a profile gives under the positions that were played, if all of them come in time, to the bit.
 
-    `skin`: the actuator that moves it.
+    Heights in um and the DAC's codes, both (n, channels), from its first sample on. Raises CodecError.
     """
-    if not len(played.dac_codes):
-        return None
-    first = played.captured_from
-    end = min(first + len(played.dac_codes), first + round(COMPARED_S * actuator.dac_rate_hz))
-    asked = [expected.heights_um[first:end]]
+    return _rendered(session, stream, stream.decode_integers(), stream.decoder().delay_samples, played)
+
+
+def _rendered(
+    session: Session, stream: Stream, heights: Codes, delay_samples: int, played: Played
+) -> tuple[NDArray[np.float64], Codes]:
+    """Return what heights (n, channels), in the integers of a stream, give as `computed` says."""
+    samples = played.captured.first + len(played.captured.samples)
+    under_hand, codes = rendering.render(
+        stream.header, heights, delay_samples, played.positions, samples, session.driven, start_us=played.start_us
+    )
+    return under_hand * (np.array(stream.header.gains) / playback.DECODED_FULL_SCALE), codes
+
+
+def _traces(
+    session: Session, stream: Stream, texture: Recording | None, played: Played, heights_um: NDArray[np.float64]
+) -> tuple[Trace, ...]:
+    """Return the texture under the hand, where it is known, the decoded profile there, and what the skin does.
+
+    Empty where nothing was read back.
+    """
+    first, codes = played.captured
+    if not len(codes):
+        return ()
+    rate_hz = session.driven.dac_rate_hz
+    signals = {"profile under the hand": heights_um}
     if texture is not None:
-        whole = np.rint(texture.samples / np.array(stream.header.gains) * _FULL_SCALE)
-        heights = np.clip(whole, -_FULL_SCALE, _FULL_SCALE - 1).astype(np.int16)
-        asked.insert(0, _rendered(stream, heights, 0, played, end, actuator).heights_um[first:])
-    moved = skin.displacement_um(played.dac_codes[: end - first], SKIN_OVERSAMPLING)
-    return compare_channels(asked, actuator.dac_rate_hz, moved, SKIN_OVERSAMPLING * actuator.dac_rate_hz)
+        full_scale = playback.DECODED_FULL_SCALE
+        whole = np.rint(texture.samples / np.array(stream.header.gains) * full_scale)
+        heights = np.clip(whole, -full_scale, full_scale - 1).astype(np.int16)
+        signals = {"texture under the hand": _rendered(session, stream, heights, 0, played)[0], **signals}
+    skin_um, skin_rate_hz = session.skin.displacement_um(codes, SKIN_OVERSAMPLING), SKIN_OVERSAMPLING * rate_hz
+    asked = [Trace(name, values[first:], rate_hz, "um", values[first:], rate_hz) for name, values in signals.items()]
+    return (*asked, Trace("skin", skin_um, skin_rate_hz, "um", skin_um, skin_rate_hz))
 
 
-def as_computed(played: Played, expected: Computed, actuator: Actuator) -> bool | None:
+def as_computed(session: Session, played: Played, computed: Codes) -> bool | None:
     """Return whether the DAC's codes are those computed, up to the way to rest at the end.
 
     None without any, and where they differ and positions came too late or damaged.
     """
-    first = played.captured_from
+    first, codes = played.captured
     # Stop comes when it comes: from there on the output goes to rest.
-    compared = len(played.dac_codes) - round(_BEHIND_S * actuator.dac_rate_hz)
+    compared = len(codes) - round(_BEHIND_S * session.driven.dac_rate_hz)
     if compared <= 0:
         return None
-    if np.array_equal(played.dac_codes[:compared], expected.codes[first : first + compared]):
+    if Captured(first, codes[:compared]).ends(computed[: first + compared]):
         return True
     return None if played.status.underruns or played.damaged else False
-
-
-def pictured(played: Played, expected: Computed, actuator: Actuator) -> tuple[str, tuple[Trace, ...]]:
-    """Return the caption and the traces of a picture: the profile under the hand, and what the actuator makes of it."""
-    rate_hz = actuator.dac_rate_hz
-    heights_um = expected.heights_um[played.captured_from :]
-    skin_um, skin_rate_hz = actuator.displacement_um(played.dac_codes, SKIN_OVERSAMPLING), SKIN_OVERSAMPLING * rate_hz
-    caption = f"skin: the DAC's codes, read back, through the model of the actuator {actuator.name}"
-    return caption, (
-        Trace("profile under the hand", heights_um, rate_hz, "um", heights_um, rate_hz),
-        Trace("skin", skin_um, skin_rate_hz, "um", skin_um, skin_rate_hz),
-    )

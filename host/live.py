@@ -57,8 +57,9 @@ _GUARD_S = 0.005
 class LiveResult:
     """The result of live streaming.
 
-    `status`: the last one. `underruns`, `lost_packets`: of all streams. `dropped_packets`: the lost packets that the
-    host did not send, because they would have been late. `packets`: of all signal. `bad_frames`, `bad_frames_back`:
+    `status`: the last one. `underruns`: of all streams. `packets`: of all signal. `lost_packets`: those that the
+    actuator should have had and did not, also because the stream began again. `dropped_packets`: the lost packets that
+    the host did not send, because they would have been late. `bad_frames`, `bad_frames_back`:
     damaged on the way to the controller, and from it. `streams`: more than one if it started again: clocks had drifted
     apart, the source had paused, or the connection was lost. `seconds`: of signal. `payload_bytes`: of all packets that
     were sent. `wire_bytes`: all that went to the controller with them, frames and requests included.
@@ -121,6 +122,7 @@ class LiveStream:
     `coding`: how it is coded.
     `playout_delay_s`: how long packets wait at the controller. None: PLAYOUT_DELAY_S, or a quarter of a packet if that
     is more. With a policy on a link that is not much faster than needed, the delay covers its fall to half.
+    `payload_bytes`, `frame_bytes`: of all packets sent, and of the frames that hold them.
     `header`, `stream`, `packets_sent` (dropped ones included), `status`: of the stream under way. `begun`: streams so
     far; `earlier`: the last status of each of those before this one. `on_packets`: is called with packets before they
     are sent.
@@ -144,7 +146,8 @@ class LiveStream:
         self.format = signal_format
         self._given_playout_delay_s = playout_delay_s
         self.policy = policy = coding.policy
-        self.payload_bytes = self.dropped_packets = self._sent_samples = 0
+        self.payload_bytes = self.frame_bytes = self.dropped_packets = 0
+        self._given_samples = self._given_before = self._unplayed_packets = 0
         self._wire_bytes: int | None = None
         self.earlier: list[Status] = []
         self._codec, self._model = chosen_codec(coding.codec_name, coding.model), coding.model
@@ -175,6 +178,11 @@ class LiveStream:
         self._bad_frames_before, self._bad_frames_back_before = self.status.bad_frames, controller.bad_frames
 
     @property
+    def codec_name(self) -> str:
+        """The name of the codec."""
+        return self._codec.name
+
+    @property
     def stream(self) -> int:
         """The number of the stream under way."""
         return self._session.number
@@ -202,7 +210,7 @@ class LiveStream:
     @property
     def seconds(self) -> float:
         """Seconds of signal that the source has given so far."""
-        return self._sent_samples / self.format.rate_hz
+        return self._given_samples / self.format.rate_hz
 
     @property
     def begun(self) -> int:
@@ -214,6 +222,10 @@ class LiveStream:
         before = self.status
         self._configure()
         self.earlier.append(before)
+        given_packets = math.ceil((self._given_samples - self._given_before) / self.packet_samples)
+        played_packets = before.position // self.packet_samples
+        self._unplayed_packets += max(0, given_packets - played_packets) + before.lost_packets
+        self._given_before = self._given_samples
 
     def _packet_samples(self, asked: int | None, max_packet_s: float) -> int:
         """Return the samples in a packet, to be rounded up to whole blocks: asked for, for the rate, or the fewest."""
@@ -287,7 +299,6 @@ class LiveStream:
     def code(self, samples: Signal) -> list[bytes]:
         """Code samples (n, channels) in the format's unit; return the packets that they complete. Raises CodecError."""
         self._gathered = (self._gathered + len(samples)) % self.packet_samples
-        self._sent_samples += len(samples)
         packets = self._encoder.encode(samples / np.array(self.format.gains))
         return [renumbered(packet, self._refreshed_at) for packet in packets]
 
@@ -296,8 +307,9 @@ class LiveStream:
         if self.on_packets is not None:
             self.on_packets(packets)
         for packet in packets:
-            now_s = self._link.now_s(self.controller.clock())
+            now_s, bytes_before = self._link.now_s(self.controller.clock()), self.controller.bytes_sent
             self._session.send((packet,))
+            self.frame_bytes += self.controller.bytes_sent - bytes_before
             start_bytes = frame_bytes(Start()) if self._plays_from_s is None else 0
             arrives_s = self._link.send(self.packets_sent, len(packet) + added_bytes(packet) + start_bytes, now_s)
             if self._plays_from_s is None:
@@ -334,6 +346,7 @@ class LiveStream:
 
     def coded(self, samples: Signal) -> list[bytes]:
         """Code what completes the next packet, or less; return that packet, unless it would come too late."""
+        self._given_samples += len(samples)
         if len(samples) == self.left_samples and not self._fits():
             self._drop()
             return []
@@ -444,7 +457,7 @@ class LiveStream:
             underruns=sum(status.underruns for status in streams),
             packets=packets,
             # A controller that hears of the end too late also counts packets that there never were.
-            lost_packets=min(packets, sum(status.lost_packets for status in streams)),
+            lost_packets=min(packets, self._unplayed_packets + self.status.lost_packets),
             dropped_packets=self.dropped_packets,
             bad_frames=max(0, self.status.bad_frames - self._bad_frames_before),  # a restart sets it to 0
             bad_frames_back=self.controller.bad_frames - self._bad_frames_back_before,
@@ -511,22 +524,30 @@ def _go_on(stream: LiveStream, within_s: float) -> None:
 
 def block_samples(stream: LiveStream) -> int:
     """Return the samples of the blocks that a source hands over: parts of a packet, of at most MAX_BLOCK_S."""
-    parts = math.ceil(stream.packet_samples / (MAX_BLOCK_S * stream.format.rate_hz))
-    return math.ceil(stream.packet_samples / parts)
+    return math.ceil(stream.packet_samples / _blocks_per_packet(stream))
+
+
+def _blocks_per_packet(stream: LiveStream) -> int:
+    return math.ceil(stream.packet_samples / (MAX_BLOCK_S * stream.format.rate_hz))
 
 
 def paced(
-    stream: LiveStream, samples: Signal, block_samples: int, sleep: Callable[[float], None] | None = None
+    stream: LiveStream, samples: Signal, sleep: Callable[[float], None] | None = None
 ) -> Iterator[tuple[float, Signal]]:
     """Yield blocks of samples (n, channels), each when its last sample would have been taken, and with that time.
 
-    Times are in seconds of the controller session's clock; `sleep` waits in between, None = the session's.
+    Blocks end where packets do, so that none waits for a part of the next. Times are in seconds of the controller
+    session's clock; `sleep` waits in between, None = the session's.
     """
     sleep = sleep or stream.controller.sleep
     controller, rate_hz = stream.controller, stream.format.rate_hz
+    parts = _blocks_per_packet(stream)
     began_s = controller.clock()
-    for start in range(0, len(samples), block_samples):
-        block = samples[start : start + block_samples]
-        due_s = began_s + (start + len(block)) / rate_hz
+    start = number = 0
+    while start < len(samples):
+        number += 1
+        end = min(len(samples), number * stream.packet_samples // parts)
+        due_s = began_s + end / rate_hz
         sleep(max(0.0, due_s - controller.clock()))
-        yield due_s, block
+        yield due_s, samples[start:end]
+        start = end

@@ -1,11 +1,10 @@
-"""Plays a coded stream on a device, reads back what it did, compares with the same computed here, and reports."""
+"""Plays coded streams on controllers, reads back what they did, compares with the same computed here, and reports."""
 
 import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib.metadata import version
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,23 +14,17 @@ from vibrocast.codec.encoding import Encoding
 from vibrocast.codec.stream import Stream
 from vibrocast.codec.threshold import PHYSICAL_UNITS, felt_error, over_threshold_db, read_threshold
 from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader
-from vibrocast.device_protocol.messages import ActuatorDescription, HelloResponse, Status
+from vibrocast.device_protocol.messages import Status
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import devices, player, uploader
-from vibrocast.host.controller import Controller, ControllerError
+from vibrocast.host.controller import ControllerError
 from vibrocast.host.event_loop import run_all
 from vibrocast.host.limits import fitted
 from vibrocast.host.picture import Trace
-from vibrocast.host.report import SCHEMA, ActuatorUse, DeviceDescription, Latency, Provenance, Report, Touch
+from vibrocast.host.report import ActuatorUse, DeviceDescription, Latency, Provenance, Report, Touch
+from vibrocast.host.session import Session
 from vibrocast.host.skin_quality import compare_channels, limit_note
-from vibrocast.output.actuator import (
-    ACTUATORS,
-    SKIN_OVERSAMPLING,
-    Actuator,
-    Codes,
-    followed_band_hz,
-    octave_gains_db,
-)
+from vibrocast.output.actuator import SKIN_OVERSAMPLING, Actuator, Codes, followed_band_hz, octave_gains_db
 from vibrocast.output.rendering import Drive, displacement_filter, render
 from vibrocast.textures import Recording
 
@@ -42,81 +35,62 @@ _Key = TypeVar("_Key", bound=Hashable)
 MAX_COMPARED_SAMPLES = 2**24
 # Of decoded int16 samples.
 DECODED_FULL_SCALE = 32768
+READ_BACK, COMPUTED = "read back from the controller", "computed here"
+"""Where the DAC's codes of a picture come from."""
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """The result of playing: the report, the stream as it was sent, the signals of the picture and their origin."""
+class Playback:
+    """What a controller has played: by which session, the stream as it was sent, and the figures.
 
+    `stream`: None for a live stream that was too short to be decoded. `traces`: of the picture, all aligned: what is
+    known of the texture, the decoded signal and, last, the skin.
+    """
+
+    session: Session
+    stream: Stream | None
     report: Report
-    stream: Stream
     caption: str
     traces: tuple[Trace, ...]
 
 
-@dataclass(frozen=True)
-class Member:
-    """One of those who play a stream together: a session, and its address for the report.
+class Captured(NamedTuple):
+    """What a controller captured: int16 (n, channels), from sample `first` on, counted from the stream's begin."""
 
-    `actuator`: the one that the controller works with, None = as it describes it; `skin_model`: the one that moves the
-    skin, None = the same.
-    """
+    first: int
+    samples: Codes
 
-    controller: Controller
-    address: str
-    actuator: Actuator | None = None
-    skin_model: Actuator | None = None
-
-
-def member(controller: Controller, address: str, actuator: Actuator | None) -> Member:
-    """Return who plays: a session, its address, and the actuator there; None = as the controller says.
-
-    A controller that can be given any actuator drives this one itself; else it is the model of the skin alone.
-    """
-    if actuator is None:
-        return Member(controller, address)
-    model = devices.behind_dac(address, actuator, controller.description.actuator)
-    return Member(controller, address, model if devices.takes_actuator(address) else None, model)
-
-
-def known_actuator(member: Member) -> Actuator | None:
-    """Return the actuator that a controller works with; None where no model fits what it says of it."""
-    if member.actuator is not None:
-        return member.actuator
-    try:
-        return actuator_model(member.controller.description.actuator)
-    except ControllerError:
-        return None
+    def ends(self, computed: Codes) -> bool:
+        """Return whether values computed for all of the stream end, bit for bit, with these."""
+        return self.first + len(self.samples) == len(computed) and np.array_equal(self.samples, computed[self.first :])
 
 
 def play(
-    controller: Controller,
-    address: str,
+    session: Session,
     file_name: str,
     stream: Stream,
     encoding: Encoding | None = None,
     loops: int = 1,
     progress: Callable[[player.Progress], None] | None = None,
-    actuator: Actuator | None = None,
-    skin_model: Actuator | None = None,
-) -> Outcome:
+    provenance: Provenance | None = None,
+) -> Playback:
     """Play a stream on one controller, as `play_together` does. Raises CodecError, and as `player.play`."""
-    member = Member(controller, address, actuator, skin_model)
     tell = None if progress is None else lambda _, now: progress(now)
-    (outcome,) = play_together({None: member}, file_name, stream, encoding, loops, tell).values()
-    if isinstance(outcome, Exception):
-        raise outcome
-    return outcome
+    (played,) = play_together({None: session}, file_name, stream, encoding, loops, tell, provenance).values()
+    if isinstance(played, Exception):
+        raise played
+    return played
 
 
 def play_together(
-    members: Mapping[_Key, Member],
+    sessions: Mapping[_Key, Session],
     file_name: str,
     stream: Stream,
     encoding: Encoding | None = None,
     loops: int = 1,
     progress: Callable[[_Key, player.Progress], None] | None = None,
-) -> dict[_Key, Outcome | Exception]:
+    provenance: Provenance | None = None,
+) -> dict[_Key, Playback | Exception]:
     """Play a stream to its end on all controllers at once; return by key what each did, or why it failed.
 
     Packets that are too long for a controller are split (`limits.fitted`). The decoded samples and the DAC codes are
@@ -125,98 +99,80 @@ def play_together(
     capture compared that the controller overwrites before it is read. A simulated controller of this session gets the
     stream's model first.
     `encoding`: how the stream was made from a recording, None for a file that was coded before; the stream may have
-    another level (`Stream.with_gain`). `file_name` is for the report. Raises CodecError.
+    another level (`Stream.with_gain`). `file_name`, `provenance`: for the report. Raises CodecError.
     """
-    outcomes: dict[_Key, Outcome | Exception] = {}
-    works = {}
-    sent: dict[_Key, Stream] = {}
-    unread: dict[_Key, str | None] = {}
-    underruns_before = {}
-    for key, member in members.items():
+    played: dict[_Key, Playback | Exception] = {}
+    works, sent, underruns_before = {}, {}, {}
+    for key, session in sessions.items():
+        controller = session.controller
         try:
-            output_delay_s(stream.header, member.actuator or actuator_model(member.controller.description.actuator))
-            fitting = fitted(member.controller, stream)
+            output_delay_s(stream.header, session.driven)
+            sent[key] = fitting = fitted(controller, stream)
             if stream.image is not None:
-                uploader.provide(member.controller, member.address, stream.image)
-            sent[key] = fitting
+                uploader.provide(controller, session.address, stream.image)
         except (ControllerError, TransportError, StreamError) as error:
-            outcomes[key] = error
+            played[key] = error
             continue
-        if member.controller.sound_card is not None:
-            underruns_before[key] = member.controller.sound_card.underruns
-        unread[key] = _unread_reason(member.controller, sent[key], loops)
+        underruns_before[key] = controller.sound_card.underruns if controller.sound_card else 0
         settings = player.PlaybackSettings(
             loops=loops,
-            capture=unread[key] is None,
+            capture=_unread_reason(session, fitting, loops) is None,
             progress=progress and partial(progress, key),
         )
-        works[key] = (
-            member.controller,
-            player.play_steps(
-                member.controller,
-                sent[key].header,
-                sent[key].packets,
-                sent[key].decoder().packet_samples,
-                settings,
-            ),
-        )
+        packet_samples = fitting.decoder().packet_samples
+        steps = player.play_steps(controller, fitting.header, fitting.packets, packet_samples, settings)
+        works[key] = controller, steps
     offline = {each: each.decode_integers() for each in set(sent.values())}
     for key, result in run_all(works).items():
-        outcomes[key] = (
-            result
-            if isinstance(result, Exception)
-            else _compared(
-                members[key],
-                file_name,
-                sent[key],
-                encoding,
-                loops,
-                offline[sent[key]],
-                result,
-                unread[key],
-                underruns_before.get(key, 0),
-            )
+        if isinstance(result, Exception):
+            played[key] = result
+            continue
+        done = _compared(
+            sessions[key], file_name, sent[key], encoding, loops, offline[sent[key]], result, underruns_before[key]
         )
-    return {key: outcomes[key] for key in members}
+        played[key] = done if provenance is None else replace(done, report=replace(done.report, run=provenance))
+    return {key: played[key] for key in sessions}
 
 
 def _compared(
-    member: Member,
+    session: Session,
     file_name: str,
     stream: Stream,
     encoding: Encoding | None,
     loops: int,
     offline: NDArray[np.int16],
     result: player.PlaybackResult,
-    unread: str | None,
     underruns_before: int,
-) -> Outcome:
+) -> Playback:
     """Return what a controller did, compared with the same computed here.
 
-    `offline`: one pass, decoded here. `unread`: why nothing was read back; None if it was. `underruns_before`: of the
-    sound card, before it played.
+    `offline`: one pass, decoded here. `underruns_before`: of the sound card, before it played.
     """
-    header, decoder, hello = stream.header, stream.decoder(), member.controller.description
-    actuator = member.actuator or actuator_model(hello.actuator)
-    skin_model = member.skin_model or actuator
-    drive_s = output_delay_s(header, actuator)
-    codes, _ = render(header, offline, decoder.delay_samples, actuator, loops=1 if result.dac_codes is None else loops)
-    # After a lost connection the controller begins in the middle; what it plays then has no simple counterpart here.
-    comparable = result.captured_from == 0
-    played = result.decoded if result.decoded is not None else offline
+    header, decoder, driven = stream.header, stream.decoder(), session.driven
+    read_back = result.dac_codes is not None
+    codes, _ = render(header, offline, decoder.delay_samples, driven, loops=loops if read_back else 1)
     played_codes = result.dac_codes if result.dac_codes is not None else codes
-    source = "read back from the controller" if result.dac_codes is not None else "computed here"
-    algorithmic_s = (decoder.packet_samples + decoder.delay_samples) / header.rate_hz
-    quality = stream.quality
-    card = member.controller.sound_card
-    if card is not None:
-        card = replace(card, underruns=card.underruns - underruns_before)
+    played = result.decoded if result.decoded is not None else offline
+    drive_s, delay_s = output_delay_s(header, driven), decoder.delay_samples / header.rate_hz
+    missed_s = result.captured_from * decoder.packet_samples / header.rate_hz
+    signals = {}
+    if encoding:
+        signals["recording"] = encoding.recording.samples * (np.array(header.gains) / encoding.stream.header.gains)
+    decoded = _from_start(played, header.rate_hz, delay_s - missed_s, stream.seconds)
+    signals["decoded"] = decoded * (np.array(header.gains) / DECODED_FULL_SCALE)
+    skin_um = _skin_um(session.skin, played_codes, delay_s + drive_s, missed_s, stream.seconds)
+    traces = traces_of(signals, header, driven, skin_um)
+    card = session.controller.sound_card
+    algorithmic_s = decoder.packet_samples / header.rate_hz + delay_s
     card_s = card.latency_ms / 1e3 if card else 0.0
-    report = Report(
-        schema=SCHEMA,
-        run=Provenance(),
-        version=version("vibrocast"),
-        file=file_name,
+    # After a lost connection the controller begins in the middle; what it plays then has no simple counterpart here.
+    comparable = result.captured_from == 0 and not result.altered
+    report = report_of(
+        session,
+        file_name,
+        result.status,
+        traces,
+        underruns_before,
         codec=stream.codec_name,
         model=stream.model_name,
         channels=header.channels,
@@ -228,16 +184,8 @@ def _compared(
         wire_bytes_back=result.wire_bytes_received,
         bits_per_second=stream.bits_per_second,
         bits_per_sample=stream.bits_per_second / header.rate_hz / header.channels,
-        snr_db=quality.snr_db if quality else None,
-        snr_db_per_channel=quality.snr_db_per_channel if quality else (None,) * header.channels,
-        highpass_hz=quality.highpass_hz if quality else None,
-        removed_below=quality.removed_below if quality else None,
-        lowpass_hz=quality.lowpass_hz if quality else None,
-        removed_above=quality.removed_above if quality else None,
-        felt_error=None,
-        quality_note=quality.note if quality else None,
-        skin=None,
-        skin_note=None,
+        felt_error=_felt_error(traces, header) if encoding else None,
+        **_coding(stream),
         latency_ms=Latency(
             algorithmic=1e3 * algorithmic_s,
             buffered=1e3 * result.buffered_s,
@@ -249,44 +197,66 @@ def _compared(
         bad_frames=result.bad_frames,
         bad_frames_back=result.bad_frames_back,
         reconnects=result.reconnects,
-        device=device_description(member.address, hello),
-        sound_card=card,
-        actuator=actuator_use(actuator, skin_model, result.status),
-        touch=touch_of(skin_model, played_codes),
-        decoded_equals_offline=_equal(result.decoded, offline, loops) if comparable else None,
-        dac_equals_offline=_equal(result.dac_codes, codes) if comparable else None,
-        comparison_note=_comparison_note(member.controller, result, unread),
+        touch=touch_of(session.skin, played_codes),
+        decoded_equals_offline=_equal(result, result.decoded, offline, loops) if comparable else None,
+        dac_equals_offline=_equal(result, result.dac_codes, codes) if comparable else None,
+        comparison_note=_comparison_note(session, stream, loops, result),
     )
-    missed_s = result.captured_from * decoder.packet_samples / header.rate_hz
-    delay_s = decoder.delay_samples / header.rate_hz
-    decoded = _from_start(played, header.rate_hz, delay_s - missed_s, stream.seconds)
-    skin = _skin_um(skin_model, played_codes, delay_s + drive_s, missed_s, stream.seconds)
-    skin_rate_hz = SKIN_OVERSAMPLING * actuator.dac_rate_hz
-    signals = {}
-    if encoding:
-        gain = np.array(header.gains) / np.array(encoding.stream.header.gains)
-        signals["recording"] = encoding.recording.samples * gain
-    signals["decoded"] = decoded * (np.array(header.gains) / DECODED_FULL_SCALE)
-    traces = [
-        Trace(
-            name,
-            values,
-            header.rate_hz,
-            header.unit,
-            displacement_um(values, header.unit, header.rate_hz, actuator),
-            header.rate_hz,
-        )
+    return Playback(session, stream, report, caption(session, READ_BACK if read_back else COMPUTED), traces)
+
+
+def report_of(
+    session: Session,
+    file_name: str,
+    status: Status,
+    traces: Sequence[Trace],
+    card_underruns_before: int = 0,
+    **figures: Any,
+) -> Report:
+    """Return the report of a playback that ended with this status; `figures`: those of Report that only its kind has.
+
+    The quality at the skin is that of the last trace against the others.
+    """
+    use = actuator_use(session, status)
+    skin = None
+    if traces:
+        *asked, moved = traces
+        asked_um, asked_rate_hz = [each.displacement_um for each in asked], round(asked[0].displacement_rate_hz)
+        skin = compare_channels(asked_um, asked_rate_hz, moved.values, moved.rate_hz)
+    card = session.controller.sound_card
+    return Report(
+        file=file_name,
+        skin=skin,
+        skin_note=None if skin is None else limit_note(skin, use.gains_db, use.limited_samples),
+        device=device_description(session),
+        sound_card=card and replace(card, underruns=card.underruns - card_underruns_before),
+        actuator=use,
+        **figures,
+    )
+
+
+def traces_of(
+    signals: Mapping[str, NDArray[np.float64]], header: StreamHeader, driven: Actuator, skin_um: NDArray[np.float64]
+) -> tuple[Trace, ...]:
+    """Return the traces of signals (n, channels) in the unit and at the rate of a stream, and of the skin."""
+    rate_hz, skin_rate_hz = header.rate_hz, SKIN_OVERSAMPLING * driven.dac_rate_hz
+    asked = [
+        Trace(name, values, rate_hz, header.unit, displacement_um(values, header.unit, rate_hz, driven), rate_hz)
         for name, values in signals.items()
     ]
-    traces.append(Trace("skin", skin, skin_rate_hz, "um", skin, skin_rate_hz))
-    caption = f"skin: the DAC's codes, {source}, through the model of the actuator {skin_model.name}"
-    return Outcome(_with_skin(report, traces), stream, caption, tuple(traces))
+    return (*asked, Trace("skin", skin_um, skin_rate_hz, "um", skin_um, skin_rate_hz))
 
 
-def device_description(address: str, hello: HelloResponse) -> DeviceDescription:
-    """Return what a report says of the controller at an address, as its Hello states."""
+def caption(session: Session, source: str) -> str:
+    """Return the caption of a picture whose DAC codes come from this source."""
+    return f"skin: the DAC's codes, {source}, through the model of the actuator {session.skin.name}"
+
+
+def device_description(session: Session) -> DeviceDescription:
+    """Return what a report says of a controller, as its Hello states."""
+    hello = session.controller.description
     return DeviceDescription(
-        address,
+        session.address,
         hello.build,
         hello.hardware,
         hello.serial_number,
@@ -295,15 +265,12 @@ def device_description(address: str, hello: HelloResponse) -> DeviceDescription:
     )
 
 
-def actuator_use(actuator: Actuator, skin_model: Actuator, status: Status) -> ActuatorUse:
-    """Return what a report says of the actuator that a controller with this status works with.
-
-    `skin_model`: the one that moves the skin.
-    """
+def actuator_use(session: Session, status: Status) -> ActuatorUse:
+    """Return what a report says of the actuator of a controller with this status."""
     return ActuatorUse(
-        name=skin_model.name,
-        follows_hz=followed_band_hz(actuator, skin_model),
-        gains_db=octave_gains_db(actuator, skin_model),
+        name=session.skin.name,
+        follows_hz=followed_band_hz(session.driven, session.skin),
+        gains_db=octave_gains_db(session.driven, session.skin),
         clipped_samples=status.compensation_clipped,
         voltage_limited=status.voltage_limited,
         slew_limited=status.slew_limited,
@@ -311,24 +278,44 @@ def actuator_use(actuator: Actuator, skin_model: Actuator, status: Status) -> Ac
     )
 
 
-def _with_skin(report: Report, traces: Sequence[Trace]) -> Report:
-    """Return a report with the error that is felt and, as the mean over its channels, the quality at the skin."""
-    *asked, skin = (trace.displacement_um for trace in traces)
-    if len(asked) > 1:
-        unit = traces[0].unit
-        sent, decoded = (each.values for each in traces[:2]) if unit in PHYSICAL_UNITS else asked
-        unit = unit if unit in PHYSICAL_UNITS else "um"
-        report = replace(report, felt_error=felt_error(sent, decoded, report.stream_rate_hz, unit))
-    skin_quality = compare_channels(asked, report.stream_rate_hz, skin, traces[-1].displacement_rate_hz)
-    if skin_quality is None:
-        return report
-    use = report.actuator
-    return replace(report, skin=skin_quality, skin_note=limit_note(skin_quality, use.gains_db, use.limited_samples))
+def _coding(stream: Stream) -> dict[str, Any]:
+    """Return the figures of a report that a stream has if it was coded here."""
+    quality = stream.quality
+    if quality is None:
+        return {"snr_db_per_channel": (None,) * stream.header.channels}
+    return {
+        "snr_db": quality.snr_db,
+        "snr_db_per_channel": quality.snr_db_per_channel,
+        "highpass_hz": quality.highpass_hz,
+        "removed_below": quality.removed_below,
+        "lowpass_hz": quality.lowpass_hz,
+        "removed_above": quality.removed_above,
+        "quality_note": quality.note,
+    }
 
 
-def _unread_reason(controller: Controller, stream: Stream, loops: int) -> str | None:
+def _felt_error(traces: Sequence[Trace], header: StreamHeader) -> Any:
+    """Return the error that is felt of the second of two traces, which was decoded, against the first."""
+    if header.unit in PHYSICAL_UNITS:
+        return felt_error(traces[0].values, traces[1].values, header.rate_hz, header.unit)
+    return felt_error(traces[0].displacement_um, traces[1].displacement_um, header.rate_hz, "um")
+
+
+def _equal(result: player.PlaybackResult, read_back: Codes | None, computed: Codes, passes: int = 1) -> bool | None:
+    """Return whether all that was read back repeats what was computed this often.
+
+    None if nothing was read back, and where they differ and packets were lost or came too late.
+    """
+    if read_back is None:
+        return None
+    if Captured(0, read_back).ends(np.tile(computed, (passes, 1))):
+        return True
+    return None if result.lost_packets or result.underruns else False
+
+
+def _unread_reason(session: Session, stream: Stream, loops: int) -> str | None:
     """Return why nothing of a playback is read back; None if everything is."""
-    if not controller.description.limits.capture_samples:
+    if not session.controller.description.limits.capture_samples:
         return "the controller keeps no captures"
     decoder = stream.decoder()
     if loops * len(stream.packets) * decoder.packet_samples * decoder.channels > MAX_COMPARED_SAMPLES:
@@ -336,32 +323,35 @@ def _unread_reason(controller: Controller, stream: Stream, loops: int) -> str | 
     return None
 
 
-def _comparison_note(controller: Controller, result: player.PlaybackResult, unread: str | None) -> str | None:
+def _comparison_note(session: Session, stream: Stream, loops: int, result: player.PlaybackResult) -> str | None:
     """Return why not everything was compared; None if it was."""
     if result.captured_from:
         return "the connection was lost, and the controller began again in the middle"
+    if result.altered:
+        return "it was paused, stopped or changed in level while it played"
     if result.decoded is not None and result.dac_codes is not None:
-        return None
-    keeps = controller.description.limits.capture_samples
-    return unread or (
+        return "packets were lost or came too late" if result.lost_packets or result.underruns else None
+    keeps = session.controller.description.limits.capture_samples
+    return _unread_reason(session, stream, loops) or (
         f"the controller keeps {keeps} samples of each capture, and overwrote some before they were read, because the "
         "link or this computer is too slow"
     )
 
 
-def at_the_skin(stream: Stream, actuator: Actuator, loops: int = 1) -> Recording:
+def at_the_skin(stream: Stream, driven: Actuator, skin: Actuator | None = None, loops: int = 1) -> Recording:
     """Return the displacement at the skin, um, aligned to the recording, at SKIN_OVERSAMPLING times the DAC's rate.
 
-    The stream plays `loops` times without a gap. Raises ControllerError where the actuator's DAC cannot play the
-    stream, StreamError for a height profile.
+    `driven`: the actuator by which the codes are computed; `skin`: the one that moves, None = the same. The stream
+    plays `loops` times without a gap. Raises ControllerError where the actuator's DAC cannot play the stream,
+    StreamError for a height profile.
     """
     if stream.header.spatial:
         raise StreamError("a height profile moves the skin only under a hand; play it with --hand")
     decoder = stream.decoder()
-    late_s = decoder.delay_samples / stream.header.rate_hz + output_delay_s(stream.header, actuator)
-    codes, _ = render(stream.header, stream.decode_integers(), decoder.delay_samples, actuator, loops=loops)
-    skin = _skin_um(actuator, codes, late_s, 0.0, loops * stream.seconds)
-    return Recording(skin, SKIN_OVERSAMPLING * actuator.dac_rate_hz, "um", "skin")
+    late_s = decoder.delay_samples / stream.header.rate_hz + output_delay_s(stream.header, driven)
+    codes, _ = render(stream.header, stream.decode_integers(), decoder.delay_samples, driven, loops=loops)
+    skin_um = _skin_um(skin or driven, codes, late_s, 0.0, loops * stream.seconds)
+    return Recording(skin_um, SKIN_OVERSAMPLING * driven.dac_rate_hz, "um", "skin")
 
 
 def output_delay_s(header: StreamHeader, actuator: Actuator) -> float:
@@ -406,42 +396,6 @@ def check_unit(stream_unit: str, unit: str | None) -> None:
         )
 
 
-def actuator_model(description: ActuatorDescription) -> Actuator:
-    """Return the model of the actuator that a controller describes.
-
-    Known by its name, with the controller's DAC and volts at full scale, or else built from its band: a low-pass,
-    or a resonance where it does not reach down to rest. Raises ControllerError where no actuator can be such.
-    """
-    if description.name in ACTUATORS and 0 < description.volts < math.inf:
-        known = ACTUATORS[description.name]
-        # The shortest number of those that are sent as this one, which has seven digits.
-        volts = float(str(np.float32(description.volts)))
-        if volts != float(str(np.float32(known.volts))):
-            known = known.with_full_scale(volts / 2)
-        return replace(known, dac_bits=description.dac_bits, dac_rate_hz=description.dac_rate_hz)
-    lower_hz, upper_hz = description.lower_hz, description.upper_hz
-    if not (
-        0 < description.stroke_um < math.inf
-        and 0 < description.volts < math.inf
-        and 0 <= description.slew_volts_per_second < math.inf
-        and 0 <= lower_hz < upper_hz < math.inf
-    ):
-        raise ControllerError(f"the controller announces an impossible actuator ({description}); update its firmware")
-    resonance_hz = math.sqrt(lower_hz * upper_hz)
-    return Actuator(
-        name=description.name,
-        stroke_um=description.stroke_um,
-        volts=description.volts,
-        corner_hz=resonance_hz or upper_hz,
-        quality=resonance_hz / (upper_hz - lower_hz) if resonance_hz else None,
-        slew_volts_per_second=description.slew_volts_per_second or description.volts * description.dac_rate_hz,
-        volts_limit=description.volts / 2,
-        power_limit=1.0,
-        dac_bits=description.dac_bits,
-        dac_rate_hz=description.dac_rate_hz,
-    )
-
-
 def displacement_um(values: NDArray[np.float64], unit: str, rate_hz: float, actuator: Actuator) -> NDArray[np.float64]:
     """Return the displacement (n, channels) in um that a signal in one of the stream's units asks for.
 
@@ -454,15 +408,6 @@ def displacement_um(values: NDArray[np.float64], unit: str, rate_hz: float, actu
 
         return np.asarray(lfilter(*displacement_filter(round(rate_hz)), values, axis=0))
     return values
-
-
-def _equal(read_back: NDArray[np.int16] | None, computed: NDArray[np.int16], passes: int = 1) -> bool | None:
-    """Return whether the read-back repeats the computed values this often; None if nothing was read back."""
-    if read_back is None:
-        return None
-    return len(read_back) == passes * len(computed) and np.array_equal(
-        read_back.reshape(passes, *computed.shape), np.broadcast_to(computed, (passes, *computed.shape))
-    )
 
 
 def _from_start(values: NDArray[Any], rate_hz: float, late_s: float, seconds: float) -> NDArray[np.float64]:

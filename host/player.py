@@ -61,6 +61,7 @@ class PlaybackResult:
     `dac_codes` (int16, DAC rate), both (samples, channels), are the controller's capture; None if not required, or if
     the controller overwrote samples before they could be read.
     `captured_from`: its first packet, counted over all loops; 0 unless the controller started again after a loss.
+    `altered`: whether this host has paused or stopped it, or changed its gain, while it played.
     """
 
     state: State
@@ -77,6 +78,7 @@ class PlaybackResult:
     captured_from: int
     decoded: NDArray[np.int16] | None
     dac_codes: NDArray[np.int16] | None
+    altered: bool
 
 
 @dataclass(frozen=True)
@@ -180,6 +182,7 @@ def play_steps(
         captured_from=last.first,
         decoded=last.captured(Tap.DECODED),
         dac_codes=last.captured(Tap.DAC),
+        altered=controller.altered,
     )
 
 

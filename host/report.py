@@ -13,7 +13,7 @@ from typing import Any
 from vibrocast.codec.threshold import FeltError
 from vibrocast.files import atomic_write
 from vibrocast.host.bench_limits import Judged, lost_percent
-from vibrocast.host.skin_quality import SkinQuality, judged_skin
+from vibrocast.host.skin_quality import SkinQuality
 from vibrocast.output.sound_card import CardUse
 
 
@@ -40,17 +40,21 @@ class Provenance:
     versions: dict[str, str] = field(default_factory=_versions)
 
 
-SCHEMA = 3
-"""Of the JSON of playbacks and live streams."""
+SCHEMA = 4
+"""Of the JSON of playbacks."""
 
 
 @dataclass(frozen=True)
 class Latency:
-    """Delays in ms: of the codec, the mean wait of samples in the controller, and from recorded sample to skin."""
+    """Delays in ms; None: not known.
 
-    algorithmic: float
-    buffered: float
-    end_to_end: float
+    `algorithmic`: of the codec. `buffered`: the mean wait of samples in the controller. `end_to_end`: from when a
+    sample is taken to when the skin moves by it.
+    """
+
+    algorithmic: float | None = None
+    buffered: float | None = None
+    end_to_end: float | None = None
 
 
 @dataclass(frozen=True)
@@ -96,106 +100,131 @@ class DeviceDescription:
     model_images: tuple[str, ...]
 
 
+@dataclass
+class Minute:
+    """A minute of a live stream, from `from_s` on. Counts are of this minute.
+
+    `host_late_ms`: by how much the host handled a block too late, at most; `host_jitter_ms`: between the 5 % and the
+    95 % of these times; None where blocks have no time of their own.
+    `margin_ms`: the least time that packets lay ready at the controller; None where it never played.
+    """
+
+    from_s: float
+    packets: int = 0
+    underruns: int = 0
+    lost_packets: int = 0
+    dropped_packets: int = 0
+    restarts: int = 0
+    bad_frames: int = 0
+    bad_frames_back: int = 0
+    output_gaps: int = 0
+    host_late_ms: float | None = None
+    host_jitter_ms: float | None = None
+    margin_ms: float | None = None
+    cause: str | None = None
+
+
 @dataclass(frozen=True)
+class LiveFigures:
+    """The part of a report that live streams have; docs/reference/report.md explains each. None: not known."""
+
+    packet_ms: float
+    playout_delay_ms: float
+    payload_bits_per_second: float
+    wire_bits_per_second: float
+    wire_adds: float
+    dropped_packets: int
+    streams: int
+    jitter_ms: float | None
+    drift_ppm: float | None
+    minutes: tuple[Minute, ...]
+
+
+@dataclass(frozen=True)
+class PositionFigures:
+    """The part of a report that profiles under a hand have; docs/reference/report.md explains each."""
+
+    length_mm: float
+    bits_per_mm: float
+    fastest_mm_s: float
+    positions: int
+
+
+@dataclass(frozen=True, kw_only=True)
 class Report:
-    """Figures of one playback; docs/reference/report.md explains each. None: not measured.
+    """Figures of one playback; docs/reference/report.md explains each. None: not measured, or not of this kind.
 
     `seconds` is the duration of one pass; `stream_bytes`, and the rates from it, are of the whole .vct file.
     """
 
-    schema: int
-    run: Provenance
-    version: str
+    schema: int = SCHEMA
+    run: Provenance = field(default_factory=Provenance)
+    version: str = field(default_factory=lambda: version("vibrocast"))
     file: str
     codec: str
     model: str | None
     channels: int
-    stream_rate_hz: int
-    loops: int
+    stream_rate_hz: int | None = None
+    loops: int = 1
     seconds: float
-    stream_bytes: int
-    wire_bytes: int
-    wire_bytes_back: int
-    bits_per_second: float
-    bits_per_sample: float
-    snr_db: float | None
-    snr_db_per_channel: tuple[float | None, ...]
-    highpass_hz: float | None
-    removed_below: float | None
-    lowpass_hz: float | None
-    removed_above: float | None
-    felt_error: FeltError | None
-    quality_note: str | None
+    stream_bytes: int | None = None
+    wire_bytes: int | None = None
+    wire_bytes_back: int | None = None
+    bits_per_second: float | None = None
+    bits_per_sample: float | None = None
+    snr_db: float | None = None
+    snr_db_per_channel: tuple[float | None, ...] | None = None
+    highpass_hz: float | None = None
+    removed_below: float | None = None
+    lowpass_hz: float | None = None
+    removed_above: float | None = None
+    felt_error: FeltError | None = None
+    quality_note: str | None = None
     skin: SkinQuality | None
     skin_note: str | None
-    latency_ms: Latency
+    latency_ms: Latency = Latency()
     underruns: int
     packets: int
     lost_packets: int
     bad_frames: int
     bad_frames_back: int
-    reconnects: int
+    reconnects: int = 0
     device: DeviceDescription
     sound_card: CardUse | None
     actuator: ActuatorUse
-    touch: Touch
-    decoded_equals_offline: bool | None
-    dac_equals_offline: bool | None
-    comparison_note: str | None
+    touch: Touch | None = None
+    decoded_equals_offline: bool | None = None
+    dac_equals_offline: bool | None = None
+    comparison_note: str | None = None
+    live: LiveFigures | None = None
+    position: PositionFigures | None = None
 
     def judged(self) -> Iterator[Judged]:
-        """Yield the figures that limits of a bench file judge."""
-        yield Judged("latency_ms", self.file, self.latency_ms.end_to_end)
-        yield Judged("underruns", self.file, self.underruns)
-        yield Judged("lost_percent", self.file, lost_percent(self.lost_packets, self.packets))
-        yield Judged("bad_frames", self.file, self.bad_frames + self.bad_frames_back)
-        yield from judged_skin(self.skin, self.file)
+        """Yield the figures that limits of a bench file judge.
+
+        Those at the skin of a live stream are computed, so they are known only where the controller has played what
+        was computed. Nobody counts lost positions of a hand: none was lost where the output is as all of them make it.
+        """
+        place = self.file if self.live is None else "live"
+        if self.position is None:
+            yield Judged("latency_ms", place, self.latency_ms.end_to_end)
+            lost: float | None = lost_percent(self.lost_packets, self.packets)
+        else:
+            lost = 0.0 if self.dac_equals_offline else None
+        if self.live is not None:
+            yield Judged("jitter_ms", place, self.live.jitter_ms)
+            yield Judged("drift_ppm", place, self.live.drift_ppm)
+        yield Judged("underruns", place, self.underruns)
+        yield Judged("lost_percent", place, lost)
+        yield Judged("bad_frames", place, self.bad_frames + self.bad_frames_back)
+        skin = self.skin if self.live is None or self.dac_equals_offline else None
+        yield Judged("snr_db", place, None if skin is None else skin.snr_db)
+        yield Judged("gain", place, None if skin is None else skin.gain)
 
     @property
     def differs(self) -> bool:
         """Whether a decoded sample or a DAC code differs from the one computed here."""
         return False in (self.decoded_equals_offline, self.dac_equals_offline)
-
-    def write(self, path: Path) -> None:
-        """Write the report as JSON. Raises OSError."""
-        write_json(path, asdict(self))
-
-
-@dataclass(frozen=True)
-class StrokeReport:
-    """Figures of one height profile under a hand; docs/reference/report.md explains each. None: not known."""
-
-    schema: int
-    run: Provenance
-    version: str
-    file: str
-    codec: str
-    model: str | None
-    channels: int
-    length_mm: float
-    stream_bytes: int
-    bits_per_mm: float
-    seconds: float
-    fastest_mm_s: float
-    positions: int
-    underruns: int
-    bad_frames: int
-    bad_frames_back: int
-    skin: SkinQuality | None
-    device: DeviceDescription
-    sound_card: CardUse | None
-    actuator: ActuatorUse
-    dac_equals_offline: bool | None
-
-    def judged(self) -> Iterator[Judged]:
-        """Yield the figures that limits of a bench file judge.
-
-        Nobody counts lost positions. None was lost where the output is as all of them make it.
-        """
-        yield Judged("underruns", self.file, self.underruns)
-        yield Judged("lost_percent", self.file, 0.0 if self.dac_equals_offline else None)
-        yield Judged("bad_frames", self.file, self.bad_frames + self.bad_frames_back)
-        yield from judged_skin(self.skin, self.file)
 
     def write(self, path: Path) -> None:
         """Write the report as JSON. Raises OSError."""

@@ -1,7 +1,7 @@
 """Aligns what a sensor or an actuator model gave with the texture, and compares both at the skin."""
 
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from vibrocast import textures
 from vibrocast.codec import metrics
 from vibrocast.codec.threshold import filtered, read_threshold, skin_filter, skin_snr_db
-from vibrocast.host.bench_limits import Judged
 from vibrocast.output.actuator import FOLLOWED_DB
 from vibrocast.output.rendering import HIGH_PASS_HZ, displacement_filter
 from vibrocast.textures import Recording
@@ -156,12 +155,6 @@ class SkinQuality:
     weighted_snr_db: float | None
     weighted_decoded_snr_db: float | None
     weighted_playing_snr_db: float | None
-
-
-def judged_skin(skin: SkinQuality | None, place: str) -> Iterator[Judged]:
-    """Yield the figures at the skin that limits of a bench file judge; `skin`: None = not known."""
-    yield Judged("snr_db", place, None if skin is None else skin.snr_db)
-    yield Judged("gain", place, None if skin is None else skin.gain)
 
 
 def compare_skin(

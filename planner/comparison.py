@@ -85,10 +85,10 @@ def failures(played: Sequence[Played], compared: Sequence[Row]) -> list[str]:
     for each in played:
         if not each.in_time:
             found.append(
-                f"{each.texture.name}: {each.underruns} underruns, {each.lost_packets} lost packets; the computer or "
-                "the link is too busy, or the playout delay too short; raise buffer_ms in the plan"
+                f"{each.texture.name}: {each.report.underruns} underruns, {each.report.lost_packets} lost packets; the "
+                "computer or the link is too busy, or the playout delay too short; raise buffer_ms in the plan"
             )
-        if False in (each.as_decoded, each.as_computed):
+        if each.report.differs:
             found.append(
                 f"{each.texture.name}: the controller's samples differ from those that the host computes; test it with "
                 "`vibrocast conformance`"
@@ -137,8 +137,8 @@ def document(played: Played) -> dict[str, Any]:
         "controller": texture.controller,
         "forecast": structs.asdict(texture.forecast),
         "measured": asdict(played.measured),
-        "underruns": played.underruns,
-        "lost_packets": played.lost_packets,
-        "decoded_as_sent": played.as_decoded,
-        "dac_as_computed": played.as_computed,
+        "underruns": played.report.underruns,
+        "lost_packets": played.report.lost_packets,
+        "decoded_as_sent": played.report.decoded_equals_offline,
+        "dac_as_computed": played.report.dac_equals_offline,
     }

@@ -2,29 +2,26 @@
 
 import contextlib
 import math
-import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import partial
-
-import numpy as np
 
 from vibrocast import models
 from vibrocast.codec import Signal, metrics
 from vibrocast.codec.live_format import recording_format
-from vibrocast.codec.stream import Stream
 from vibrocast.codec.threshold import read_threshold
-from vibrocast.device_protocol.messages import PacketMessage, Position, State, Tap
-from vibrocast.device_protocol.transports import Transport, TransportError
+from vibrocast.device_protocol.frames import write_frame
+from vibrocast.device_protocol.messages import SinglePacket, State, Status, pack
+from vibrocast.device_protocol.transports import TransportError
 from vibrocast.errors import InputError
-from vibrocast.host import devices, hand_playback, live, uploader
-from vibrocast.host.bench_file import Bench, actuator_of, check_actuator, choose_controller, driven_actuator
+from vibrocast.host import devices, hand_playback, live, session, uploader
+from vibrocast.host.bench_file import check_actuator
 from vibrocast.host.controller import Controller, ControllerError
-from vibrocast.host.device_clock import DeviceClock
-from vibrocast.host.stream_session import read_capture, stopped_on_error
+from vibrocast.host.live_playback import LivePlayback
+from vibrocast.host.report import Report
+from vibrocast.host.session import Session
 from vibrocast.host.tracing import TappedTransport
-from vibrocast.output.actuator import Actuator, Codes
+from vibrocast.output.actuator import Actuator
 from vibrocast.planner import band
 from vibrocast.planner.candidates import spqi
 from vibrocast.planner.plan_file import Plan, PlannedController, PlannedTexture
@@ -37,52 +34,33 @@ RETAKES = 2
 _ASKED_EVERY_S = 0.1
 
 
-class CountingController(Controller):
-    """A session that keeps what is sent of a stream: the `packets`, and the bytes of their frames.
+class InstructionCounter:
+    """Counts what the processor of a controller does while it plays.
 
-    `instructions`: returns how many the controller's processor has carried out; None where nothing counts them.
+    `count`: returns how many instructions it has carried out; None where nothing counts them.
     """
 
-    def __init__(
-        self,
-        transport: Transport,
-        clock: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
-        instructions: Callable[[], int] | None = None,
-    ) -> None:
-        self.instructions = instructions
-        self.forget()
-        super().__init__(transport, clock, sleep)
+    def __init__(self, controller: Controller, count: Callable[[], int] | None = None) -> None:
+        self._controller, self._count = controller, count
+        self._noted: list[tuple[float, int]] = []
 
-    def forget(self) -> None:
-        """Forget what was sent and noted so far, such as packets that probed the link."""
-        self.packets: list[bytes] = []
-        self.frame_bytes = 0
-        self._loads: list[tuple[float, int]] = []
+    def begin(self) -> None:
+        """Forget what was noted before."""
+        self._noted.clear()
 
-    def note_load(self) -> None:
+    def note(self) -> None:
         """Note what the processor has done so far, if a stream plays."""
-        if self.instructions is not None and self.status is not None and self.status.state == State.PLAYING:
-            self._loads[1:] = [(self.clock(), self.instructions())]  # the first one, and the last
+        status = self._controller.status
+        if self._count is not None and status is not None and status.state == State.PLAYING:
+            self._noted[1:] = [(self._controller.clock(), self._count())]  # the first one, and the last
 
     @property
-    def instructions_per_second(self) -> float | None:
+    def per_second(self) -> float | None:
         """From the first note to the last; None where nothing counts, or nothing has played for any time."""
-        if len(self._loads) < 2:
+        if len(self._noted) < 2:
             return None
-        (first_s, first), (last_s, last) = self._loads
+        (first_s, first), (last_s, last) = self._noted
         return (last - first) / (last_s - first_s)
-
-    def send(self, data: PacketMessage | Position) -> None:
-        """Send what is not answered; of stream data, keep what it was. Raises TransportError."""
-        before = self.bytes_sent
-        super().send(data)
-        if isinstance(data, PacketMessage):
-            self.frame_bytes += self.bytes_sent - before
-            self.packets += data.packets
-
-
-Opener = Callable[[str, Actuator | None], AbstractContextManager[CountingController]]
 
 
 @dataclass(frozen=True)
@@ -106,29 +84,24 @@ class MeasuredPlayback:
 
 @dataclass(frozen=True)
 class Played:
-    """A texture that was played as planned, and what was measured.
+    """A texture that was played as planned, what was measured, and the report of its playback.
 
-    `underruns`, `lost_packets`: where there are any, quality is not the codec's alone. `as_decoded`, `as_computed`:
-    whether decoded samples and DAC codes, as far as the controller keeps them, are bit for bit what the host computes;
-    None where it keeps none.
+    Where packets were lost, quality is not the codec's alone.
     """
 
     texture: PlannedTexture
     measured: MeasuredPlayback
-    underruns: int
-    lost_packets: int
-    as_decoded: bool | None
-    as_computed: bool | None
+    report: Report
 
     @property
     def in_time(self) -> bool:
         """Whether every packet came in time."""
-        return not self.underruns and not self.lost_packets
+        return not self.report.underruns and not self.report.lost_packets
 
 
 @contextlib.contextmanager
-def opened(address: str, actuator: Actuator | None) -> Iterator[CountingController]:
-    """Open a session with the controller at an address; `actuator`: of a simulated one. Raises as `devices.connect`.
+def opened(address: str, actuator: Actuator | None) -> Iterator[tuple[Session, InstructionCounter]]:
+    """Open a session with the controller at an address; `actuator`: behind it. Raises as `session.connect`.
 
     One that this program simulates is played in simulated time, in which no busy computer makes a packet late; an
     emulated processor counts its instructions, which takes several times as long. A trace has the times of this
@@ -136,19 +109,16 @@ def opened(address: str, actuator: Actuator | None) -> Iterator[CountingControll
     """
     emulated = devices.is_emulated(address)
     if not emulated and address not in devices.IN_THIS_PROCESS:
-        with devices.reach(address, actuator=actuator) as transport:
-            yield CountingController(transport)
+        with session.connect(address, actuator=actuator) as real:
+            yield real, InstructionCounter(real.controller)
         return
     from vibrocast.simulated_device.memory_link import MemoryLink
 
-    if emulated:
-        device = devices.emulated(address)
-        link = MemoryLink(device)
-        tapped = TappedTransport(link, address)
-        yield CountingController(tapped, link.clock, link.sleep, lambda: device.processor.counter.instructions)
-    else:
-        link = MemoryLink(devices.simulated(actuator=actuator))
-        yield CountingController(TappedTransport(link, address), link.clock, link.sleep)
+    board = devices.emulated(address) if emulated else None
+    link = MemoryLink(board or devices.simulated(actuator=actuator))
+    controller = Controller(TappedTransport(link, address), link.clock, link.sleep)
+    count = board and (lambda: board.processor.counter.instructions)
+    yield session.session_with(controller, address, actuator), InstructionCounter(controller, count or None)
 
 
 class PartlyPlayedError(ControllerError):
@@ -163,7 +133,6 @@ def play(
     plan: Plan,
     names: Sequence[str] = (),
     *,
-    opener: Opener = opened,
     progress: Callable[[float, str], None] | None = None,
 ) -> list[Played]:
     """Play textures of a plan, all if none is named, and return what was measured, in the order asked for.
@@ -187,8 +156,9 @@ def play(
     failures: dict[str, ControllerError | TransportError] = {}
     for name, each in playing.items():
         try:
-            with opener(each.address, bench.actuator(name)) as session:
-                player = _Player(plan, each, session)
+            with opened(each.address, bench.actuator(name)) as (opened_session, counter):
+                check_actuator(bench, each, opened_session)
+                player = _Player(plan, each, opened_session, counter)
                 own = [
                     player.play_in_time(texture, partial(tell, name, number))
                     for number, texture in enumerate(mine[name])
@@ -205,71 +175,24 @@ def play(
     return in_order
 
 
-def play_live(
-    stream: live.LiveStream,
-    controller: CountingController,
-    samples: Signal,
-    clock: DeviceClock,
-    tell: Callable[[float], None],
-) -> tuple[live.LiveResult, float | None]:
-    """Play samples (n, channels) to their end; return what happened, and the instructions a second while it played.
-
-    Whatever is raised, the controller is stopped first. Raises as `live.LiveStream`.
-    """
-    controller.forget()
-    ask_s = 0.0
-    with stopped_on_error(controller):
-        for due_s, block in live.paced(stream, samples, stream.packet_samples, clock.sleep):
-            stream.send_packets(stream.code(block))
-            if due_s >= ask_s:
-                ask_s = due_s + _ASKED_EVERY_S
-                clock.ask(stream.packets_sent)
-            controller.note_load()
-            tell(stream.packets_sent * stream.packet_samples / len(samples))
-        return stream.finish(), controller.instructions_per_second
-
-
-def play_by_hand(
-    controller: CountingController,
-    stream: Stream,
-    length_mm: float,
-    hand_speed_mm_s: float,
-    tell: Callable[[float], None],
-) -> tuple[hand_playback.Played, float | None]:
-    """Load a profile, and play it once under a hand that goes there and back, so fast at most; return as play_live."""
-    controller.forget()
-
-    def note(part: float) -> None:
-        controller.note_load()
-        tell(part)
-
-    movement = hand_playback.back_and_forth(length_mm, hand_speed_mm_s, 1)
-    return hand_playback.play(controller, stream, movement, note), controller.instructions_per_second
-
-
 class _Player:
     """Plays textures of a plan on one of its controllers. Raises as `play`."""
 
-    def __init__(self, plan: Plan, planned: PlannedController, controller: CountingController) -> None:
-        self._planned = planned
-        self._controller = controller
+    def __init__(self, plan: Plan, planned: PlannedController, session: Session, counter: InstructionCounter) -> None:
+        self._planned, self._session, self._counter = planned, session, counter
+        self._controller = session.controller
         self._threshold = read_threshold(plan.threshold_path)
-        bench: Bench = choose_controller(plan.bench(), planned.name)
-        described = controller.description.actuator
-        check_actuator(bench, bench.first, described)
-        self._driven = driven_actuator(bench, bench.first, described)
-        self._skin_model = actuator_of(bench, bench.first, described)
 
     def play_in_time(self, texture: PlannedTexture, tell: Callable[[float], None]) -> Played:
         """Play a texture, again where packets came too late; the last time counts."""
         recording = texture.recording()
         self._check_fits(texture)
         play = self.play_profile if texture.over_position else self.play
-        played = play(texture, recording, tell)
-        for _ in range(RETAKES):
+        for _ in range(1 + RETAKES):
+            self._counter.begin()
+            played = play(texture, recording, tell)
             if played.in_time:
                 break
-            played = play(texture, recording, tell)
         return played
 
     def play_profile(self, texture: PlannedTexture, recording: Recording, tell: Callable[[float], None]) -> Played:
@@ -277,33 +200,35 @@ class _Player:
 
         Controllers keep no decoded profile: where the DAC's codes are those computed, so is what they come from.
         """
-        controller, stream = self._controller, texture.encode(recording).stream
+        stream = texture.encode(recording).stream
         self._provide_model(texture)
+
+        def note(part: float) -> None:
+            self._counter.note()
+            tell(part)
+
         length_mm = 1e3 * len(recording.samples) / texture.rate
-        result, instructions = play_by_hand(controller, stream, length_mm, texture.hand_speed_mm_s, tell)
-        as_computed = hand_playback.as_computed(
-            result, hand_playback.computed(stream, result, self._driven), self._driven
-        )
+        movement = hand_playback.back_and_forth(length_mm, texture.hand_speed_mm_s, 1)
+        report = hand_playback.play_and_compare(self._session, texture.name, stream, movement, recording, note).report
         # As if swept at the greatest speed, like the forecast.
         rate_hz = texture.rate * texture.hand_speed_mm_s / 1000
         seconds = len(stream.packets) * stream.decoder().packet_samples / rate_hz
+        frame_bytes = sum(len(write_frame(pack(SinglePacket(0, packet)))) for packet in stream.packets)
         measured = self._measured(
             texture,
             Recording(recording.samples, rate_hz, recording.unit, recording.name),
             stream.decode(),
-            payload_bps=8 * sum(map(len, controller.packets)) / seconds,
-            wire_bps=8 * controller.frame_bytes / seconds,
-            instructions_per_second=instructions,
+            payload_bps=8 * sum(map(len, stream.packets)) / seconds,
+            wire_bps=8 * frame_bytes / seconds,
         )
-        return Played(texture, measured, result.status.underruns, result.status.lost_packets, None, as_computed)
+        return Played(texture, measured, report)
 
     def play(self, texture: PlannedTexture, recording: Recording, tell: Callable[[float], None]) -> Played:
         """Play a texture, loaded as planned, once; `tell` is called with the part that is done."""
-        controller = self._controller
         model = self._provide_model(texture)
         signal_format = recording_format(recording)
         stream = live.LiveStream(
-            controller,
+            self._controller,
             signal_format,
             coding=live.LiveCoding(
                 codec_name=texture.codec,
@@ -315,31 +240,31 @@ class _Player:
             ),
             playout_delay_s=texture.buffer_ms / 1e3,
         )
-        clock = DeviceClock(controller)
-        began_s = controller.clock()
-        result, instructions = play_live(stream, controller, recording.samples, clock, tell)
-        sent = Stream(stream.header, tuple(controller.packets), model.image if model else None)
+        playing = LivePlayback(self._session, stream, texture.name, model=model, ask_s=_ASKED_EVERY_S)
+
+        def note(_: Status) -> None:
+            self._counter.note()
+            tell(stream.seconds / recording.seconds)
+
+        played = playing.play(playing.paced(recording.samples), note)
+        report, sent = played.report, played.stream
+        if sent is None:
+            raise InputError(f"{texture.name} is too short to be played; plan a longer one")
         seconds = len(sent.packets) * stream.packet_samples / texture.rate
-        as_decoded, decoded = self._read_back(Tap.DECODED, offline := sent.decode_integers())
-        decoder = sent.decoder()
-        codes = band.played_codes(sent, offline, self._driven)
-        as_computed, played_codes = self._read_back(Tap.DAC, codes)
-        gains = np.array(stream.header.gains) / 32768
-        decoded_samples = decoded[decoder.delay_samples : decoder.delay_samples + len(recording.samples)] * gains
-        error_db = band.played_error_over_threshold_db(
-            sent, recording, played_codes, self._driven, self._skin_model, self._threshold
-        )
+        driven = self._session.driven
+        codes = band.played_codes(sent, sent.decode_integers(), driven)
         measured = self._measured(
             texture,
             recording,
-            decoded_samples,
+            sent.decode()[: len(recording.samples)],
             payload_bps=8 * sum(map(len, sent.packets)) / seconds,
-            wire_bps=8 * controller.frame_bytes / seconds,
-            instructions_per_second=instructions,
-            error_over_threshold_db=error_db,
-            delay_ms=self._delay_ms(sent, clock, began_s),
+            wire_bps=8 * stream.frame_bytes / seconds,
+            error_over_threshold_db=band.played_error_over_threshold_db(
+                sent, recording, codes, driven, self._session.skin, self._threshold
+            ),
+            delay_ms=report.latency_ms.end_to_end,
         )
-        return Played(texture, measured, result.underruns, result.lost_packets, as_decoded, as_computed)
+        return Played(texture, measured, report)
 
     def _provide_model(self, texture: PlannedTexture) -> models.Model | None:
         """Return the model of a texture, which the controller then runs; None where it needs none."""
@@ -356,13 +281,12 @@ class _Player:
         *,
         payload_bps: float,
         wire_bps: float,
-        instructions_per_second: float | None,
         error_over_threshold_db: float | None = None,
         delay_ms: float | None = None,
     ) -> MeasuredPlayback:
         """Return what was measured; `decoded_samples`: what was decoded, in the recording's unit and of its length."""
         quality = metrics.measure(recording.samples, decoded_samples, recording.rate_hz, recording.unit)
-        clock_hz = self._planned.clock_hz
+        clock_hz, instructions_per_second = self._planned.clock_hz, self._counter.per_second
         load = None if instructions_per_second is None or clock_hz is None else 100 * instructions_per_second / clock_hz
         return MeasuredPlayback(
             payload_bps=payload_bps,
@@ -393,31 +317,3 @@ class _Player:
                 f"{texture.name} needs a buffer of {math.ceil(needed)} samples, and {self._planned.name} holds "
                 f"{hello.limits.buffer_samples}; plan for that controller"
             )
-
-    def _read_back(self, tap: Tap, computed: Codes) -> tuple[bool | None, Codes]:
-        """Return whether a tap holds the values computed here, and these with the tap's own in their place.
-
-        None where it keeps nothing.
-        """
-        if not self._controller.description.limits.capture_samples:
-            return None, computed
-        first, kept = read_capture(self._controller, tap, computed.shape[1])
-        equal = first + len(kept) == len(computed) and np.array_equal(kept, computed[first:])
-        taken = computed.copy()
-        taken[first : first + len(kept)] = kept[: len(computed) - first]
-        return equal, taken
-
-    def _delay_ms(self, sent: Stream, clock: DeviceClock, began_s: float) -> float | None:
-        """Return the delay from a sample at the host, the first of which came at `began_s`, to the skin.
-
-        None for a texture that is over before the controller was known to play.
-        """
-        playing = [status for _, _, status in clock.trips.values() if status.state == State.PLAYING and status.position]
-        if not playing:
-            return None
-        fit = clock.fit()
-        # Positions are whole samples that have been played: the earliest estimate is the best.
-        starts_s = (
-            fit.host_time_s(status.device_time_us / 1e6) - status.position / sent.header.rate_hz for status in playing
-        )
-        return 1e3 * (min(starts_s) - began_s + band.rendering_s(sent, self._driven))

@@ -20,8 +20,9 @@ from vibrocast.codec.stream import as_stream
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
 from vibrocast.evaluation import points, trained
 from vibrocast.firmware.build import size as firmware_size
-from vibrocast.host import live
-from vibrocast.host.device_clock import DeviceClock
+from vibrocast.host import hand_playback, live
+from vibrocast.host.live_playback import LivePlayback
+from vibrocast.host.session import Session
 from vibrocast.models import Model
 from vibrocast.planner import costs, playing
 from vibrocast.planner.costs import board_cores, quiet_part
@@ -272,13 +273,13 @@ def measure_controllers(folder: Path, seconds: float) -> Iterator[ControllerLoad
         core = CORES[core_name]
         program = _program(folder, core, "DSP instructions", {"mdct"}, max(CHANNELS))
         for played in PLAYED:
-            with playing.opened(board, None) as controller:
-                if played.channels > controller.description.limits.channels:
+            with playing.opened(board, None) as (session, counter):
+                if played.channels > session.controller.description.limits.channels:
                     continue
                 long_s = PROFILE_SAMPLES / played.rate_hz if played.unit == PROFILE_UNIT else seconds
                 samples = GENERATORS["rough"](seed=0, seconds=long_s, rate_hz=played.rate_hz).samples
                 signal = np.repeat(samples / np.abs(samples).max(), played.channels, axis=1)
-                instructions, decoding = _play(controller, signal, played, program, core)
+                instructions, decoding = _play(session, counter, signal, played, program, core)
             yield ControllerLoad(
                 **asdict(played),
                 board=board,
@@ -290,29 +291,35 @@ def measure_controllers(folder: Path, seconds: float) -> Iterator[ControllerLoad
 
 
 def _play(
-    controller: playing.CountingController, signal: Signal, played: Playing, program: Path, core: Core
+    session: Session,
+    counter: playing.InstructionCounter,
+    signal: Signal,
+    played: Playing,
+    program: Path,
+    core: Core,
 ) -> tuple[float, float]:
     """Play a signal; return the instructions a second that it took, and of these what decoding takes while playing."""
     framing = codec.Framing(played.packet_samples, 0)
     if played.unit == PROFILE_UNIT:
         coded_profile = codec.encode(signal, played.rate_hz, {}, unit="um", live=True, framing=framing)
-        stream = as_stream(coded_profile, PROFILE_UNIT, None)
+        profile = as_stream(coded_profile, PROFILE_UNIT, None)
         length_mm = 1e3 * len(signal) / played.rate_hz
-        _, instructions = playing.play_by_hand(controller, stream, length_mm, PROFILE_SPEED_MM_S, lambda part: None)
-        assert instructions is not None, "emulated processors are counted"
-        return instructions, 0.0
+        movement = hand_playback.back_and_forth(length_mm, PROFILE_SPEED_MM_S, 1)
+        hand_playback.play(session.controller, profile, movement, lambda _: counter.note())
+        assert counter.per_second is not None, "emulated processors are counted"
+        return counter.per_second, 0.0
     channels = played.channels
-    live_stream = live.LiveStream(
-        controller,
+    stream = live.LiveStream(
+        session.controller,
         live_format(played.rate_hz, played.unit, [1.0] * channels, [0.3] * channels),
         coding=live.LiveCoding(packet_samples=played.packet_samples),
     )
-    clock = DeviceClock(controller)
-    _, instructions = playing.play_live(live_stream, controller, signal, clock, lambda part: None)
-    assert instructions is not None, "emulated processors are counted"
-    header, packets = live_stream.header, tuple(controller.packets)
-    sent = CodedSignal("mdct", played.rate_hz, len(signal), header.gains, header.configuration, packets)
-    return instructions, decode(program, core, sent).instructions * played.rate_hz
+    live_playback = LivePlayback(session, stream, "rough")
+    sent_stream = live_playback.play(live_playback.paced(signal), lambda _: counter.note()).stream
+    assert counter.per_second is not None and sent_stream is not None, "emulated processors are counted"
+    header = sent_stream.header
+    sent = CodedSignal("mdct", played.rate_hz, len(signal), header.gains, header.configuration, sent_stream.packets)
+    return counter.per_second, decode(program, core, sent).instructions * played.rate_hz
 
 
 def _rest_bytes(folder: Path, core: Core, channels: int) -> tuple[int, int]:

@@ -10,7 +10,7 @@ import click
 import vibrocast
 from studies import page
 from vibrocast.harness.latency import Latency, MinLatency, find_min_latency, measure_latency
-from vibrocast.harness.measurements import machine, subject
+from vibrocast.harness.measurements import machine
 from vibrocast.host import bench_file, live
 from vibrocast.host.bench_file import Bench, BenchController
 from vibrocast.host.report import Report
@@ -58,12 +58,11 @@ def main(out: Path, addresses: tuple[str, ...]) -> None:
     budgets, searches = {}, {}
     for address in addresses:
         bench = Bench((BenchController(address, address),))
-        with bench_file.connect(bench, bench.first) as controller:
-            measured = subject(bench, controller)
-            texture = measured.scene[0]
-            runs = sorted((measure_latency(controller, measured.actuator, texture) for _ in range(RUNS)), key=_total_ms)
+        with bench_file.connect(bench, bench.first) as session:
+            texture = bench.scene()[0]
+            runs = sorted((measure_latency(session, texture) for _ in range(RUNS)), key=_total_ms)
             budgets[address] = runs
-            searches[address] = find_min_latency(controller, measured.actuator, texture)
+            searches[address] = find_min_latency(session, texture)
         click.echo(f"{address}: {statistics.median(map(_total_ms, runs)):.1f} ms", err=True)
     played = played_parts(RECORDING)
     text = rendered(budgets, searches, played, machine())
@@ -88,7 +87,8 @@ def played_parts(path: Path) -> dict[str, float]:
     with vibrocast.connect("sim") as controller:
         reports: list[Report] = [controller.play(stream) for _ in range(RUNS)]
         dac_ms = 1e3 / controller.controller.description.actuator.dac_rate_hz
-    latency = sorted((report.latency_ms for report in reports), key=lambda each: each.end_to_end)[RUNS // 2]
+    latency = sorted((report.latency_ms for report in reports), key=lambda each: each.end_to_end or 0.0)[RUNS // 2]
+    assert latency.algorithmic and latency.buffered and latency.end_to_end, "it was played to its end"
     return {
         "buffer": latency.buffered,
         "packet": 1e3 * decoder.packet_samples / stream.header.rate_hz,

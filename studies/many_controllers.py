@@ -165,7 +165,7 @@ def measure_live(count: int, seconds: float) -> LiveMeasured:
         samples = np.hstack([source.samples for source in sources])[: rounds * packet_samples]
         times_s = np.full((rounds, count, 6), np.nan)
         began_s = time.process_time()
-        for (due_s, block), times_of_round in zip(paced(streams[0], samples, packet_samples), times_s, strict=True):
+        for (due_s, block), times_of_round in zip(paced(streams[0], samples), times_s, strict=True):
             awake_s = clock()
             for number, stream in enumerate(streams):  # the steps of `LiveStream.send`, to time each
                 turn_s = clock()

@@ -30,7 +30,7 @@ class SkinOf:
         if (key, gain_db) not in self._skins:
             stimulus = self._stimuli[key]
             loops = min(stimulus.loops, math.ceil(_MAX_SKIN_S / stimulus.stream.seconds))
-            recording = at_the_skin(stimulus.stream.with_gain(gain_db), self._actuator, loops)
+            recording = at_the_skin(stimulus.stream.with_gain(gain_db), self._actuator, loops=loops)
             samples = recording.samples[: round(_MAX_SKIN_S * recording.rate_hz)]
             self._skins[key, gain_db] = Skin(samples, recording.rate_hz)
         return self._skins[key, gain_db]

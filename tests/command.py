@@ -15,6 +15,7 @@ ROOT = Path(__file__).parents[1]
 OAK = ROOT / "examples" / "oak.wav"
 STARTED = (
     "import signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
+    "signal.signal(signal.SIGHUP, signal.SIG_DFL);"
     "from vibrocast.host.cli.entry import main; main()"
 )
 
@@ -57,7 +58,7 @@ def failure(exit_code: int, *arguments: object, data: bytes = b"") -> Any:
 
 
 def started(*arguments: object, folder: Path = ROOT, session: bool = False) -> subprocess.Popen[str]:
-    """Start the command as a process of its own, which Ctrl-C interrupts even where the tests run in the background.
+    """Start the command as a process of its own, which signals end even where the tests run in the background.
 
     `session`: with its own processes, which a signal then reaches together.
     """

@@ -32,7 +32,7 @@ PRODUCTS = {
 }
 """The products, which may import the core, and of each other these."""
 PACKAGES = (*CORE, "host", *PRODUCTS)
-SMALL = ("errors", "extras", "files", "pages", "pictures", "progress", "toml_tables", "workers")
+SMALL = ("errors", "extras", "files", "pages", "progress", "toml_tables", "workers")
 """Modules in vibrocast/ for every package; they import none of them."""
 
 
@@ -94,6 +94,25 @@ def test_products_are_used_by_their_public_names(module: str) -> None:
 
 def test_no_module_imports_itself_through_others() -> None:
     TopologicalSorter({module: imports(module) for module in SOURCES}).prepare()  # raises CycleError, which names them
+
+
+def test_no_source_in_c_needs_itself_through_others() -> None:
+    """X.c, X.h and X_dsp.c are one: it needs what they include, and the sources that define the functions they use."""
+    paths = [path for path in sorted((ROOT / "firmware").rglob("*.[ch]")) if "build" not in path.parts]
+    code = {path: re.sub(r"/\*.*?\*/", "", path.read_text(), flags=re.DOTALL) for path in paths}
+    definition = re.compile(r"^(?!static)\w[\w *]*?\b(vc_\w+)\([^;{}]*\)\n\{", re.MULTILINE)
+    shared = [path for path in paths if path.parent.name in ("core", "controller", "vibrocast")]
+    defined = {name: path for path in shared for name in definition.findall(code[path])}
+    assert {"vc_controller_receive", "vc_mdct_decode"} <= set(defined)
+    whole = {path: path.with_name(path.stem.removesuffix("_dsp")) for path in paths}
+    needs: dict[Path, set[Path]] = {name: set() for name in whole.values()}
+    for path, text in code.items():
+        included = set(re.findall(r'#include "(?:.*/)?(.*)"', text))
+        found = [other for other in paths if other.name in included and other.parent in (path.parent, *path.parents)]
+        found += [other for other in shared if other.name in included]
+        found += [defined[name] for name in set(re.findall(r"\bvc_\w+", text)) & set(defined) if path.suffix == ".c"]
+        needs[whole[path]] |= {whole[other] for other in found} - {whole[path]}
+    TopologicalSorter(needs).prepare()  # raises CycleError, which names them
 
 
 def test_textures_agree_with_streams() -> None:

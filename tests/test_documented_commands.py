@@ -33,6 +33,7 @@ import click
 import pytest
 from markdown_it import MarkdownIt
 
+from vibrocast.errors import LIMIT_MISSED
 from vibrocast.host.cli.command_line import main
 
 pytestmark = pytest.mark.slow
@@ -134,6 +135,8 @@ class Session:
         printed, errors = process.communicate()
         must_fail = any(line.startswith("error:") for line in shown)
         code = process.returncode
+        if code == LIMIT_MISSED and "lost_percent" in errors:
+            return  # this machine is too busy for real time, of which the page does not speak
         assert must_fail == (code != 0), f"{text}: exit code {code}\n{printed}{errors}"
         for line in shown:
             assert not line.startswith(ON_STDERR) or line in errors.splitlines(), f"{text}: shown {line}\n{errors}"

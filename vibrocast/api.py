@@ -17,9 +17,9 @@ from vibrocast.codec.stream import Stream as Stream
 from vibrocast.codec.stream import read_stream
 from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.errors import VibrocastError as VibrocastError
-from vibrocast.host import devices, playback, player, uploader
-from vibrocast.host.controller import Controller
+from vibrocast.host import devices, playback, player, session, uploader
 from vibrocast.host.report import Report as Report
+from vibrocast.host.session import Session
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import Actuator as Actuator
 from vibrocast.textures import HIGHPASS_HZ, TextureError, arguments
@@ -211,9 +211,9 @@ class Connection:
         controller: The requests of the wire protocol, for programs that need more than the methods here.
     """
 
-    def __init__(self, controller: Controller, address: str, actuator: Actuator | None) -> None:
-        self.controller = controller
-        self._address, self._actuator = address, actuator
+    def __init__(self, opened: Session) -> None:
+        self.controller = opened.controller
+        self._session = opened
 
     def play(
         self,
@@ -247,18 +247,8 @@ class Connection:
         chosen = _playable(stream, unit, gain_db)
         _check_callable(progress)
         name = str(stream) if isinstance(stream, str | os.PathLike) else "stream"
-        member = playback.member(self.controller, self._address, self._actuator)
-        outcome = playback.play(
-            self.controller,
-            self._address,
-            name,
-            chosen,
-            loops=arguments.whole_number("loops", loops, 1, _MAX_LOOPS),
-            progress=progress,
-            actuator=member.actuator,
-            skin_model=member.skin_model,
-        )
-        return outcome.report
+        passes = arguments.whole_number("loops", loops, 1, _MAX_LOOPS)
+        return playback.play(self._session, name, chosen, loops=passes, progress=progress).report
 
     def status(self) -> dict[str, Any]:
         """Return the properties and the state of the controller as a dictionary, ready for JSON.
@@ -317,8 +307,8 @@ def connect(
     if runtime not in (None, *RUNTIMES):
         raise CodecError(f"`runtime` is {runtime!r}", action=f"pass one of {', '.join(RUNTIMES)}", parameter="runtime")
     chosen = None if actuator is None else _actuator(actuator)
-    with devices.connect(address, runtime, chosen) as controller:
-        yield Connection(controller, address, chosen)
+    with session.connect(address, runtime, chosen) as opened:
+        yield Connection(opened)
 
 
 def codecs() -> Mapping[str, Codec]:

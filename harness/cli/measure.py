@@ -26,7 +26,7 @@ from vibrocast.host.cli.answers import add, figures_so_far, tell
 from vibrocast.host.cli.errors import CommandError
 from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import FOLDER, INPUT
-from vibrocast.host.cli.options import allow_programs_option, fail_where_missed
+from vibrocast.host.cli.options import allow_programs_option, fail_where_missed, given_once
 
 TRACE = "trace.pcapng"
 MAX_SHOWN = 6
@@ -52,7 +52,11 @@ def written_since(path: Path, began_ns: int) -> dict[str, Any] | None:
 
 @click.command()
 @click.option(
-    "--device", metavar="ADDRESS|NAME", help="Choose a controller, by address or name. Default: the bench's, else sim."
+    "--device",
+    callback=given_once(lambda _, __, device: device),
+    metavar="ADDRESS|NAME",
+    multiple=True,
+    help="Choose a controller, by address or name. Default: the bench's, else sim.",
 )
 @click.option(
     "--bench",

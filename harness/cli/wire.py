@@ -21,7 +21,7 @@ from vibrocast.harness.frame_lines import line
 from vibrocast.host import devices
 from vibrocast.host.cli.answers import tell, wants_json
 from vibrocast.host.cli.option_types import INPUT, Number, OutputFile
-from vibrocast.host.cli.options import checked_address, link_option, tell_address
+from vibrocast.host.cli.options import checked_address, given_once, link_option, tell_address
 from vibrocast.host.tracing import tracer
 
 if TYPE_CHECKING:
@@ -149,8 +149,9 @@ def serve(address: str, link: Path | None, faults: "Sequence[Fault]", see: "See 
 @click.option(
     "--device",
     "address",
-    callback=lambda *given: given[2] and checked_address(*given),
+    callback=given_once(checked_address),
     metavar="ADDRESS",
+    multiple=True,
     help="Send the frames from the host to this controller, at their times.",
 )
 def replay(trace: Path, out: Path | None, address: str | None) -> None:

@@ -15,7 +15,7 @@ from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import ActuatorDescription, HelloResponse, Tap
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.harness.conformance.probe import NotConforming, Probe, same_samples
-from vibrocast.host.playback import actuator_model
+from vibrocast.host.session import actuator_model
 from vibrocast.output.actuator import ACTUATORS, Actuator
 
 RATE_HZ = 2800

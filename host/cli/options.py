@@ -1,10 +1,11 @@
 """Options that several subcommands share, and how they are read."""
 
+import contextlib
 import functools
 import json
 import shlex
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +18,6 @@ from vibrocast.codec.encoding import DEFAULT_SNR_DB, DEFAULT_STREAM_RATE_HZ
 from vibrocast.codec.rate_controlled import RateTarget
 from vibrocast.codec.stream import MAX_GAIN_DB
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
-from vibrocast.device_protocol.messages import ActuatorDescription
 from vibrocast.errors import LIMIT_MISSED
 from vibrocast.host import devices
 from vibrocast.host.cli.answers import wants_json
@@ -28,6 +28,8 @@ from vibrocast.output.actuator import Actuator
 
 if TYPE_CHECKING:
     from vibrocast.host.bench_file import Bench
+    from vibrocast.host.bench_limits import Judged
+    from vibrocast.host.session import Session
 
 _BENCH = "vibrocast.bench"
 
@@ -37,10 +39,21 @@ def command_run() -> str:
     return shlex.join(["vibrocast", *sys.argv[1:]]).encode(errors="backslashreplace").decode()
 
 
-def fail_where_missed(missed: Sequence[str]) -> None:
-    """Raise CommandError with the lines of `bench_limits.missed`, if there are any."""
-    if missed:
-        raise CommandError(f"limits missed: {'; '.join(missed)}; see [limits] in the bench file", LIMIT_MISSED)
+def fail_where_missed(lines: Sequence[str], where: str = "see [limits] in the bench file") -> None:
+    """Raise CommandError with the lines of `bench_limits.missed`, if there are any. `where`: the limits stand."""
+    if lines:
+        raise CommandError(f"limits missed: {'; '.join(lines)}; {where}", LIMIT_MISSED)
+
+
+def judge(bench: "Bench | None", figures: "Iterable[Judged]") -> None:
+    """Raise CommandError where a figure misses a limit of the bench; without one, a known figure the default limits."""
+    from vibrocast.host.bench_limits import BenchLimits, missed
+
+    if bench is not None:
+        fail_where_missed(missed(bench.limits, figures))
+    else:
+        known = [figure for figure in figures if figure.value is not None]
+        fail_where_missed(missed(BenchLimits(), known), "state others under [limits] in a bench file, for --bench")
 
 
 def chosen_model(ctx: click.Context, param: click.Parameter, value: str | None) -> models.Model | None:
@@ -106,6 +119,22 @@ def checked_address(ctx: click.Context, param: click.Parameter, value: str) -> s
     return value
 
 
+def given_once(
+    read: Callable[[click.Context, click.Parameter, str], Any],
+) -> Callable[[click.Context, click.Parameter, tuple[str, ...]], Any]:
+    """Return the callback of a `multiple` option that takes one value, which `read` returns; None without any.
+
+    Of an option that is not `multiple`, click takes the last value and drops the others without a word.
+    """
+
+    def read_one(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> Any:
+        if len(values) > 1:
+            raise click.BadParameter(f"given {len(values)} times, and this command takes one; keep one", ctx, param)
+        return read(ctx, param, values[0]) if values else None
+
+    return read_one
+
+
 def grouped(name: str, kind: type[Any], *decorators: Callable[..., Any]) -> Callable[[Callable[..., Any]], Any]:
     """Return one decorator for a group of options, which the command takes as `name`, a dataclass of this kind."""
 
@@ -135,18 +164,20 @@ bench_option = click.option(
 device_option = click.option(
     "--device",
     "address",
-    callback=checked_address,
+    callback=given_once(checked_address),
     metavar="ADDRESS",
-    default="sim",
+    multiple=True,
+    default=("sim",),
     show_default=True,
     help="Choose the controller; `vibrocast devices` lists the addresses.",
 )
 bench_device_option = click.option(
     "--device",
     "chosen",
-    callback=chosen_controller,
+    callback=given_once(chosen_controller),
     metavar="ADDRESS",
-    default="sim",
+    multiple=True,
+    default=("sim",),
     show_default=True,
     help="Choose the controller; `vibrocast devices` lists the addresses.",
 )
@@ -190,20 +221,20 @@ def own_actuator(address: str, name: str | None) -> Actuator | None:
     return None if name is None else actuator_files.find(name)
 
 
-def bench_actuator(bench: "Bench | None", chosen: Chosen) -> Actuator | None:
-    """Return the actuator that a bench has behind a controller; None = the bench says nothing of it."""
-    return None if bench is None or chosen.name is None else bench.actuator(chosen.name)
+@contextlib.contextmanager
+def opened(bench: "Bench | None", chosen: Chosen, actuator: Actuator | None = None) -> "Iterator[Session]":
+    """Open a session with a chosen controller; `actuator`: behind it, None = the bench's, or as the controller says.
 
+    Raises as `session.connect`, and InputError where it drives another actuator than the bench has there.
+    """
+    from vibrocast.host import bench_file, session
 
-def check_bench_actuator(bench: "Bench | None", chosen: Chosen, description: ActuatorDescription) -> None:
-    """Raise InputError where a controller drives another actuator than the bench has there."""
-    if bench is None:
-        return
-    from vibrocast.host.bench_file import check_actuator
-
-    for each in bench.controllers:
-        if each.name == chosen.name:
-            check_actuator(bench, each, description)
+    named = [each for each in bench.controllers if each.name == chosen.name] if bench else []
+    behind = actuator or (bench.actuator(named[0].name) if bench and named else None)
+    with session.connect(chosen.address, actuator=behind) as opened_session:
+        if bench and named:
+            bench_file.check_actuator(bench, named[0], opened_session)
+        yield opened_session
 
 
 link_option = click.option(

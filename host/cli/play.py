@@ -2,7 +2,8 @@
 
 import contextlib
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from importlib.metadata import version
@@ -14,13 +15,13 @@ import click
 from vibrocast import extras, progress, textures
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ
 from vibrocast.codec.stream import Stream, read_stream
-from vibrocast.device_protocol.coded_stream import StreamError, packet_sequence
+from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.device_protocol.messages import MessageError
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.errors import FAILED, InputError
 from vibrocast.host import devices, player
-from vibrocast.host.bench_limits import Judged, missed
-from vibrocast.host.cli.answers import add, answer, wants_json
+from vibrocast.host.cli.answers import answer, wants_json
+from vibrocast.host.cli.describe import ANSWERS, describe_packets, reject_differences, summary, warn
 from vibrocast.host.cli.errors import CommandError, explained
 from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import INPUT, OutputFile, positive, reject_overwriting
@@ -28,16 +29,15 @@ from vibrocast.host.cli.options import (
     Chosen,
     QualityOptions,
     RecordingOptions,
-    bench_actuator,
     bench_option,
-    check_bench_actuator,
     devices_option,
-    fail_where_missed,
     gain_option,
     grouped,
     hand_speed_option,
+    judge,
     loop_option,
     model_option,
+    opened,
     own_actuator,
     rate_hz_option,
     snr_db_option,
@@ -45,31 +45,19 @@ from vibrocast.host.cli.options import (
 )
 from vibrocast.host.cli.sections import CODING, CONTROLLER, OUTPUT, PLAYBACK, SectionedCommand, section
 from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
-from vibrocast.host.cli.steps import (
-    ANSWERS,
-    describe_actuator,
-    describe_card,
-    describe_felt_error,
-    describe_limits,
-    describe_quality,
-    encoded,
-    encoded_profile,
-    files_of,
-    show,
-    warn_of_underruns,
-)
+from vibrocast.host.cli.steps import encoded, encoded_profile, files_of, show
 from vibrocast.host.controller import ControllerError
 from vibrocast.host.limits import check_limits, playable
-from vibrocast.host.report import SCHEMA, Provenance, Report, Touch, UnfinishedReport, write_json
+from vibrocast.host.report import SCHEMA, Provenance, UnfinishedReport, write_json
 from vibrocast.output import actuator_files
-from vibrocast.output.actuator import ACTUATORS, Actuator
+from vibrocast.output.actuator import ACTUATORS
 
 if TYPE_CHECKING:
-    from vibrocast.host import hand_playback, playback
+    from vibrocast.host import playback
     from vibrocast.host.bench_file import Bench
+    from vibrocast.host.session import Session
 
-SILENT_DB = -200.0
-"""Re detection threshold: below it the output is at rest."""
+    Outcomes = tuple[dict[str, playback.Playback | Exception], Stream | None]
 
 
 def chosen_hand(ctx: click.Context, param: click.Parameter, value: str | None) -> float | Path | None:
@@ -159,30 +147,36 @@ def play(
     you give --hand: the length of its stroke, --loop times, or a file of its movement. --hand-speed-mm-s is the highest
     speed of the stroke.
 
-    With --bench, --device may be a name in the file, and the exit code is 4 if a limit is missed.
+    With --bench, --device may be a name in the file. The exit code is 4 if a limit is missed; without --bench, at most
+    1 % of the packets may be lost.
     """
     if outputs.plot_path is not None:
         extras.require("plot")
     reject_overwriting([outputs.report_path, outputs.plot_path], [file, *files_of(quality.model)])
-    given = None if options.actuator_name is None else actuator_files.find(options.actuator_name)
     names = dict(zip(devices.unique_names([each.address for each in chosen]), chosen, strict=True))
-    actuators = {name: given or bench_actuator(bench, each) for name, each in names.items()}
-    run = Run(file.name, names, actuators, bench, outputs)
-    if len(chosen) > 1 and (options.hand or outputs.plot_path):
+    if len(names) > 1 and (options.hand or outputs.plot_path):
         raise click.UsageError("--hand and --plot are for one controller; give one --device")
-    if options.hand is None:
-        figures = play_over_time(run, file, quality, recording, options)
+    run = Run(file.name, names, bench, options, outputs)
+    play_it = play_over_time if options.hand is None else play_under_hand
+    outcomes, given = play_it(run, file, quality, recording)
+    outcome = next(iter(outcomes.values()))
+    if len(outcomes) > 1:
+        report_each(run, outcomes)
+    elif isinstance(outcome, Exception):
+        run.tell_reports(outcomes)
+        raise outcome
     else:
-        figures = play_under_hand(run, file, quality, recording, options)
-    fail_where_missed([] if bench is None else missed(bench.limits, figures))
+        report_one(run, outcome, given)
+    reports = [each.report for each in outcomes.values() if not isinstance(each, Exception)]
+    figures = (figure for report in reports for figure in report.judged())
+    judge(bench, figures)
 
 
-def play_under_hand(
-    run: "Run", file: Path, quality: QualityOptions, recording: RecordingOptions, options: PlaybackOptions
-) -> Iterable[Judged]:
-    """Play a height profile by the position of a hand on one controller, print how it went, and return the figures."""
-    from vibrocast.host import hand_playback, playback
+def play_under_hand(run: "Run", file: Path, quality: QualityOptions, recording: RecordingOptions) -> "Outcomes":
+    """Play a height profile by the position of a hand on one controller; return what it did, and the stream."""
+    from vibrocast.host import hand_playback
 
+    options = run.options
     if options.gain_db:
         raise click.UsageError("a profile under a hand has its own level; drop --gain-db")
     assert options.hand is not None, "a hand moves"
@@ -190,24 +184,13 @@ def play_under_hand(
     own_actuator(chosen.address, options.actuator_name)
     movement = hand_playback.chosen_movement(options.hand, recording.hand_speed_mm_s, options.loops)
     stream, texture = spatial_stream(file, quality, replace(recording, hand_speed_mm_s=None))
-    actuator = run.actuators[name]
-    with (
-        run.reported_where_cut(),
-        devices.connect(chosen.address, actuator=actuator) as controller,
-        progress.bar("playing") as update,
-    ):
-        check_bench_actuator(run.bench, chosen, controller.description.actuator)
-        member = playback.member(controller, chosen.address, actuator)
-        sha256 = run.provenance.bench_sha256
-        stroke = hand_playback.play_and_compare(member, file.name, stream, movement, texture, sha256, update)
-    tell_stroke(stroke, run.outputs)
-    return stroke.report.judged()
+    with run.reported_where_cut(), run.session(name) as session, progress.bar("playing") as update:
+        played = hand_playback.play_and_compare(session, file.name, stream, movement, texture, update, run.provenance)
+    return {name: played}, stream
 
 
-def play_over_time(
-    run: "Run", file: Path, quality: QualityOptions, recording: RecordingOptions, options: PlaybackOptions
-) -> Iterable[Judged]:
-    """Play a recording or a stream on all controllers, print how it went, and return the figures."""
+def play_over_time(run: "Run", file: Path, quality: QualityOptions, recording: RecordingOptions) -> "Outcomes":
+    """Play a recording or a stream on all controllers; return by name what each did, or its error, and the stream."""
     from vibrocast.host import playback
 
     source = read_source(file, quality, recording)
@@ -216,42 +199,30 @@ def play_over_time(
         if isinstance(source, Stream)
         else (source.channels, quality.stream_rate_hz)
     )
-    with run.reported_where_cut():
-        sessions = {
-            name: devices.connect(each.address, actuator=run.actuators[name]) for name, each in run.names.items()
-        }
-        with devices.open_all(sessions) as (controllers, failures):
-            members: dict[str, playback.Member] = {}
-            for name, controller in controllers.items():
-                check_bench_actuator(run.bench, run.names[name], controller.description.actuator)
-                try:
-                    # A stream that the controller cannot play need not be encoded first.
-                    check_limits(controller, channels, rate_hz)
-                except StreamError as error:
-                    failures[name] = error
-                else:
-                    members[name] = playback.member(controller, run.names[name].address, run.actuators[name])
-            outcomes: dict[str, playback.Outcome | Exception] = {}
-            if members:
-                if isinstance(source, Stream):
-                    stream, encoding = source, None
-                else:
-                    encoding = encoded(source, quality, recording.unit, live=True)
-                    stream = encoding.stream
-                stream = stream.with_gain(options.gain_db)
-                with progress.bar("playing") as update:
-                    tell = playing(update, stream.bits_per_second, run.latest)
-                    outcomes = playback.play_together(members, file.name, stream, encoding, options.loops, tell)
-        outcomes = {name: run.traced((outcomes | failures)[name]) for name in run.names}
-        (outcome, *others) = outcomes.values()
-        if isinstance(outcome, Exception) and not others:
-            raise outcome
-    if others or isinstance(outcome, Exception):
-        report_each(run, outcomes)
-    else:
-        tell_outcome(run, outcome, stream)
-    reports = [each.report for each in outcomes.values() if not isinstance(each, Exception)]
-    return [figure for report in reports for figure in report.judged()]
+    stream = encoding = None
+    outcomes: dict[str, playback.Playback | Exception] = {}
+    with (
+        run.reported_where_cut(),
+        devices.open_all({name: run.session(name) for name in run.names}) as (sessions, failures),
+    ):
+        for name, session in sessions.items():
+            try:
+                # A stream that the controller cannot play need not be encoded first.
+                check_limits(session.controller, channels, rate_hz)
+            except StreamError as error:
+                failures[name] = error
+        able = {name: session for name, session in sessions.items() if name not in failures}
+        if able:
+            if not isinstance(source, Stream):
+                encoding = encoded(source, quality, recording.unit, live=True)
+                source = encoding.stream
+            stream = source.with_gain(run.options.gain_db)
+            with progress.bar("playing") as update:
+                tell = playing(update, stream.bits_per_second, run.latest)
+                outcomes = playback.play_together(
+                    able, file.name, stream, encoding, run.options.loops, tell, run.provenance
+                )
+    return {name: (outcomes | failures)[name] for name in run.names}, stream
 
 
 @dataclass(frozen=True)
@@ -263,8 +234,8 @@ class Run:
 
     file: str
     names: Mapping[str, Chosen]
-    actuators: Mapping[str, Actuator | None]
     bench: "Bench | None"
+    options: PlaybackOptions
     outputs: OutputOptions
     latest: dict[str, player.Progress] = field(default_factory=dict)
 
@@ -272,16 +243,15 @@ class Run:
         report_path = self.outputs.report_path
         trace_failure(report_path and report_path.with_suffix(".pcapng"))
 
+    def session(self, name: str) -> "AbstractContextManager[Session]":
+        """Return a session with one of the controllers, still closed, behind which is the actuator that was chosen."""
+        given = self.options.actuator_name
+        return opened(self.bench, self.names[name], None if given is None else actuator_files.find(given))
+
     @cached_property
     def provenance(self) -> Provenance:
         """The origin of the reports."""
         return Provenance(None if self.bench is None else self.bench.sha256)
-
-    def traced(self, outcome: "playback.Outcome | Exception") -> "playback.Outcome | Exception":
-        """Return an outcome whose report names the bench file."""
-        if isinstance(outcome, Exception):
-            return outcome
-        return replace(outcome, report=replace(outcome.report, run=self.provenance))
 
     def unfinished(self, name: str, error: BaseException) -> UnfinishedReport:
         """Return the report of a controller that has not played all."""
@@ -304,11 +274,15 @@ class Run:
         try:
             yield
         except (ControllerError, TransportError, MessageError, KeyboardInterrupt) as error:
-            self.tell_reports([self.unfinished(name, error) for name in self.names])
+            self.tell_reports(dict.fromkeys(self.names, error))
             raise
 
-    def tell_reports(self, reports: Sequence[Report | UnfinishedReport]) -> None:
+    def tell_reports(self, outcomes: "Mapping[str, playback.Playback | BaseException]") -> None:
         """Write the reports, and make them the answer in JSON; of several controllers, as a list. Raises OSError."""
+        reports = [
+            self.unfinished(name, each) if isinstance(each, BaseException) else each.report
+            for name, each in outcomes.items()
+        ]
         documents = [asdict(each) for each in reports]
         document = documents if len(documents) > 1 else documents[0]
         if self.outputs.report_path:
@@ -316,30 +290,24 @@ class Run:
         answer(document)
 
 
-def tell_outcome(run: Run, outcome: "playback.Outcome", given: Stream) -> None:
+def report_one(run: Run, played: "playback.Playback", given: Stream | None) -> None:
     """Print what one controller played, write it and draw it; `given`: the stream before it was fitted.
 
     Raises ControllerError if it played something else than was sent.
     """
     from vibrocast.host import picture
 
-    report = outcome.report
-    run.tell_reports([report])
+    report = played.report
+    run.tell_reports({report.device.address: played})
     if run.outputs.plot_path:
-        picture.draw(
-            run.outputs.plot_path, f"{report.file} on {report.device.address}", outcome.caption, outcome.traces
-        )
+        picture.draw(run.outputs.plot_path, f"{report.file} on {report.device.address}", played.caption, played.traces)
     if not wants_json():
-        show(summary(outcome, given))
-    if report.touch.level_db <= 0:
-        click.echo("warning: nobody would feel this; raise --gain-db, or encode it with the right --unit", err=True)
-    if report.sound_card:
-        warn_of_underruns(report.sound_card)
-    if report.differs:
-        raise ControllerError(
-            "the controller played something else than was sent: the lines above count underruns and lost packets; if "
-            "there are any, use a shorter cable or a less busy machine, else flash the firmware again"
-        )
+        lines = summary(report)
+        if not report.position and played.stream and given:
+            lines["packets"] = describe_packets(played.stream, given)
+        show(lines)
+    warn(report)
+    reject_differences(report)
 
 
 def read_source(file: Path, quality: QualityOptions, recording: RecordingOptions) -> Stream | textures.Recording:
@@ -363,15 +331,13 @@ def read_source(file: Path, quality: QualityOptions, recording: RecordingOptions
     return source
 
 
-def report_each(run: Run, outcomes: "Mapping[str, playback.Outcome | Exception]") -> None:
+def report_each(run: Run, outcomes: "Mapping[str, playback.Playback | Exception]") -> None:
     """Print a line for each of several controllers, and tell their reports.
 
     If one failed, or played something else than was sent, raises CommandError, with the exit code of all
     that failed; FAILED where theirs differ.
     """
-    run.tell_reports(
-        [run.unfinished(name, each) if isinstance(each, Exception) else each.report for name, each in outcomes.items()]
-    )
+    run.tell_reports(outcomes)
     lines: dict[str, str] = {}
     failed: dict[str, int] = {}
     for name, each in outcomes.items():
@@ -414,39 +380,6 @@ def spatial_stream(
     return stream, texture
 
 
-def tell_stroke(stroke: "hand_playback.Stroke", outputs: OutputOptions) -> None:
-    """Print what was played under a hand, write it and draw it. Raises ControllerError where it is not as computed."""
-    from vibrocast.host import hand_playback, picture
-
-    report, played = stroke.report, stroke.played
-    if outputs.report_path:
-        report.write(outputs.report_path)
-    if outputs.plot_path:
-        pictured = hand_playback.pictured(played, stroke.expected, stroke.actuator)
-        picture.draw(outputs.plot_path, f"{report.file} on {report.device.address}", *pictured)
-    if wants_json():
-        add(asdict(report))
-    else:
-        show(
-            {
-                "actuator": describe_actuator(report, None),
-                "played": f"{report.file}, {report.length_mm:.2f} mm, under a hand at up to "
-                f"{report.fastest_mm_s:.0f} mm/s for {report.seconds:.2f} s",
-                "stream": f"{report.stream_bytes} bytes, {report.bits_per_mm:.0f} bit/mm, codec {report.codec}",
-                "limits": describe_limits(report.actuator),
-                "positions": f"{report.positions} sent, {report.underruns} came too late, damaged frames "
-                f"{report.bad_frames} there, {report.bad_frames_back} back",
-                **({"sound card": describe_card(report.sound_card)} if report.sound_card else {}),
-                "DAC as computed": ANSWERS[report.dac_equals_offline],
-            }
-        )
-    if report.dac_equals_offline is False:
-        raise ControllerError(
-            "the controller played something else than the positions ask for: one was lost on the way, or it renders "
-            "wrongly; use a shorter cable or a less busy machine, then play again"
-        )
-
-
 def coded_already(file: Path, quality: QualityOptions, recording: RecordingOptions) -> Stream:
     """Read a .vct file to play, to which no option of the two groups applies but the model."""
     values = vars(replace(quality, model=None)) | vars(recording)
@@ -477,56 +410,3 @@ def playing(
         update(position_s / duration_s, details)
 
     return tell
-
-
-def describe_touch(touch: Touch) -> str:
-    """Return how far the skin's vibration exceeds the detection threshold, in words."""
-    if touch.level_db > 0:
-        return f"peak {touch.level_db:+.0f} dB re detection threshold at {touch.frequency_hz:.0f} Hz"
-    level = f"peak {touch.level_db:.0f} dB at {touch.frequency_hz:.0f} Hz" if touch.level_db > SILENT_DB else "silence"
-    return f"nothing exceeds the detection threshold ({level})"
-
-
-def describe_packets(stream: Stream, given: Stream) -> str:
-    """Return how long the packets of a stream are, and how often one can be decoded alone, in words.
-
-    `given`: the stream before its packets were split for the controller.
-    """
-    packet_samples = stream.decoder().packet_samples
-    packet_s = packet_samples / stream.header.rate_hz
-    alone = [number for number, packet in enumerate(stream.packets) if packet_sequence(packet)[1]]
-    often = f"one in {packet_s * (alone[1] - alone[0]):.2f} s" if len(alone) > 1 else "only the first"
-    longer = given.decoder().packet_samples / packet_samples
-    split = f", split from {1000 * packet_s * longer:.1f} ms for this controller" if longer > 1 else ""
-    return f"{1000 * packet_s:.1f} ms each, {often} can be decoded alone{split}"
-
-
-def describe_comparison(equal: bool | None, report: Report) -> str:
-    """Return whether what was read back is as computed, or why that is not known."""
-    return f"{ANSWERS[equal]}: {report.comparison_note}" if equal is None and report.comparison_note else ANSWERS[equal]
-
-
-def summary(outcome: "playback.Outcome", given: Stream) -> dict[str, object]:
-    """Return the lines that `play` prints at its end; `given`: the stream before it was fitted to the controller."""
-    report = outcome.report
-    latency = report.latency_ms
-    return {
-        "coded": describe_quality(report),
-        "felt error": describe_felt_error(report.felt_error),
-        "actuator": describe_actuator(report, report.skin_note),
-        "played": f"{report.file}, {report.seconds:.2f} s, {report.channels} channel(s), {report.loops} time(s)",
-        "stream": f"{report.stream_bytes} bytes, {report.bits_per_second:.0f} bit/s, "
-        f"{report.bits_per_sample:.2f} bit/sample, codec {report.codec}"
-        + (f", model {report.model}" if report.model else ""),
-        "packets": describe_packets(outcome.stream, given),
-        "wire": f"{report.wire_bytes} bytes sent, {report.wire_bytes_back} received, damaged frames "
-        f"{report.bad_frames} there, {report.bad_frames_back} back",
-        "latency": f"{latency.algorithmic:.1f} ms codec + {latency.buffered:.1f} ms buffer, "
-        f"{latency.end_to_end:.1f} ms to the skin",
-        "underruns": f"{report.underruns}, lost packets {report.lost_packets}, reconnects {report.reconnects}",
-        **({"sound card": describe_card(report.sound_card)} if report.sound_card else {}),
-        "limits": describe_limits(report.actuator),
-        "touch": describe_touch(report.touch),
-        "decoded as sent": describe_comparison(report.decoded_equals_offline, report),
-        "DAC as computed": describe_comparison(report.dac_equals_offline, report),
-    }

@@ -27,7 +27,7 @@ from vibrocast.host import devices
 from vibrocast.host.bench_file import actuator_toml
 from vibrocast.host.cli import sections
 from vibrocast.host.cli.command_line import main
-from vibrocast.host.report import Report
+from vibrocast.host.report import SCHEMA, Report
 from vibrocast.output.actuator import ACTUATORS, Codes
 from vibrocast.simulated_device.controller import Controller
 from vibrocast.simulated_device.pty_port import PtyPort
@@ -342,6 +342,17 @@ def test_interrupt_stops_the_actuator_and_leaves_the_port_usable(
         (("status", "--device", "serial:"), "serial:PORT"),
         (("status", "--device", "usb:nonsense"), "hexadecimal"),
         (("flash", "{texture}"), "model image"),
+        *(
+            ((*command, "--device", "sim", "--device", "sim-usb"), "given 2 times")
+            for command in (
+                ("status",),
+                ("flash", "eva-16-4"),
+                ("live", "rough"),
+                ("measure",),
+                ("conformance",),
+                ("replay", "trace.pcapng"),
+            )
+        ),
     ],
 )
 def test_rejects_bad_usage(arguments: tuple[object, ...], told: str, texture: Path, coded: Path) -> None:
@@ -557,7 +568,7 @@ def test_play_tells_what_is_coded_what_is_felt_and_what_the_actuator_follows(tmp
     assert skin["weighted_snr_db"] == pytest.approx(skin["weighted_decoded_snr_db"], abs=0.3)
     assert skin["playing_snr_db"] > 30 < skin["weighted_playing_snr_db"]
     assert report["skin_note"] is None
-    assert (report["schema"], report["bad_frames"], report["run"]["bench_sha256"]) == (3, 0, None)
+    assert (report["schema"], report["bad_frames"], report["run"]["bench_sha256"]) == (SCHEMA, 0, None)
 
 
 def test_a_recording_is_coded_for_touch(tmp_path: Path) -> None:

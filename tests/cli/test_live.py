@@ -15,8 +15,9 @@ from tests import command
 from tests.command import answer, run, succeeds
 from tests.conftest import session
 from vibrocast.errors import LIMIT_MISSED
-from vibrocast.host import live_watch
+from vibrocast.host import live_playback
 from vibrocast.host.controller import Controller as Session
+from vibrocast.host.report import Minute
 from vibrocast.simulated_device.controller import Controller
 from vibrocast.simulated_device.device import Device
 from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
@@ -55,7 +56,7 @@ def raw(samples: int, channels: int = 1) -> bytes:
 def test_a_generated_texture_is_streamed(model: tuple[str, ...]) -> None:
     result = live("rough", "--seconds", 0.3, *PATIENT, *model)
     assert result.exit_code == 0, result.output
-    assert re.search(r"^underruns 0, lost packets 0 of \d+, damaged frames 0 there, 0 back$", result.output, re.M)
+    assert re.search(r"^underruns +0, lost packets 0 of \d+$", result.output, re.M)
 
 
 @pytest.mark.parametrize(
@@ -110,9 +111,10 @@ def test_a_source_that_is_not_live_is_named(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_a_rate_is_streamed_and_reported() -> None:
     figures = answer("live", "rough", "--seconds", 0.6, "--rate-bps", 4000, *PATIENT)
-    assert figures["payload_bits_per_second"] < figures["wire_bits_per_second"]
-    assert figures["playout_delay_ms"] == 300
-    assert figures["underruns"] == figures["dropped_packets"] == 0
+    part = figures["live"]
+    assert part["payload_bits_per_second"] < part["wire_bits_per_second"]
+    assert part["playout_delay_ms"] == 300
+    assert figures["underruns"] == part["dropped_packets"] == 0
 
 
 def bench_file(folder: Path, address: str, limits: str = "") -> Path:
@@ -138,9 +140,19 @@ def test_lost_packets_and_damaged_frames_fail_and_are_named(put: Put) -> None:
     assert re.search(r"error: limits missed: live: lost_percent = [\d.]+, max_lost_percent = 1;", result.stderr)
 
 
+def test_a_bench_file_gives_controller_and_limits(tmp_path: Path, put: Put) -> None:
+    bench = bench_file(tmp_path, "sim", "max_lost_percent = 100")
+    assert live("rough", "--seconds", 0.5, "--bench", bench).exit_code == 0
+    put(damaged)
+    bench = bench_file(tmp_path, "sim-usb", "max_lost_percent = 100\nmax_bad_frames = 0")
+    result = live("rough", "--seconds", 1, "--bench", bench, "--device", "it")
+    assert result.exit_code == LIMIT_MISSED
+    assert re.search(r"error: limits missed: live: bad_frames = \d+, max_bad_frames = 0;", result.output)
+
+
 def test_the_quality_of_the_codec_stands_next_to_that_at_the_skin() -> None:
-    skin = r"SNR [\d.]+ dB; at the skin, by models, weighted SNR [\d.]+ dB with the codec"
-    assert re.search(skin, succeeds("live", "wood", "--seconds", 1.5, *PATIENT))
+    told = r"coded +SNR [\d.]+ dB\nactuator .* weighted SNR [\d.]+ dB with the codec"
+    assert re.search(told, succeeds("live", "wood", "--seconds", 1.5, *PATIENT))
     quality = answer("live", "wood", "--seconds", 1.5, *PATIENT, "--rate-bps", 6000, "--snr-db", 12)
     assert quality["skin"]["weighted_snr_db"] > quality["skin"]["snr_db"]
 
@@ -167,7 +179,7 @@ def test_a_controller_that_plays_something_else_fails(tmp_path: Path, put: Put) 
     bench = bench_file(tmp_path, "sim", "max_gain = 1.1\nmax_lost_percent = 100")
     result = live("rough", "--seconds", 1, *PATIENT, "--bench", bench)
     assert result.exit_code == 1
-    assert "decoded as sent yes, DAC as computed NO" in result.output
+    assert re.search(r"decoded as sent +yes\nDAC as computed +NO", result.output)
     assert "played something else than was sent" in result.output
 
 
@@ -184,4 +196,4 @@ def test_a_controller_that_plays_something_else_fails(tmp_path: Path, put: Put) 
     ],
 )
 def test_a_minute_names_what_made_it_lose_something(counts: dict[str, float], cause: str | None) -> None:
-    assert live_watch.cause(live_watch.Minute(0.0, **counts), playout_delay_ms=10.0) == cause  # type: ignore[arg-type]
+    assert live_playback.cause(Minute(0.0, **counts), playout_delay_ms=10.0) == cause  # type: ignore[arg-type]

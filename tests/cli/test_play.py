@@ -10,6 +10,7 @@ import pytest
 from tests.command import OAK, failure, run
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import devices, playback
+from vibrocast.host.report import SCHEMA
 from vibrocast.output.actuator import Actuator
 
 play = partial(run, "play", OAK)
@@ -48,7 +49,7 @@ def test_a_playback_that_is_cut_leaves_report_and_trace(
     told = json.loads(report.read_text())
     assert told["error"] == (str(cut) or "interrupted")
     assert told["device"] == {"address": "sim"} and told["played_s"] == pytest.approx(4.0, abs=0.1)
-    assert told["underruns"] >= 0 and told["lost_packets"] >= 0 and told["schema"] == 3
+    assert told["underruns"] >= 0 and told["lost_packets"] >= 0 and told["schema"] == SCHEMA
     assert answered == {**told, "exit_code": exit_code}
     assert (tmp_path / "cut.pcapng").exists()
 

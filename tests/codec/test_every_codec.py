@@ -21,6 +21,7 @@ from vibrocast.codec.registry import Source
 from vibrocast.codec.rotation import COMMON, OWN, Rotation
 from vibrocast.host import playback, uploader
 from vibrocast.host.controller import Controller
+from vibrocast.host.session import session_with
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.memory_link import MemoryLink
 
@@ -391,7 +392,7 @@ def test_a_controller_plays_what_was_decoded_here(name: str) -> None:
     controller = Controller(link, link.clock, link.sleep)
     if encoding.stream.image is not None:
         uploader.flash(controller, encoding.stream.image)
-    report = playback.play(controller, "memory", "texture", encoding.stream, encoding, loops=2).report
+    report = playback.play(session_with(controller, "memory"), "texture", encoding.stream, encoding, loops=2).report
     assert report.codec == name
     assert report.underruns == report.lost_packets == 0
     assert report.decoded_equals_offline is True

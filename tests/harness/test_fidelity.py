@@ -8,6 +8,7 @@ import pytest
 
 from tests.harness.test_response import bench
 from vibrocast.harness import fidelity
+from vibrocast.host.session import session_with
 from vibrocast.host.skin_quality import displacement_above_20_hz
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.textures import GENERATORS, Recording
@@ -17,9 +18,7 @@ from vibrocast.textures import GENERATORS, Recording
 def test_a_sensor_of_its_own_clock_sees_what_the_model_says(unit: str) -> None:
     texture = GENERATORS["rough"](seconds=2.0)
     controller, recorder = bench(PIEZO_STACK, PIEZO_STACK, unit, drift_ppm=60.0, noise_db=-60.0)
-    measure = partial(
-        fidelity.measure_fidelity, controller, "memory", texture, actuator=PIEZO_STACK, skin_model=PIEZO_STACK
-    )
+    measure = partial(fidelity.measure_fidelity, session_with(controller, "memory"), texture)
     modelled, recorded = measure(), measure(recorder=recorder, sensor_name="it")
     assert modelled.as_decoded is modelled.as_computed is recorded.as_computed is True
     assert modelled.playing_snr_db is not None and modelled.playing_snr_db > 25
@@ -35,7 +34,7 @@ def test_an_actuator_that_is_not_as_believed_is_seen() -> None:
     real = replace(PIEZO_STACK, corner_hz=120.0)
     controller, recorder = bench(PIEZO_STACK, real, "um", noise_db=-60.0)
     measured = fidelity.measure_fidelity(
-        controller, "memory", texture, actuator=PIEZO_STACK, skin_model=PIEZO_STACK, recorder=recorder, sensor_name="it"
+        session_with(controller, "memory"), texture, recorder=recorder, sensor_name="it"
     )
     assert measured.as_computed is True
     assert measured.playing_snr_db is not None and measured.playing_snr_db < 20

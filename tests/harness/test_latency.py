@@ -14,7 +14,8 @@ from vibrocast.harness.results import warnings
 from vibrocast.harness.sensors import TimedRecording
 from vibrocast.host import live
 from vibrocast.host.controller import Controller, ControllerError
-from vibrocast.host.device_clock import ClockFit, DeviceClock
+from vibrocast.host.live_playback import ClockFit, DeviceClock
+from vibrocast.host.session import session_with
 from vibrocast.output.actuator import PIEZO_STACK, Codes
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
@@ -64,7 +65,7 @@ def test_a_sensor_ends_the_measurement_at_its_samples() -> None:
 
         yield finish
 
-    measured = latency.measure_latency(bench.session, PIEZO_STACK, NOISE, seconds=2.0, recorder=recorder)
+    measured = latency.measure_latency(session_with(bench.session, "sim"), NOISE, seconds=2.0, recorder=recorder)
     # The piezo's low-pass adds at most 1 / (2 pi corner_hz) = 0.6 ms.
     assert measured.to_sensor_ms == pytest.approx(measured.total_ms + 1e3 * sensor_delay_s, abs=1.5)
 
@@ -75,7 +76,7 @@ def test_the_whole_is_the_sum_of_its_parts_and_the_playout_delay_is_kept(
     playout_delay_s: float, drift_ppm: int
 ) -> None:
     measured = latency.measure_latency(
-        Bench(drift_ppm).session, PIEZO_STACK, NOISE, seconds=2.0, playout_delay_s=playout_delay_s
+        session_with(Bench(drift_ppm).session, "sim"), NOISE, seconds=2.0, playout_delay_s=playout_delay_s
     )
     assert measured.stable
     assert measured.as_sent
@@ -91,7 +92,7 @@ def test_what_is_measured_is_when_the_dac_has_it() -> None:
     silence, knock = np.zeros((RATE_HZ, 1)), np.zeros((RATE_HZ, 1))
     knock[RATE_HZ // 2] = 30.0
     knocking = texture(np.concatenate((silence, knock)))
-    measured = latency.measure_latency(bench.session, PIEZO_STACK, knocking, seconds=2.0)
+    measured = latency.measure_latency(session_with(bench.session, "sim"), knocking, seconds=2.0)
     peak_s = max((np.max(np.abs(codes)), time_s) for time_s, codes in bench.played)[1]
     # The source begins when the stream does, which is set up without time passing.
     assert 1e3 * (peak_s - 1.5) == pytest.approx(measured.total_ms, abs=2.0)
@@ -100,7 +101,7 @@ def test_what_is_measured_is_when_the_dac_has_it() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("late_ms", [1, 4])
 def test_a_link_of_long_round_trips_is_measured_without_holding_the_stream_up(late_ms: int) -> None:
-    measured = latency.measure_latency(long_line(late_ms / 1000), PIEZO_STACK, NOISE, seconds=2.0)
+    measured = latency.measure_latency(session_with(long_line(late_ms / 1000), "sim"), NOISE, seconds=2.0)
     assert measured.stable
     assert measured.as_sent
     assert measured.parts["wire"].median_ms == pytest.approx(late_ms, abs=0.2)
@@ -108,14 +109,14 @@ def test_a_link_of_long_round_trips_is_measured_without_holding_the_stream_up(la
 
 
 def test_default_buffers_stay_below_30_ms_with_a_usb_class_link() -> None:
-    measured = latency.measure_latency(Bench().session, PIEZO_STACK, NOISE, seconds=1.0)
+    measured = latency.measure_latency(session_with(Bench().session, "sim"), NOISE, seconds=1.0)
     assert measured.playout_delay_ms == 1e3 * live.PLAYOUT_DELAY_S
     assert measured.total_ms < 30.0
 
 
 @pytest.mark.slow
 def test_search_finds_the_least_that_is_stable() -> None:
-    found = latency.find_min_latency(Bench().session, PIEZO_STACK, NOISE, seconds=1.0)
+    found = latency.find_min_latency(session_with(Bench().session, "sim"), NOISE, seconds=1.0)
     assert found.found is not None
     stable = [trial.total_ms for trial in found.trials if trial.total_ms is not None]
     assert found.found.total_ms == pytest.approx(min(stable), abs=1.0)
@@ -145,15 +146,15 @@ def test_a_delay_that_no_stream_had_is_measured_again_and_then_an_error(
     good, bad = flawed({"lost_packets": 1}, -0.5), flawed(changes, buffer_ms)
     results = iter([bad, good, bad, bad])
     monkeypatch.setattr(latency, "measure_latency", lambda *_, **__: next(results))
-    controller = Bench().session
-    assert latency.measure_credible_latency(controller, PIEZO_STACK, NOISE) is good
+    controller = session_with(Bench().session, "sim")
+    assert latency.measure_credible_latency(controller, NOISE) is good
     with pytest.raises(ControllerError, match=flaw):
-        latency.measure_credible_latency(controller, PIEZO_STACK, NOISE)
+        latency.measure_credible_latency(controller, NOISE)
 
 
 def test_the_search_does_not_take_a_delay_that_no_stream_had(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(latency, "measure_latency", lambda *_, **__: flawed({}, -3.0))
-    found = latency.find_min_latency(Bench().session, PIEZO_STACK, NOISE)
+    found = latency.find_min_latency(session_with(Bench().session, "sim"), NOISE)
     assert found.found is None
     assert [trial.total_ms for trial in found.trials] == [None] * len(latency.HOPS)
 

@@ -19,6 +19,7 @@ from vibrocast.device_protocol.messages import CaptureData, Configure, HelloResp
 from vibrocast.device_protocol.trace import TracedFrame, read_trace
 from vibrocast.harness.wire_view import WireView
 from vibrocast.host import devices, playback
+from vibrocast.host.session import session_with
 from vibrocast.host.tracing import tracer
 
 
@@ -32,7 +33,7 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> Sequence[TracedFrame]:
     path = tmp_path_factory.mktemp("traces") / "played.pcapng"
     encoding = encode_recording(textures.GENERATORS["rough"](seconds=1.0), live=True)
     with tracer.writing(path), devices.connect("sim") as controller:
-        playback.play(controller, "sim", "rough", encoding.stream, encoding)
+        playback.play(session_with(controller, "sim"), "rough", encoding.stream, encoding)
     return list(read_trace(path))
 
 

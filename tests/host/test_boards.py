@@ -14,6 +14,7 @@ from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import Stream
 from vibrocast.host import devices, playback
 from vibrocast.host.controller import Controller
+from vibrocast.host.session import session_with
 from vibrocast.simulated_device.memory_link import MemoryLink
 from vibrocast.simulated_device.serial_port import has_pseudo_terminals
 
@@ -36,10 +37,10 @@ def opened(address: str) -> Iterator[Controller]:
     yield session(MemoryLink(device))
 
 
-def check_plays(address: str, stream: Stream) -> playback.Outcome:
+def check_plays(address: str, stream: Stream) -> playback.Playback:
     """Play a stream, and check that nothing was late and all is as computed."""
     with opened(address) as controller:
-        outcome = playback.play(controller, address, "oak", stream)
+        outcome = playback.play(session_with(controller, address), "oak", stream)
     report = outcome.report
     assert report.underruns == report.lost_packets == 0
     assert report.dac_equals_offline is True

@@ -21,9 +21,10 @@ from vibrocast.codec.stream import Stream, read_stream
 from vibrocast.codec.threshold import read_threshold, threshold_amplitude
 from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.errors import InputError
-from vibrocast.host import hand_playback, playback
+from vibrocast.host import hand_playback
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.limits import playable
+from vibrocast.host.session import session_with
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.simulated_device.controller import Settings
 from vibrocast.simulated_device.faulty_wire import Fault
@@ -155,11 +156,12 @@ def test_the_played_samples_are_the_computed_ones_also_over_a_link_that_loses_fr
     for lost, alike in ((0.0, True), (0.2, False)):
         _, controller = linked(faults=[Fault(lost=lost, direction="to_controller")], seed=2)
         played = hand_playback.play(controller, stream, movement)
-        expected = hand_playback.computed(stream, played, PIEZO_STACK)
-        assert hand_playback.as_computed(played, expected, PIEZO_STACK) is alike
+        session = session_with(controller, "sim")
+        _, expected = hand_playback.computed(session, stream, played)
+        assert hand_playback.as_computed(session, played, expected) is alike
         first = PIEZO_STACK.dac_rate_hz // 20
-        codes = played.dac_codes[first : len(expected.codes) - 2 * first, 0]
-        assert np.corrcoef(codes, expected.codes[first : first + len(codes), 0])[0, 1] > 0.9
+        codes = played.captured.samples[first : len(expected) - 2 * first, 0]
+        assert np.corrcoef(codes, expected[first : first + len(codes), 0])[0, 1] > 0.9
         assert played.status.lost_packets == 0
 
 
@@ -169,13 +171,14 @@ def test_clocks_that_drift_and_sparse_positions_make_no_difference(stream: Strea
     movement = hand_playback.Movement(times_s, 10 * np.sin(6 * times_s))
     _, controller = linked(Settings(drift_ppm=drift_ppm))
     played = hand_playback.play(controller, stream, movement)
-    expected = hand_playback.computed(stream, played, PIEZO_STACK)
-    assert hand_playback.as_computed(played, expected, PIEZO_STACK) is True
+    session = session_with(controller, "sim")
+    _, expected = hand_playback.computed(session, stream, played)
+    assert hand_playback.as_computed(session, played, expected) is True
     assert played.status.underruns == 0
-    other = replace(played, dac_codes=played.dac_codes + 1)
-    assert hand_playback.as_computed(other, expected, PIEZO_STACK) is False
+    other = replace(played, captured=played.captured._replace(samples=played.captured.samples + 1))
+    assert hand_playback.as_computed(session, other, expected) is False
     late = replace(other, status=replace(played.status, underruns=1))
-    assert hand_playback.as_computed(late, expected, PIEZO_STACK) is None
+    assert hand_playback.as_computed(session, late, expected) is None
 
 
 PAPER_SETTINGS: dict[str, codec.Setting] = {
@@ -206,11 +209,12 @@ def test_the_papers_chain_from_end_to_end(rule: str, material: str, tmp_path: Pa
     sent = playable(stream)
     assert (codec.snr_db(stream.decode(), sent.decode()) or 0) > 60
     movement = hand_playback.Movement(np.array([0.0, 0.7]), np.array([0.0, 35.0]))
-    stroke = hand_playback.play_and_compare(playback.member(sim, "sim", None), material, stream, movement)
-    assert stroke.as_computed and stroke.report.stream_bytes == stream.size_bytes
+    stroke = hand_playback.play_and_compare(session_with(sim, "sim"), material, stream, movement)
+    assert stroke.report.dac_equals_offline and stroke.report.stream_bytes == stream.size_bytes
     period = PIEZO_STACK.dac_rate_hz // 5  # 10 mm at 50 mm/s
-    made_um, codes = stroke.expected.heights_um[period:, 0], stroke.played.dac_codes[period:].astype(int)
-    assert np.max(np.abs(codes[:period] - codes[period : 2 * period])) <= 1
+    made_um, skin_um = stroke.traces[0].values[period:, 0], stroke.traces[1].values[4 * period :, 0]
+    one_code_um = PIEZO_STACK.excursion_um / PIEZO_STACK.full_scale
+    assert np.max(np.abs(skin_um[: 4 * period] - skin_um[4 * period : 8 * period])) <= 1.01 * one_code_um
     np.testing.assert_array_equal(made_um[:period], made_um[period : 2 * period])
     # The output follows the hand 28 ms late. Compared below 400 Hz, because the seam has all frequencies.
     spectra = [np.fft.rfft(decoded_um) / len(decoded_um), np.fft.rfft(made_um[:period]) / period]
@@ -265,7 +269,7 @@ def test_a_bench_file_judges_a_profile_under_a_hand(tmp_path: Path) -> None:
     told = json.loads(report.read_text())
     assert json.loads(done.stdout) == told
     assert told["run"]["bench_sha256"] and told["device"]["address"] == "serial:port"
-    assert told["positions"] > 200 and told["dac_equals_offline"] is True and told["skin"]["snr_db"] > 5
+    assert told["position"]["positions"] > 200 and told["dac_equals_offline"] is True and told["skin"]["snr_db"] > 5
     done = stroked(tmp_path, "min_snr_db = 100")
     assert done.exit_code == 4 and "min_snr_db = 100" in done.stderr
     done = stroked(tmp_path, "", actuator="lra")

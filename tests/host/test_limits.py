@@ -18,6 +18,7 @@ from vibrocast.device_protocol.messages import CodecDescription, Configure, Erro
 from vibrocast.host import limits, playback
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.limits import check_limits, fitted
+from vibrocast.host.session import session_with
 from vibrocast.host.stream_session import configure_steps
 from vibrocast.simulated_device.controller import Settings
 
@@ -38,8 +39,8 @@ def file_of(codec_name: str, rate_hz: int = 8000) -> Stream:
 def test_packets_that_are_too_long_are_split_and_play_as_computed() -> None:
     stream = file_of("mdct")
     assert stream.decoder().packet_samples > BUFFER_SAMPLES
-    outcome = playback.play(controller(), "sim", "rough", stream, loops=2)
-    assert outcome.stream.decoder().packet_samples <= BUFFER_SAMPLES // 2
+    outcome = playback.play(session_with(controller(), "sim"), "rough", stream, loops=2)
+    assert outcome.stream is not None and outcome.stream.decoder().packet_samples <= BUFFER_SAMPLES // 2
     assert outcome.report.stream_bytes == outcome.stream.size_bytes
     assert outcome.report.underruns == outcome.report.lost_packets == 0
     assert outcome.report.decoded_equals_offline is outcome.report.dac_equals_offline is True
@@ -59,7 +60,9 @@ def test_packets_of_more_bytes_than_a_frame_takes_are_split() -> None:
     [(256, "keeps 256 samples of each capture"), (0, "the controller keeps no captures"), (1 << 19, None)],
 )
 def test_the_report_says_why_nothing_is_compared(capture_samples: int, note: str | None) -> None:
-    report = playback.play(controller(capture_samples=capture_samples), "memory", "rough", file_of("mdct")).report
+    report = playback.play(
+        session_with(controller(capture_samples=capture_samples), "memory"), "rough", file_of("mdct")
+    ).report
     assert report.underruns == 0 and not report.differs
     assert (report.decoded_equals_offline, report.dac_equals_offline) == ((None, None) if note else (True, True))
     assert (report.comparison_note or "") == "" if note is None else note in (report.comparison_note or "")

@@ -26,7 +26,7 @@ FORMAT = live_format(RATE_HZ, "um", [10.0])
 
 
 def blocks(stream: LiveStream, samples: Signal) -> Iterator[Signal]:
-    return (block for _, block in live.paced(stream, samples, stream.packet_samples))
+    return (block for _, block in live.paced(stream, samples))
 
 
 @pytest.mark.parametrize("name", ["mdct", "dct", "slp"])
@@ -69,7 +69,7 @@ def test_the_playout_delay_counts_from_the_arrival_of_the_first_packet_over_a_sl
     link, controller = linked(faults=[Fault(bits_per_second=80_000)])
     stream = LiveStream(controller, FORMAT, playout_delay_s=0.04)
     ahead: list[float] = []
-    for _, block in live.paced(stream, noise(1.0, rms=2.0), stream.packet_samples):
+    for _, block in live.paced(stream, noise(1.0, rms=2.0)):
         stream.send(block)
         link.sleep(0.005)
         status = stream.status
@@ -104,7 +104,7 @@ def test_a_clock_that_drifts_restarts_the_stream_and_the_delay_stays_bounded(dri
     _, controller = linked(Settings(drift_ppm=drift_ppm))
     stream = LiveStream(controller, FORMAT)
     longest_s = 0.0
-    for _, block in live.paced(stream, noise(20.0, rms=2.0), stream.packet_samples):
+    for _, block in live.paced(stream, noise(20.0, rms=2.0)):
         stream.send(block)
         longest_s = max(longest_s, stream.status.buffered_samples / RATE_HZ)
     assert stream.finish().streams > 1
@@ -116,7 +116,7 @@ def test_a_source_that_pauses_goes_on_with_little_delay() -> None:
     stream = LiveStream(controller, FORMAT)
     for pause_s in (0.0, 1.0, 3.0):  # the last one is longer than the watchdog waits
         link.sleep(pause_s)
-        for _, block in live.paced(stream, noise(1.0, rms=2.0), stream.packet_samples):
+        for _, block in live.paced(stream, noise(1.0, rms=2.0)):
             stream.send(block)
         assert stream.status.state == State.PLAYING
         assert 0 < stream.status.buffered_samples < 0.05 * RATE_HZ

@@ -14,8 +14,6 @@ from vibrocast.host import live
 from vibrocast.host.live import LiveCoding, LiveResult, LiveStream
 from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
 
-BLOCK_SAMPLES = 28
-
 
 @dataclass
 class Run:
@@ -53,7 +51,7 @@ class Run:
     def play(self, seconds: float, changes: dict[float, float] | None = None) -> LiveResult:
         """Stream; `changes`: to how many bits a second the wire changes, by the time."""
         began_s = self.link.clock()
-        for _, block in live.paced(self.stream, noise(seconds, self.channels, rms=2.0, seed=7), BLOCK_SAMPLES):
+        for _, block in live.paced(self.stream, noise(seconds, self.channels, rms=2.0, seed=7)):
             now_s = self.link.clock() - began_s
             for at_s in [at_s for at_s in changes or {} if at_s <= now_s]:
                 self.wire.change(self.capacity((changes or {}).pop(at_s)))

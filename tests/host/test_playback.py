@@ -14,11 +14,13 @@ from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import Stream
 from vibrocast.codec.threshold import over_threshold_db, read_threshold
 from vibrocast.device_protocol.coded_stream import StreamError
-from vibrocast.device_protocol.messages import CaptureData, SlotState, Tap
+from vibrocast.device_protocol.messages import CaptureData, Gain, Message, Pause, Resume, SlotState, Status, Tap
 from vibrocast.host import devices, playback
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.event_loop import Steps
-from vibrocast.host.playback import Outcome, actuator_model
+from vibrocast.host.playback import Playback
+from vibrocast.host.player import Progress
+from vibrocast.host.session import actuator_model, session_with
 from vibrocast.host.stream_session import Capture
 from vibrocast.output.actuator import LRA, PIEZO_STACK, VOICE_COIL, Actuator
 from vibrocast.output.actuator_constants import constants
@@ -29,10 +31,10 @@ SAMPLES = 1000
 SINE = np.sin(np.arange(SAMPLES) / 3.0)
 
 
-def play(actuator: Actuator = PIEZO_STACK) -> Outcome:
+def play(actuator: Actuator = PIEZO_STACK) -> Playback:
     encoding = encode_recording(texture(SINE), live=True)
     _, controller = linked(Settings(actuator=actuator))
-    return playback.play(controller, "memory", "sine", encoding.stream, encoding, LOOPS)
+    return playback.play(session_with(controller, "memory"), "sine", encoding.stream, encoding, LOOPS)
 
 
 def test_every_pass_is_compared() -> None:
@@ -50,9 +52,24 @@ def test_a_model_is_uploaded_only_for_a_stream_that_fits(monkeypatch: pytest.Mon
     encoding = encode_recording(texture(SINE), live=True, model=models.find("mdct-textures"))
     _, controller = linked()
     with pytest.raises(StreamError, match="too long"):
-        playback.play(controller, "sim", "sine", encoding.stream, encoding)
+        playback.play(session_with(controller, "sim"), "sine", encoding.stream, encoding)
     controller.open_session()
     assert all(image.state == SlotState.EMPTY for image in controller.description.images)
+
+
+@pytest.mark.parametrize("asked", [(Gain(0.5),), (Pause(), Resume()), ()])
+def test_what_a_program_changes_while_it_plays_is_no_difference(asked: tuple[Message, ...]) -> None:
+    encoding = encode_recording(texture(SINE), live=True)
+    _, controller = linked()
+    left = list(asked)
+
+    def change(now: Progress) -> None:
+        if left and now.position_s > 0.02:
+            controller.request(left.pop(0), Status)
+
+    report = playback.play(session_with(controller, "sim"), "sine", encoding.stream, loops=10, progress=change).report
+    assert not left and not report.differs
+    assert (report.dac_equals_offline, report.comparison_note is None) == ((None, False) if asked else (True, True))
 
 
 @pytest.mark.parametrize("tap", Tap)

@@ -10,6 +10,7 @@ from vibrocast import textures
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.host import playback
 from vibrocast.host.devices import connect
+from vibrocast.host.session import session_with
 
 DATA = Path(__file__).parents[2] / ".." / "shared" / "data"
 EXCERPT_S = 0.5
@@ -35,7 +36,7 @@ def test_every_kind_plays_as_computed(name: str, device: str) -> None:
     first = max(0, len(recording.samples) - count) // 2
     encoding = encode_recording(replace(recording, samples=recording.samples[first : first + count]), live=True)
     with connect(device) as controller:
-        report = playback.play(controller, device, name, encoding.stream, encoding).report
+        report = playback.play(session_with(controller, device), name, encoding.stream, encoding).report
     assert (report.underruns, report.lost_packets, report.reconnects) == (0, 0, 0)
     assert report.decoded_equals_offline is True
     assert report.dac_equals_offline is True

@@ -8,6 +8,7 @@ from tests.conftest import RATE_HZ, linked, noise, texture
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.threshold import PHYSICAL_UNITS, felt_error, read_threshold, skin_snr_db, threshold_amplitude
 from vibrocast.host import playback
+from vibrocast.host.session import session_with
 from vibrocast.host.skin_quality import AlignmentError, compare_channels, compare_skin, limit_note
 from vibrocast.output.actuator import ACTUATORS, PIEZO_STACK, VOICE_COIL, followed_band_hz, octave_gains_db
 from vibrocast.simulated_device.controller import Settings
@@ -58,7 +59,7 @@ def test_any_length_of_a_recording_is_compared(rate_hz: int) -> None:
     """The duration in seconds times the rate need not give the number of samples again."""
     for samples in (7593, 1999, 333):
         encoding = encode_recording(texture(noise(samples / RATE_HZ), "m/s^2", rate_hz), rate_hz, live=True)
-        outcome = playback.play(linked()[1], "sim", "odd", encoding.stream, encoding)
+        outcome = playback.play(session_with(linked()[1], "sim"), "odd", encoding.stream, encoding)
         assert outcome.report.felt_error is not None
 
 
@@ -77,7 +78,7 @@ def test_a_resonance_is_aligned_where_it_moves_as_asked(actuator: str) -> None:
     samples -= np.linspace(samples[0], samples[-1], len(samples))
     encoding = encode_recording(texture(samples / 20, "m/s^2"), live=True)
     _, controller = linked(Settings(actuator=ACTUATORS[actuator]))
-    report = playback.play(controller, "sim", "rough", encoding.stream, encoding).report
+    report = playback.play(session_with(controller, "sim"), "rough", encoding.stream, encoding).report
     skin = report.skin
     assert skin is not None and skin.gain is not None and skin.weighted_playing_snr_db is not None
     assert 0.2 < skin.gain < 2

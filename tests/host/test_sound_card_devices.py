@@ -97,7 +97,7 @@ def test_the_card_plays_what_is_rendered(sound_server: SoundServer) -> None:
     card = report.sound_card
     assert card is not None
     assert (card.name, card.channels, card.rate_hz, card.full_scale_volts) == (PAD, (3, 4), 48_000, VOLTS)
-    assert report.latency_ms.end_to_end > card.latency_ms > 0
+    assert (report.latency_ms.end_to_end or 0.0) > card.latency_ms > 0
 
 
 def test_without_volts_the_actuators_own_are_full_scale(pulseaudio: SoundServer) -> None:
@@ -114,11 +114,8 @@ def test_a_bench_plays_on_a_card_with_its_actuator(pulseaudio: SoundServer, tmp_
         f'[[controllers]]\nname = "pad"\naddress = "{ADDRESS}"\n[[actuators]]\nmodel = "voice-coil"\n', "utf-8"
     )
     bench = bench_file.read_bench(path)
-    with bench_file.connect(bench, bench.first) as controller:
-        described = controller.description.actuator
-    driven = bench_file.driven_actuator(bench, bench.first, described)
-    assert driven == devices.on_sound_card(VOICE_COIL, 48_000, VOLTS)
-    assert bench_file.actuator_of(bench, bench.first, described) == driven
+    with bench_file.connect(bench, bench.first) as session:
+        assert session.driven == session.skin == devices.on_sound_card(VOICE_COIL, 48_000, VOLTS)
 
 
 @pytest.mark.parametrize("arguments", [["live", "wood", "--seconds", "0.5", "--playout-delay-ms", "300"], ["status"]])

@@ -13,6 +13,8 @@ from tests.planner.scenes import CONTROLLER, scene
 from vibrocast import textures
 from vibrocast.codec.rate_controlled import added_bytes
 from vibrocast.errors import InputError
+from vibrocast.host.live import LiveCoding
+from vibrocast.host.live_playback import play_live
 from vibrocast.planner import choose, comparison, playing
 from vibrocast.planner.plan_file import Plan, read_plan, write_plan
 
@@ -41,7 +43,7 @@ def test_what_an_emulated_processor_plays_is_what_was_forecast(tmp_path: Path) -
     played = playing.play(planned(tmp_path))
     rows = {row.quantity.name: row for row in comparison.rows(played)}
     assert comparison.failures(played, list(rows.values())) == []
-    assert played[0].as_decoded and played[0].as_computed
+    assert played[0].report.decoded_equals_offline and played[0].report.dac_equals_offline
     for name in ("payload_bps", "wire_bps", "instructions_per_second", "load_percent", "snr_db"):
         assert rows[name].within, name
     assert rows["delay_ms"].measured == pytest.approx(rows["delay_ms"].forecast, rel=0.03)
@@ -66,7 +68,7 @@ def test_controllers_play_one_after_another_and_one_that_fails_holds_no_other_up
     with pytest.raises(playing.PartlyPlayedError, match="right: cannot open") as failed:
         playing.play(plan)
     (first,) = failed.value.played
-    assert first.texture.name == "wood" and first.as_computed
+    assert first.texture.name == "wood" and first.report.dac_equals_offline
 
 
 @pytest.mark.slow
@@ -90,7 +92,7 @@ def test_a_loud_second_is_planned_with_a_capped_rate_and_keeps_the_limit(tmp_pat
     assert texture.rate_mode == "capped" and texture.forecast.snr_db is not None and texture.forecast.snr_db >= 8
     played = playing.play(plan)
     assert comparison.failures(played, comparison.rows(played)) == []
-    assert played[0].as_decoded and played[0].as_computed
+    assert played[0].report.decoded_equals_offline and played[0].report.dac_equals_offline
     sizes = [len(packet) + added_bytes(packet) for packet in texture.encode().stream.packets]
     run = math.ceil(2 * texture.rate / texture.packet_samples)
     bits_per_second = 8 * np.convolve(sizes, np.ones(run), "valid") / run * texture.rate / texture.packet_samples
@@ -116,8 +118,20 @@ def test_deviations_from_the_forecast_are_reported_and_written(tmp_path: Path) -
 def test_a_texture_that_is_over_at_once_has_no_delay_to_be_measured(tmp_path: Path) -> None:
     short = texture("wood", "one").replace("0.6", "0.1")
     (played,) = playing.play(planned(tmp_path, texture=short, controller=SIMULATED))
-    assert played.measured.delay_ms is None and played.in_time and played.as_computed
+    assert played.measured.delay_ms is None and played.in_time and played.report.dac_equals_offline
     assert played.measured.wire_bps == pytest.approx(played.texture.forecast.wire_bps, rel=1e-5)
+
+
+def test_a_plan_and_a_live_stream_state_one_delay(tmp_path: Path) -> None:
+    plan = planned(tmp_path, controller=SIMULATED)
+    (wood,) = plan.textures
+    (played,) = playing.play(plan)
+    coding = LiveCoding(
+        wood.codec, wood.setting, packet_samples=wood.packet_samples, refresh_packets=wood.refresh_packets
+    )
+    with playing.opened("sim-usb", plan.bench().actuator("one")) as (session, _):
+        report = play_live(session, wood.recording(), coding=coding, playout_delay_s=wood.buffer_ms / 1e3).report
+    assert report.latency_ms.end_to_end == pytest.approx(played.measured.delay_ms, abs=0.1)
 
 
 @pytest.mark.slow

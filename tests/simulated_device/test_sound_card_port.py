@@ -11,6 +11,7 @@ from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import Stream
 from vibrocast.host import hand_playback, playback
 from vibrocast.host.controller import Controller as HostController
+from vibrocast.host.session import Session, session_with
 from vibrocast.output.actuator import VOICE_COIL, Actuator, Codes
 from vibrocast.output.code_queue import CodeQueue
 from vibrocast.output.rendering import render
@@ -103,7 +104,7 @@ def test_what_the_card_takes_is_what_is_rendered(rate_hz: int, channels: int) ->
     controller, link = opened(card)
     coded = stream(channels)
     for _ in range(3):
-        outcome = playback.play(controller, "card", "wood", coded, actuator=actuator)
+        outcome = playback.play(Session(controller, "card", actuator, actuator), "wood", coded)
         assert outcome.report.dac_equals_offline
     link.sleep(0.1)
     codes, _ = render(coded.header, coded.decode_integers(), coded.decoder().delay_samples, actuator)
@@ -126,7 +127,7 @@ def test_a_stream_goes_on_where_a_busy_computer_kept_the_card_waiting() -> None:
     actuator = replace(VOICE_COIL, dac_rate_hz=48_000)
     card = ImaginedCard(actuator, 1, most_periods=1.0, stall_us=(500_000, 600_000))
     controller, link = opened(card)
-    outcome = playback.play(controller, "card", "wood", stream(), loops=3, actuator=actuator)
+    outcome = playback.play(Session(controller, "card", actuator, actuator), "wood", stream(), loops=3)
     link.sleep(0.2)
     assert outcome.report.dac_equals_offline
     assert card.queue.underruns == 1
@@ -144,7 +145,7 @@ def test_a_stop_brings_the_card_to_rest() -> None:
         if controller.clock() > 0.7:
             controller.stop()
 
-    playback.play(controller, "card", "wood", stream(), loops=5, progress=stop)
+    playback.play(session_with(controller, "card"), "wood", stream(), loops=5, progress=stop)
     link.sleep(0.1)
     played = alone(np.concatenate(card.out)).astype(np.int64)
     assert len(played) < 48_000
@@ -159,5 +160,6 @@ def test_a_profile_under_a_hand_is_as_computed() -> None:
     recording = textures.Recording(heights_um[:, None], 200_000.0, "um", "profile")
     coded = profiles.encode(recording, profiles.SLOWEST_MM_S).stream
     played = hand_playback.play(controller, coded, hand_playback.back_and_forth(5.0, 40.0, 1))
-    expected = hand_playback.computed(coded, played, actuator)
-    assert hand_playback.as_computed(played, expected, actuator)
+    session = Session(controller, "card", actuator, actuator)
+    _, expected = hand_playback.computed(session, coded, played)
+    assert hand_playback.as_computed(session, played, expected)

@@ -1,0 +1,235 @@
+"""The report of a playback in words, a line for each figure that it has."""
+
+import click
+
+from vibrocast.codec.stream import CodingQuality, Stream
+from vibrocast.codec.threshold import FeltError
+from vibrocast.device_protocol.coded_stream import packet_sequence
+from vibrocast.host.controller import ControllerError
+from vibrocast.host.report import ActuatorUse, LiveFigures, Report, Touch
+from vibrocast.host.skin_quality import SkinQuality
+from vibrocast.output.actuator import FOLLOWED_DB
+from vibrocast.output.sound_card import CardUse
+
+SILENT_DB = -200.0
+"""Re detection threshold: below it the output is at rest."""
+
+
+def summary(report: Report) -> dict[str, object]:
+    """Return the lines that a command prints at the end of a playback, by their names."""
+    lines = {
+        "coded": describe_quality(report) if report.position is None else None,
+        "felt error": describe_felt_error(report.felt_error) if report.stream_bytes and not report.position else None,
+        "actuator": describe_actuator(report),
+        "played": describe_played(report),
+        "stream": describe_stream(report),
+        "wire": describe_wire(report),
+        "latency": describe_latency(report),
+        "underruns": describe_losses(report),
+        "sound card": None if report.sound_card is None else describe_card(report.sound_card),
+        "limits": describe_limits(report.actuator),
+        "touch": None if report.touch is None else describe_touch(report.touch),
+        "losses": None if report.live is None else describe_minutes(report.live),
+        "decoded as sent": None if report.position else describe_comparison(report.decoded_equals_offline, report),
+        "DAC as computed": describe_comparison(report.dac_equals_offline, report),
+    }
+    return {name: line for name, line in lines.items() if line}
+
+
+def describe_played(report: Report) -> str:
+    """Return what was played, for how long, and how, in words."""
+    if report.position is not None:
+        return (
+            f"{report.file}, {report.position.length_mm:.2f} mm, under a hand at up to "
+            f"{report.position.fastest_mm_s:.0f} mm/s for {report.seconds:.2f} s"
+        )
+    times = "live" if report.live is not None else f"{report.loops} time(s)"
+    return f"{report.file}, {report.seconds:.2f} s, {report.channels} channel(s), {times}"
+
+
+def describe_stream(report: Report) -> str:
+    """Return the size and the rate of what was coded, and by which codec, in words."""
+    coded = f"codec {report.codec}" + (f", model {report.model}" if report.model else "")
+    if report.position is not None:
+        return f"{report.stream_bytes} bytes, {report.position.bits_per_mm:.0f} bit/mm, {coded}"
+    if report.live is not None:
+        live = report.live
+        return (
+            f"{live.payload_bits_per_second:.0f} bit/s, with frames {live.wire_bits_per_second:.0f} bit/s "
+            f"(+{100 * live.wire_adds:.1f} %), packets of {live.packet_ms:.1f} ms, {coded}"
+        )
+    rate = f"{report.bits_per_second:.0f} bit/s, {report.bits_per_sample:.2f} bit/sample"
+    return f"{report.stream_bytes} bytes, {rate}, {coded}"
+
+
+def describe_wire(report: Report) -> str:
+    """Return what crossed the wire, and what was damaged on it, in words."""
+    sizes = (
+        "" if report.wire_bytes_back is None else f"{report.wire_bytes} bytes sent, {report.wire_bytes_back} received, "
+    )
+    return f"{sizes}damaged frames {report.bad_frames} there, {report.bad_frames_back} back"
+
+
+def describe_latency(report: Report) -> str | None:
+    """Return the delay and its parts, in words; None where nothing is known of it."""
+    latency = report.latency_ms
+    if report.live is not None:
+        delay = f"playout delay {report.live.playout_delay_ms:.0f} ms"
+        if latency.end_to_end is None:
+            return delay
+        jitter = "" if report.live.jitter_ms is None else f", jitter of arrivals {report.live.jitter_ms:.1f} ms"
+        return f"{latency.end_to_end:.1f} ms to the skin{jitter}; {delay}"
+    if latency.end_to_end is None:
+        return None
+    parts = f"{latency.algorithmic:.1f} ms codec + {latency.buffered:.1f} ms buffer"
+    return f"{parts}, {latency.end_to_end:.1f} ms to the skin"
+
+
+def describe_losses(report: Report) -> str:
+    """Return what came too late or was lost, in words."""
+    if report.position is not None:
+        return f"{report.underruns} of {report.position.positions} positions came too late"
+    if report.live is None:
+        return f"{report.underruns}, lost packets {report.lost_packets}, reconnects {report.reconnects}"
+    unsent = (
+        f", {report.live.dropped_packets} of them not sent, because too late" if report.live.dropped_packets else ""
+    )
+    restarts = f", restarts {report.live.streams - 1}" if report.live.streams > 1 else ""
+    return f"{report.underruns}, lost packets {report.lost_packets} of {report.packets}{unsent}{restarts}"
+
+
+def describe_minutes(live: LiveFigures) -> list[str]:
+    """Return a line for each minute of a live stream that lost something."""
+    lines = []
+    for minute in live.minutes:
+        if minute.cause is not None:
+            late = "" if minute.host_late_ms is None else f", host up to {minute.host_late_ms:.0f} ms late"
+            lost = f"underruns {minute.underruns}, lost packets {minute.lost_packets}, restarts {minute.restarts}"
+            lines.append(f"from {minute.from_s:.0f} s: {lost}{late}; cause: {minute.cause}")
+    return lines
+
+
+def warn(report: Report) -> None:
+    """Say on stderr what a person should know of a playback: nothing to feel, a busy computer, a bad wire."""
+    warnings = []
+    if report.touch is not None and report.touch.level_db <= 0:
+        warnings.append("nobody would feel this; raise --gain-db, or encode it with the right --unit")
+    if report.sound_card is not None and report.sound_card.underruns:
+        card = report.sound_card
+        warnings.append(
+            f"{card.name} had nothing to play {card.underruns} time(s) and came to rest; close other programs"
+        )
+    if report.live is not None and (report.bad_frames or report.bad_frames_back):
+        warnings.append("frames were damaged on the wire; check cable, connectors and baud rate")
+    elif report.live is not None and report.lost_packets:
+        warnings.append(
+            "packets were late or lost: the computer or the link was too busy; pass a --playout-delay-ms above "
+            f"{report.live.playout_delay_ms:.0f}"
+        )
+    for warning in warnings:
+        click.echo(f"warning: {warning}", err=True)
+
+
+def reject_differences(report: Report) -> None:
+    """Raise ControllerError where the controller played something else than was sent, though nothing was lost."""
+    if report.differs:
+        raise ControllerError(
+            "the controller played something else than was sent, though nothing was lost: its memory, its firmware or "
+            "its actuator differs; flash the firmware again, and check --bench and --actuator"
+        )
+
+
+def describe_comparison(equal: bool | None, report: Report) -> str:
+    """Return whether what was read back is as computed, or why that is not known."""
+    return f"{ANSWERS[equal]}: {report.comparison_note}" if equal is None and report.comparison_note else ANSWERS[equal]
+
+
+def describe_touch(touch: Touch) -> str:
+    """Return how far the skin's vibration exceeds the detection threshold, in words."""
+    if touch.level_db > 0:
+        return f"peak {touch.level_db:+.0f} dB re detection threshold at {touch.frequency_hz:.0f} Hz"
+    level = f"peak {touch.level_db:.0f} dB at {touch.frequency_hz:.0f} Hz" if touch.level_db > SILENT_DB else "silence"
+    return f"nothing exceeds the detection threshold ({level})"
+
+
+def describe_packets(stream: Stream, given: Stream) -> str:
+    """Return how long the packets of a stream are, and how often one can be decoded alone, in words.
+
+    `given`: the stream before its packets were split for the controller.
+    """
+    packet_samples = stream.decoder().packet_samples
+    packet_s = packet_samples / stream.header.rate_hz
+    alone = [number for number, packet in enumerate(stream.packets) if packet_sequence(packet)[1]]
+    often = f"one in {packet_s * (alone[1] - alone[0]):.2f} s" if len(alone) > 1 else "only the first"
+    longer = given.decoder().packet_samples / packet_samples
+    split = f", split from {1000 * packet_s * longer:.1f} ms for this controller" if longer > 1 else ""
+    return f"{1000 * packet_s:.1f} ms each, {often} can be decoded alone{split}"
+
+
+def describe_quality(quality: CodingQuality | Report) -> str:
+    """Return the SNR of a coded recording, and the parts of its energy that were removed before, in words."""
+    if quality.snr_db is None:
+        text = "SNR unknown (silent, lossless, or coded before)"
+    else:
+        text = f"SNR {quality.snr_db:.2f} dB"
+    removed = []
+    if quality.highpass_hz is not None:
+        removed.append(f"{_percent(quality.removed_below)} of the energy below {quality.highpass_hz:g} Hz")
+    if quality.lowpass_hz is not None:
+        removed.append(f"{_percent(quality.removed_above)} of the rest above {quality.lowpass_hz:g} Hz")
+    return f"{text}; removed: {', '.join(removed)}" if removed else text
+
+
+def _percent(part: float | None) -> str:
+    """Return a part of the energy, 0 to 1, in percent."""
+    return f"{100 * (part or 0.0):.2g} %"
+
+
+def describe_felt_error(error: FeltError | None) -> str:
+    """Return in words how far the error exceeds the detection threshold, where it does so most."""
+    if error is None:
+        return "unknown (no error, no unit, or coded before)"
+    level = f"at most {error.level_db:+.0f} dB re threshold, at {error.frequency_hz:.0f} Hz"
+    felt = level if error.level_db > 0 else f"none is felt: {level}"
+    return f"{felt}; the texture there {error.texture_db:+.0f} dB"
+
+
+ANSWERS = {True: "yes", False: "NO", None: "not compared"}
+
+
+def describe_skin(skin: SkinQuality | None, note: str | None) -> str:
+    """Return the SNR at the skin that the threshold of touch weights, the gain, and what limits the actuator."""
+    if skin is None:
+        return "not aligned: the skin does not move as the texture does"
+    parts = []
+    if skin.weighted_snr_db is not None:
+        parts.append(f"{skin.weighted_snr_db:.1f} dB with the codec")
+    if skin.weighted_playing_snr_db is not None:
+        parts.append(f"{skin.weighted_playing_snr_db:.1f} dB without")
+    ratio = f"weighted SNR {', '.join(parts)}" if parts else "weighted SNR unknown"
+    gain = f", gain {skin.gain:.2f}" if skin.gain is not None else ""
+    return f"{ratio}{gain}" + (f"; {note}" if note else "")
+
+
+def describe_actuator(report: Report) -> str:
+    """Return in words the band that the actuator follows, and the quality at the skin."""
+    use = report.actuator
+    band = "in no band" if use.follows_hz is None else "from {:.0f} to {:.0f} Hz".format(*use.follows_hz)
+    return f"{use.name} follows within {FOLLOWED_DB:g} dB {band}; {describe_skin(report.skin, report.skin_note)}"
+
+
+def describe_limits(use: ActuatorUse) -> str:
+    """Return how many DAC samples each limit of an actuator held back, in words."""
+    return (
+        f"stroke {use.clipped_samples}, voltage {use.voltage_limited}, slew {use.slew_limited}, "
+        f"power {use.power_limited} DAC samples held back"
+    )
+
+
+def describe_card(card: CardUse) -> str:
+    """Return how a sound card plays, in words."""
+    channels = ", ".join(map(str, card.channels))
+    return (
+        f"{card.name}, {card.backend}, channels {channels}, {card.rate_hz} Hz, {card.full_scale_volts:g} V at full "
+        f"scale, period {card.period_ms:g} ms, latency {card.latency_ms:g} ms, underruns {card.underruns}"
+    )
