@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from vibrocast.host.bench_limits import Judged
     from vibrocast.host.controller import Controller
     from vibrocast.host.playback import Playback
-    from vibrocast.host.report import Report
     from vibrocast.host.session import Session
     from vibrocast.textures import Recording
 
@@ -294,19 +293,14 @@ def vibrocast_play(
         encoding = encode_recording(texture, live=True, **options)
         played = playback.play(_vibrocast_session, texture.name, encoding.stream, encoding)
         _vibrocast_kept.playback(played)
-        _judge(vibrocast_bench, played.report)
+        _judge(vibrocast_bench, played.report.judged(), played.report.differs)
         return played
 
     return play_texture
 
 
-def _judge(bench: Bench, report: Report) -> None:
-    """Fail a test whose playback misses limits, or differs from what was sent though nothing was lost."""
-    lost = report.lost_packets or report.underruns
-    _judge_figures(bench, report.judged(), report.differs and not lost)
-
-
-def _judge_figures(bench: Bench, figures: Iterable[Judged], differs: bool) -> None:
+def _judge(bench: Bench, figures: Iterable[Judged], differs: bool) -> None:
+    """Fail a test whose figures miss limits of the bench file, or whose controller played otherwise than was sent."""
     from vibrocast.host.bench_limits import missed
 
     if differs:
@@ -328,7 +322,7 @@ def vibrocast_live(vibrocast_bench: Bench, _vibrocast_session: Session) -> Calla
 
     def stream(texture: Recording, seconds: float = 10.0, rate_hz: int = 2800, **options: Any) -> Playback:
         played = play_live(_vibrocast_session, looped(texture, seconds, rate_hz), **options)
-        _judge(vibrocast_bench, played.report)
+        _judge(vibrocast_bench, played.report.judged(), played.report.differs)
         return played
 
     return stream
@@ -348,7 +342,7 @@ def vibrocast_latency(vibrocast_bench: Bench, _vibrocast_session: Session) -> Ca
 
     def measure(texture: Recording, **options: Any) -> Latency:
         latency = measure_latency(_vibrocast_session, texture, **options)
-        _judge_figures(vibrocast_bench, judged_latency(asdict(latency)), latency.as_sent is False)
+        _judge(vibrocast_bench, judged_latency(asdict(latency)), latency.as_sent is False)
         return latency
 
     return measure
@@ -399,7 +393,7 @@ def vibrocast_stroke(vibrocast_bench: Bench, _vibrocast_session: Session) -> Cal
             encoding.recording,
             provenance=Provenance(vibrocast_bench.sha256),
         )
-        _judge(vibrocast_bench, played.report)
+        _judge(vibrocast_bench, played.report.judged(), played.report.differs)
         return played
 
     return stroke

@@ -1,10 +1,14 @@
 """The report of a playback in words, a line for each figure that it has."""
 
+from collections.abc import Iterator
+
 import click
 
 from vibrocast.codec.stream import CodingQuality, Stream
 from vibrocast.codec.threshold import FeltError
 from vibrocast.device_protocol.coded_stream import packet_sequence
+from vibrocast.host.cli.answers import wants_json
+from vibrocast.host.cli.steps import show
 from vibrocast.host.controller import ControllerError
 from vibrocast.host.report import ActuatorUse, LiveFigures, Report, Touch
 from vibrocast.host.skin_quality import SkinQuality
@@ -109,29 +113,28 @@ def describe_minutes(live: LiveFigures) -> list[str]:
     return lines
 
 
-def warn(report: Report) -> None:
-    """Say on stderr what a person should know of a playback: nothing to feel, a busy computer, a bad wire."""
-    warnings = []
+def warnings(report: Report) -> Iterator[str]:
+    """Yield what a person should know of a playback: nothing to feel, a busy computer, a bad wire."""
     if report.touch is not None and report.touch.level_db <= 0:
-        warnings.append("nobody would feel this; raise --gain-db, or encode it with the right --unit")
-    if report.sound_card is not None and report.sound_card.underruns:
-        card = report.sound_card
-        warnings.append(
-            f"{card.name} had nothing to play {card.underruns} time(s) and came to rest; close other programs"
-        )
+        yield "nobody would feel this; raise --gain-db, or encode it with the right --unit"
+    if (card := report.sound_card) is not None and card.underruns:
+        yield f"{card.name} had nothing to play {card.underruns} time(s) and came to rest; close other programs"
     if report.live is not None and (report.bad_frames or report.bad_frames_back):
-        warnings.append("frames were damaged on the wire; check cable, connectors and baud rate")
+        yield "frames were damaged on the wire; check cable, connectors and baud rate"
     elif report.live is not None and report.lost_packets:
-        warnings.append(
-            "packets were late or lost: the computer or the link was too busy; pass a --playout-delay-ms above "
-            f"{report.live.playout_delay_ms:.0f}"
-        )
-    for warning in warnings:
+        least_ms = report.live.playout_delay_ms
+        yield f"packets were late or lost on a busy computer or link; pass a --playout-delay-ms above {least_ms:.0f}"
+
+
+def tell_report(report: Report, **lines: str) -> None:
+    """Print a report and warnings; `lines`: more of it.
+
+    Raises ControllerError where the controller played something else than was sent, though nothing was lost.
+    """
+    if not wants_json():
+        show({**summary(report), **lines})
+    for warning in warnings(report):
         click.echo(f"warning: {warning}", err=True)
-
-
-def reject_differences(report: Report) -> None:
-    """Raise ControllerError where the controller played something else than was sent, though nothing was lost."""
     if report.differs:
         raise ControllerError(
             "the controller played something else than was sent, though nothing was lost: its memory, its firmware or "

@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING
 
 import click
 import numpy as np
-from numpy.typing import NDArray
 
 from vibrocast import codec, models, progress, textures
+from vibrocast.codec import Signal
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, chosen_codec
 from vibrocast.codec.live_format import live_format
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.errors import InputError
 from vibrocast.host import live as streaming
 from vibrocast.host import uploader
-from vibrocast.host.cli.answers import add, wants_json
-from vibrocast.host.cli.describe import reject_differences, summary, warn
+from vibrocast.host.cli.answers import add
+from vibrocast.host.cli.describe import tell_report
 from vibrocast.host.cli.option_types import Number, Whole, positive
 from vibrocast.host.cli.options import (
     Chosen,
@@ -32,7 +32,6 @@ from vibrocast.host.cli.options import (
     rate_target,
 )
 from vibrocast.host.cli.sections import CODING, CONTROLLER, INPUT, SectionedCommand, section
-from vibrocast.host.cli.steps import show
 from vibrocast.host.live_playback import LivePlayback
 from vibrocast.host.report import Provenance
 from vibrocast.textures.recording import MAX_CHANNELS
@@ -73,7 +72,7 @@ class DelayOptions:
     low_delay: bool
 
     @property
-    def playout_delay_s(self) -> float | None:
+    def seconds(self) -> float | None:
         """The playout delay; None = the stream's default."""
         if self.playout_delay_ms is not None:
             return self.playout_delay_ms / 1e3
@@ -167,43 +166,37 @@ def live(
     """
     reject_contradictions(coding, delay)
     rate_hz = samples.rate_hz or (streaming.LOW_DELAY_RATE_HZ if delay.low_delay else DEFAULT_STREAM_RATE_HZ)
-    texture = (
-        None if source == STANDARD_INPUT else textures.GENERATORS[source](seconds=samples.seconds, rate_hz=rate_hz)
-    )
+    make = textures.GENERATORS.get(source)
+    texture = None if make is None else make(seconds=samples.seconds, rate_hz=rate_hz)
     signal_format = raw_format(samples, rate_hz) if texture is None else texture_format(texture)
-    given = own_actuator(chosen.address, actuator_name)
-    with opened(bench, chosen, given) as session, progress.bar("streaming") as update:
+    actuator = own_actuator(chosen.address, actuator_name)
+    with opened(bench, chosen, actuator) as session, progress.bar("streaming") as update:
         if coding.model is not None:
             uploader.provide(session.controller, session.address, coding.model.image)
-        stream = streaming.LiveStream(
-            session.controller,
-            signal_format,
-            coding=live_coding(coding, delay, signal_format),
-            playout_delay_s=delay.playout_delay_s,
-        )
-        provenance = Provenance(None if bench is None else bench.sha256)
-        playing = LivePlayback(session, stream, source, model=coding.model, provenance=provenance)
-        blocks = (
-            raw_blocks(samples, streaming.block_samples(stream)) if texture is None else playing.paced(texture.samples)
-        )
-        highpass_hz = textures.highpass_of(samples.unit, textures.HIGHPASS_HZ)
-        if highpass_hz is not None and textures.is_vibration(signal_format.unit):
-            blocks = map(textures.LiveHighPass(rate_hz, highpass_hz), blocks)
-        total_s = None if texture is None else texture.seconds
+        how = live_coding(coding, delay, signal_format)
+        stream = streaming.LiveStream(session.controller, signal_format, coding=how, playout_delay_s=delay.seconds)
+        run = Provenance(None if bench is None else bench.sha256)
+        playing = LivePlayback(session, stream, source, model=coding.model, provenance=run)
         try:
-            played = playing.play(blocks, lambda _: update(*so_far(stream, total_s)))
-        except BaseException:
-            add(asdict(playing.report()))
-            raise
-    report = played.report
-    if not report.packets:
-        raise InputError("standard input ended before its first sample; check the program that writes to it")
+            blocks = source_blocks(playing, samples, texture)
+            report = playing.play(blocks, lambda _: update(*so_far(stream, texture))).report
+        finally:
+            add(asdict(playing.report()))  # of a stream that is cut, too
     add(asdict(report))
-    if not wants_json():
-        show(summary(report))
-    warn(report)
-    reject_differences(report)
+    tell_report(report)
     judge(bench, report.judged())
+
+
+def source_blocks(
+    playing: LivePlayback, samples: SampleOptions, texture: textures.Recording | None
+) -> Iterator[Signal]:
+    """Return the blocks of a texture, or of standard input, through the high-pass of their unit."""
+    signal_format, block_samples = playing.stream.format, streaming.block_samples(playing.stream)
+    blocks = raw_blocks(samples, block_samples) if texture is None else playing.paced(texture.samples)
+    highpass_hz = textures.highpass_of(samples.unit, textures.HIGHPASS_HZ)
+    if highpass_hz is None or not textures.is_vibration(signal_format.unit):
+        return blocks
+    return map(textures.LiveHighPass(signal_format.rate_hz, highpass_hz), blocks)
 
 
 def reject_contradictions(coding: CodingOptions, delay: DelayOptions) -> None:
@@ -230,8 +223,9 @@ def live_coding(coding: CodingOptions, delay: DelayOptions, signal_format: codec
     )
 
 
-def so_far(stream: streaming.LiveStream, total_s: float | None) -> tuple[float | None, str]:
+def so_far(stream: streaming.LiveStream, texture: textures.Recording | None) -> tuple[float | None, str]:
     """Return the part of a stream that is done, None where it has no end, and the line that says how it goes."""
+    total_s = None if texture is None else texture.seconds
     part = None if total_s is None else min(1.0, stream.seconds / total_s)
     length = "" if total_s is None else f" of {total_s:.1f}"
     rate_bps = 8 * stream.payload_bytes / stream.seconds if stream.seconds else 0.0
@@ -254,11 +248,15 @@ def raw_format(samples: SampleOptions, rate_hz: int) -> codec.SignalFormat:
     return live_format(rate_hz, unit, [samples.full_scale * factor] * samples.channels)
 
 
-def raw_blocks(samples: SampleOptions, block_samples: int) -> Iterator[NDArray[np.float64]]:
+def raw_blocks(samples: SampleOptions, block_samples: int) -> Iterator[Signal]:
     """Yield blocks of standard input, float64 (n, channels), each as soon as it is there, up to its end."""
     assert samples.unit is not None, "raw samples have a unit"
     one = samples.full_scale * textures.INPUT_UNITS[samples.unit][1]
     sample_bytes = RAW.itemsize * samples.channels
+    any_samples = False
     while data := sys.stdin.buffer.read(block_samples * sample_bytes):
+        any_samples = True
         whole = np.frombuffer(data[: len(data) // sample_bytes * sample_bytes], RAW)
         yield whole.reshape(-1, samples.channels) * np.float64(one)
+    if not any_samples:
+        raise InputError("standard input ended before its first sample; check the program that writes to it")

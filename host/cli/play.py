@@ -21,7 +21,7 @@ from vibrocast.device_protocol.transports import TransportError
 from vibrocast.errors import FAILED, InputError
 from vibrocast.host import devices, player
 from vibrocast.host.cli.answers import answer, wants_json
-from vibrocast.host.cli.describe import ANSWERS, describe_packets, reject_differences, summary, warn
+from vibrocast.host.cli.describe import ANSWERS, describe_packets, tell_report
 from vibrocast.host.cli.errors import CommandError, explained
 from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import INPUT, OutputFile, positive, reject_overwriting
@@ -159,17 +159,9 @@ def play(
     run = Run(file.name, names, bench, options, outputs)
     play_it = play_over_time if options.hand is None else play_under_hand
     outcomes, given = play_it(run, file, quality, recording)
-    outcome = next(iter(outcomes.values()))
-    if len(outcomes) > 1:
-        report_each(run, outcomes)
-    elif isinstance(outcome, Exception):
-        run.tell_reports(outcomes)
-        raise outcome
-    else:
-        report_one(run, outcome, given)
-    reports = [each.report for each in outcomes.values() if not isinstance(each, Exception)]
-    figures = (figure for report in reports for figure in report.judged())
-    judge(bench, figures)
+    (report_each if len(outcomes) > 1 else report_one)(run, outcomes, given)
+    played = [each for each in outcomes.values() if not isinstance(each, Exception)]
+    judge(bench, [figure for each in played for figure in each.report.judged()])
 
 
 def play_under_hand(run: "Run", file: Path, quality: QualityOptions, recording: RecordingOptions) -> "Outcomes":
@@ -290,24 +282,24 @@ class Run:
         answer(document)
 
 
-def report_one(run: Run, played: "playback.Playback", given: Stream | None) -> None:
+def report_one(run: Run, outcomes: "Mapping[str, playback.Playback | Exception]", given: Stream | None) -> None:
     """Print what one controller played, write it and draw it; `given`: the stream before it was fitted.
 
-    Raises ControllerError if it played something else than was sent.
+    Raises the error that it met, and ControllerError if it played something else than was sent.
     """
     from vibrocast.host import picture
 
+    run.tell_reports(outcomes)
+    (played,) = outcomes.values()
+    if isinstance(played, Exception):
+        raise played
     report = played.report
-    run.tell_reports({report.device.address: played})
     if run.outputs.plot_path:
         picture.draw(run.outputs.plot_path, f"{report.file} on {report.device.address}", played.caption, played.traces)
-    if not wants_json():
-        lines = summary(report)
-        if not report.position and played.stream and given:
-            lines["packets"] = describe_packets(played.stream, given)
-        show(lines)
-    warn(report)
-    reject_differences(report)
+    packets = {}
+    if not report.position and played.stream and given:
+        packets["packets"] = describe_packets(played.stream, given)
+    tell_report(report, **packets)
 
 
 def read_source(file: Path, quality: QualityOptions, recording: RecordingOptions) -> Stream | textures.Recording:
@@ -331,7 +323,7 @@ def read_source(file: Path, quality: QualityOptions, recording: RecordingOptions
     return source
 
 
-def report_each(run: Run, outcomes: "Mapping[str, playback.Playback | Exception]") -> None:
+def report_each(run: Run, outcomes: "Mapping[str, playback.Playback | Exception]", given: Stream | None) -> None:
     """Print a line for each of several controllers, and tell their reports.
 
     If one failed, or played something else than was sent, raises CommandError, with the exit code of all

@@ -80,10 +80,9 @@ def render(file: Path, out: Path, drive: DriveOptions, quality: QualityOptions, 
     if isinstance(source, textures.Recording):
         source = encoded(source, quality, recording.unit, live=True).stream
     stream = source.with_gain(drive.gain_db)
+    delay_samples = stream.decoder().delay_samples
     try:
-        codes, limited = rendered_codes(
-            stream.header, stream.decode_integers(), stream.decoder().delay_samples, actuator, loops=1
-        )
+        codes, limited = rendered_codes(stream.header, stream.decode_integers(), delay_samples, actuator, loops=1)
     except (ValueError, OverflowError) as error:
         raise InputError(
             f"{file}: cannot be rendered for {actuator.name} at {actuator.dac_rate_hz} Hz: {error}"
@@ -93,17 +92,17 @@ def render(file: Path, out: Path, drive: DriveOptions, quality: QualityOptions, 
     with atomic_write(out) as partial:
         textures.save(partial, signal, sixteen_bit=True, note=f"drive of {actuator.name}, 1.0 is {volts:g} V")
     tell(
-        f"{out}: {len(codes) / actuator.dac_rate_hz:.3f} s at {actuator.dac_rate_hz} Hz, {signal.channels} channel(s), "
+        f"{out}: {signal.seconds:.3f} s at {actuator.dac_rate_hz} Hz, {signal.channels} channel(s), "
         f"1.0 is {volts:g} V at {actuator.name}",
         out=str(out),
-        seconds=len(codes) / actuator.dac_rate_hz,
+        seconds=signal.seconds,
         rate_hz=actuator.dac_rate_hz,
         channels=signal.channels,
         actuator=actuator.name,
         full_scale_volts=volts,
+        limited=asdict(limited),
     )
     tell(
         f"clipped {limited.compensation_clipped}, limited by voltage {limited.voltage_limited}, slew "
-        f"{limited.slew_limited}, power {limited.power_limited} samples",
-        limited=asdict(limited),
+        f"{limited.slew_limited}, power {limited.power_limited} samples"
     )
