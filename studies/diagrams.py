@@ -84,7 +84,7 @@ class Picture:
 
 def data_path() -> Picture:
     """From a recording to the skin, with the bit rates of the example."""
-    stream = vibrocast.encode(vibrocast.load(RECORDING), live=True)
+    stream = vibrocast.encode(vibrocast.load(RECORDING), random_access=True)
     samples = f"{16 * stream.header.rate_hz / 1000:.1f} kbit/s"  # of 16 bits
     picture = Picture(7.6)
     picture.area((0.1, 4.5), (19.1, 7.5), "Host: Python")

@@ -82,7 +82,7 @@ def played_parts(path: Path) -> dict[str, float]:
 
     Those that a report does not have, of the host and the link, are left out.
     """
-    stream = vibrocast.encode(vibrocast.load(path), live=True)
+    stream = vibrocast.encode(vibrocast.load(path), random_access=True)
     decoder = stream.decoder()
     with vibrocast.connect("sim") as controller:
         reports: list[Report] = [controller.play(stream) for _ in range(RUNS)]

@@ -50,7 +50,7 @@ def encode(  # noqa: PLR0913 - a name for each option reads better than an objec
     setting: Setting | None = None,
     stream_rate_hz: int = DEFAULT_STREAM_RATE_HZ,
     highpass_hz: float | None = HIGHPASS_HZ,
-    live: bool = False,
+    random_access: bool = False,
     touch: float | None = None,
     progress: Progress | None = None,
 ) -> Stream:
@@ -72,7 +72,7 @@ def encode(  # noqa: PLR0913 - a name for each option reads better than an objec
         stream_rate_hz: Sample rate of the stream in Hz, 2800 by default. The samples are resampled to it.
         highpass_hz: Corner of the high-pass before coding, 20 Hz by default. It applies to acceleration and to "full
             scale". None keeps the whole band.
-        live: Add random-access packets, for a link that loses packets.
+        random_access: Add packets that decode alone, for a link that loses packets.
         touch: Strength from 0, flat, to 1 by which the error is shaped over frequency for touch. None: 0.25 for a
             physical unit and a codec that can, else 0.
         progress: Function to call with the part of the search that is done, from 0 to 1.
@@ -97,7 +97,7 @@ def encode(  # noqa: PLR0913 - a name for each option reads better than an objec
         snr_db=arguments.optional_number("snr_db", snr_db),
         setting=setting,
         model=_model(model),
-        live=live,
+        live=random_access,
         touch=arguments.optional_number("touch", touch),
         progress=progress,
         highpass_hz=textures.highpass_of(unit, arguments.optional_number("highpass_hz", highpass_hz)),
@@ -132,10 +132,10 @@ def decode(
 
 
 def measure(
-    reference: ArrayLike,
-    decoded: ArrayLike,
-    rate_hz: SupportsFloat,
-    unit: str = "full scale",
+    reference: ArrayLike | Recording,
+    decoded: ArrayLike | Recording,
+    rate_hz: SupportsFloat | None = None,
+    unit: str | None = None,
     *,
     highpass_hz: float | None = HIGHPASS_HZ,
 ) -> "Quality":
@@ -145,10 +145,10 @@ def measure(
     and a warning says so.
 
     Args:
-        reference: Array (n,) or (n, channels).
-        decoded: Array of the same shape.
-        rate_hz: Sample rate of both in Hz.
-        unit: Unit of both, as in `encode`.
+        reference: A Recording, or an array (n,) or (n, channels).
+        decoded: The same, of the same shape.
+        rate_hz: Sample rate of arrays in Hz. A Recording states its own.
+        unit: Unit of arrays, as in `encode`. A Recording states its own.
         highpass_hz: Corner of the high-pass, 20 Hz by default. None compares the whole band.
 
     Returns:
@@ -156,6 +156,7 @@ def measure(
 
     Raises:
         ValueError: The shapes differ, or a value is NaN or infinite.
+        TextureError: Rates or units differ.
     """
     from vibrocast.codec import metrics
 
@@ -166,10 +167,13 @@ def measure(
         perceptual = False
         warnings.warn(f"ST-SIM and SPQI are not measured: {error}", stacklevel=2)
 
-    for name, each in (("reference", reference), ("decoded", decoded)):
-        if isinstance(each, Recording):
-            raise TextureError(f"`{name}` is a Recording", action="pass its `samples`", parameter=name)
-    x, y = _recording(reference, rate_hz, unit), _recording(decoded, rate_hz, unit)
+    x, y = (each if isinstance(each, Recording) else _recording(each, rate_hz, unit) for each in (reference, decoded))
+    if (x.rate_hz, x.unit) != (y.rate_hz, y.unit):
+        raise TextureError(
+            f"`decoded` is in {y.unit} at {y.rate_hz:g} Hz, and `reference` in {x.unit} at {x.rate_hz:g} Hz",
+            action="pass both in one unit, at one rate",
+            parameter="decoded",
+        )
     corner_hz = arguments.optional_number("highpass_hz", highpass_hz)
     pair = [textures.highpass(each, corner_hz).recording.samples for each in (x, y)]
     return metrics.measure(pair[0], pair[1], x.rate_hz, x.unit, perceptual)

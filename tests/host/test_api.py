@@ -29,6 +29,7 @@ def test_encodes_stores_decodes_measures_and_plays(tmp_path: Path, capfd: pytest
         np.testing.assert_array_equal(vibrocast.decode(source).samples, decoded.samples)
     assert (decoded.samples.shape, decoded.rate_hz, decoded.unit) == ((RATE_HZ, 1), RATE_HZ, "m/s^2")
     quality = vibrocast.measure(TEXTURE[:, None], decoded.samples, rate_hz=RATE_HZ, unit="m/s^2")
+    assert vibrocast.measure(TEXTURE[:, None], decoded, RATE_HZ, "m/s^2") == quality
     assert quality.snr_db == pytest.approx(15, abs=0.3)
     skin = vibrocast.render(stream, actuator="piezo-stack")
     assert skin.unit == "um" and skin.seconds == pytest.approx(1.0)
@@ -211,7 +212,7 @@ def encoded(samples: Any = TEXTURE, rate_hz: Any = RATE_HZ, **options: Any) -> A
         (lambda: untyped.decode(TEXTURE), "`data` is of type ndarray"),
         (lambda: untyped.decode(STREAM, model="eva-16-4"), "leave out `model`"),
         (lambda: untyped.Stream.from_bytes("VCT"), "`data` is of type str"),
-        (lambda: untyped.measure(TEXTURE, vibrocast.decode(STREAM), RATE_HZ), "`decoded` is a Recording"),
+        (lambda: vibrocast.measure(TEXTURE, vibrocast.decode(STREAM), RATE_HZ), "`decoded` is in m/s^2 at 2800 Hz"),
         (lambda: untyped.render(None), "`stream` is of type NoneType"),
         (lambda: untyped.render(STREAM, gain_db=1e9), "`gain_db`=1e+09"),
         (lambda: untyped.render(STREAM, "piezo"), "no actuator of that name"),

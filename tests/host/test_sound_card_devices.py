@@ -25,7 +25,7 @@ ADDRESS = f"audio:{PAD}:3,4@{VOLTS}"
 
 def short_stream(seconds: float = 0.12) -> vibrocast.Stream:
     noise = np.random.default_rng(0).standard_normal((round(2800 * seconds), 2))
-    return vibrocast.encode(10 * noise, 2800, "m/s^2", live=True)
+    return vibrocast.encode(10 * noise, 2800, "m/s^2", random_access=True)
 
 
 def rendered(stream: vibrocast.Stream, actuator: Actuator, rate_hz: int, volts: float) -> Codes:
