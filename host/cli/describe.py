@@ -19,14 +19,15 @@ SILENT_DB = -200.0
 """Re detection threshold: below it the output is at rest."""
 
 
-def summary(report: Report) -> dict[str, object]:
-    """Return the lines that a command prints at the end of a playback, by their names."""
+def summary(report: Report, packets: str | None = None) -> dict[str, object]:
+    """Return the lines that a command prints at the end of a playback, by their names; `packets` is one of them."""
     lines = {
         "coded": describe_quality(report) if report.position is None else None,
         "felt error": describe_felt_error(report.felt_error) if report.stream_bytes and not report.position else None,
         "actuator": describe_actuator(report),
         "played": describe_played(report),
         "stream": describe_stream(report),
+        "packets": packets,
         "wire": describe_wire(report),
         "latency": describe_latency(report),
         "underruns": describe_losses(report),
@@ -126,13 +127,13 @@ def warnings(report: Report) -> Iterator[str]:
         yield f"packets were late or lost on a busy computer or link; pass a --playout-delay-ms above {least_ms:.0f}"
 
 
-def tell_report(report: Report, **lines: str) -> None:
-    """Print a report and warnings; `lines`: more of it.
+def tell_report(report: Report, packets: str | None = None) -> None:
+    """Print a report and warnings; `packets`: of the stream, in words.
 
     Raises ControllerError where the controller played something else than was sent, though nothing was lost.
     """
     if not wants_json():
-        show({**summary(report), **lines})
+        show(summary(report, packets))
     for warning in warnings(report):
         click.echo(f"warning: {warning}", err=True)
     if report.differs:

@@ -296,10 +296,10 @@ def report_one(run: Run, outcomes: "Mapping[str, playback.Playback | Exception]"
     report = played.report
     if run.outputs.plot_path:
         picture.draw(run.outputs.plot_path, f"{report.file} on {report.device.address}", played.caption, played.traces)
-    packets = {}
-    if not report.position and played.stream and given:
-        packets["packets"] = describe_packets(played.stream, given)
-    tell_report(report, **packets)
+    packets = None
+    if played.stream is not None and given is not None and report.position is None:
+        packets = describe_packets(played.stream, given)
+    tell_report(report, packets)
 
 
 def read_source(file: Path, quality: QualityOptions, recording: RecordingOptions) -> Stream | textures.Recording:
