@@ -1,6 +1,8 @@
 """Settings of every test, and what tests share: signals, streams, and sessions in simulated time."""
 
-from collections.abc import Callable, Sequence
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,8 +15,9 @@ from tests.sound_server import sound_servers as sound_servers
 from vibrocast.codec import Setting, Signal
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import Stream
+from vibrocast.host import devices
 from vibrocast.host.controller import Controller
-from vibrocast.output.actuator import Codes
+from vibrocast.output.actuator import Actuator, Codes
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
 from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
@@ -73,3 +76,17 @@ def linked(
 def sim() -> Controller:
     """A session with a simulated controller of the usual settings."""
     return linked()[1]
+
+
+@pytest.fixture
+def simulated_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let every address be a simulated controller in simulated time of its own: nothing is late; for one session."""
+
+    @contextlib.contextmanager
+    def connect(address: str, runtime: str | None = None, actuator: Actuator | None = None) -> Iterator[Controller]:
+        settings = Settings(runtime=runtime)
+        if actuator is not None and devices.takes_actuator(address):
+            settings = replace(settings, actuator=actuator)
+        yield linked(settings)[1]
+
+    monkeypatch.setattr("vibrocast.host.devices.connect", connect)

@@ -54,6 +54,7 @@ def test_the_notebooks_hold_no_outputs() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("simulated_time")
 def test_the_example_for_psychopy_plays_its_stimuli_without_psychopy(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

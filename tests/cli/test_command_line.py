@@ -555,6 +555,7 @@ def test_an_unusable_number_is_reported_in_one_line(arguments: list[str], error:
     )
 
 
+@pytest.mark.usefixtures("simulated_time")
 def test_play_tells_what_is_coded_what_is_felt_and_what_the_actuator_follows(tmp_path: Path) -> None:
     report_path = tmp_path / "out.json"
     coded, felt, actuator = succeeds("play", OAK, "--report", report_path).splitlines()[:3]

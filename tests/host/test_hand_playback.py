@@ -1,8 +1,6 @@
 """Profiles under a hand from the command line: coding, properties, movements, playing, rejections."""
 
-import contextlib
 import json
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -236,17 +234,6 @@ def test_controllers_that_cannot_are_named(stream: Stream) -> None:
         _, controller = linked(Settings(profile_samples=samples))
         with pytest.raises(ControllerError, match=reason):
             hand_playback.load(controller, stream)
-
-
-@pytest.fixture
-def simulated_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let every address be a simulated controller in simulated time, where no position is late."""
-
-    @contextlib.contextmanager
-    def connect(*_: object, **__: object) -> Iterator[Controller]:
-        yield linked()[1]
-
-    monkeypatch.setattr("vibrocast.host.devices.connect", connect)
 
 
 def stroked(folder: Path, limits: str, *options: object, actuator: str = PIEZO_STACK.name) -> Result:
