@@ -206,19 +206,29 @@ def vibrocast_wire(
 
 
 @pytest.fixture
-def vibrocast_device(vibrocast_bench: Bench, vibrocast_wire: TimedTransport) -> Iterator[Controller]:
-    """A session with the controller under test. Its output is brought to rest after the test."""
+def _vibrocast_session(vibrocast_bench: Bench, vibrocast_wire: TimedTransport) -> Iterator[Session]:
+    """The session with the controller under test, with the models of its actuator, which fit the bench file."""
     import contextlib
 
     from vibrocast.device_protocol.transports import TransportError
+    from vibrocast.host.bench_file import check_actuator
     from vibrocast.host.controller import Controller, ControllerError
+    from vibrocast.host.session import session_with
 
-    session = Controller(vibrocast_wire)
-    yield session
+    first = vibrocast_bench.first
+    opened = session_with(Controller(vibrocast_wire), first.address, vibrocast_bench.actuator(first.name))
+    check_actuator(vibrocast_bench, first, opened)
+    yield opened
     vibrocast_wire.damage()
     vibrocast_wire.expire_after(None)
     with contextlib.suppress(ControllerError, TransportError):  # a test may leave the cable out
-        session.stop()
+        opened.controller.stop()
+
+
+@pytest.fixture
+def vibrocast_device(_vibrocast_session: Session) -> Controller:
+    """A session with the controller under test. Its output is brought to rest after the test."""
+    return _vibrocast_session.controller
 
 
 @pytest.fixture
@@ -231,10 +241,9 @@ def vibrocast_devices(vibrocast_bench: Bench) -> Iterator[dict[str, Controller]]
     from vibrocast.host.controller import ControllerError
 
     with contextlib.ExitStack() as stack:
-        sessions = {
-            each.name: stack.enter_context(connect(vibrocast_bench, each)).controller
-            for each in vibrocast_bench.controllers
-        }
+        sessions = {}
+        for each in vibrocast_bench.controllers:
+            sessions[each.name] = stack.enter_context(connect(vibrocast_bench, each)).controller
         yield sessions
         for session in sessions.values():
             with contextlib.suppress(ControllerError, TransportError):
@@ -262,18 +271,6 @@ def vibrocast_power_cycle(vibrocast_bench: Bench, vibrocast_device: Controller) 
         vibrocast_device.reconnect(within_s)
 
     return power_cycle
-
-
-@pytest.fixture
-def _vibrocast_session(vibrocast_bench: Bench, vibrocast_device: Controller) -> Session:
-    """The session with the controller under test, with the models of its actuator, which fit the bench file."""
-    from vibrocast.host.bench_file import check_actuator
-    from vibrocast.host.session import session_with
-
-    first = vibrocast_bench.first
-    opened = session_with(vibrocast_device, first.address, vibrocast_bench.actuator(first.name))
-    check_actuator(vibrocast_bench, first, opened)
-    return opened
 
 
 @pytest.fixture
