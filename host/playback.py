@@ -107,12 +107,13 @@ def play_together(
         controller = session.controller
         try:
             output_delay_s(stream.header, session.driven)
-            sent[key] = fitting = fitted(controller, stream)
+            fitting = fitted(controller, stream)
             if stream.image is not None:
                 uploader.provide(controller, session.address, stream.image)
         except (ControllerError, TransportError, StreamError) as error:
             played[key] = error
             continue
+        sent[key] = fitting
         underruns_before[key] = controller.sound_card.underruns if controller.sound_card else 0
         settings = player.PlaybackSettings(
             loops=loops,
@@ -127,10 +128,17 @@ def play_together(
         if isinstance(result, Exception):
             played[key] = result
             continue
-        done = _compared(
-            sessions[key], file_name, sent[key], encoding, loops, offline[sent[key]], result, underruns_before[key]
+        played[key] = _compared(
+            sessions[key],
+            file_name,
+            sent[key],
+            encoding,
+            loops,
+            offline[sent[key]],
+            result,
+            underruns_before[key],
+            provenance or Provenance(),
         )
-        played[key] = done if provenance is None else replace(done, report=replace(done.report, run=provenance))
     return {key: played[key] for key in sessions}
 
 
@@ -143,6 +151,7 @@ def _compared(
     offline: NDArray[np.int16],
     result: player.PlaybackResult,
     underruns_before: int,
+    provenance: Provenance,
 ) -> Playback:
     """Return what a controller did, compared with the same computed here.
 
@@ -173,6 +182,7 @@ def _compared(
         result.status,
         traces,
         underruns_before,
+        run=provenance,
         codec=stream.codec_name,
         model=stream.model_name,
         channels=header.channels,

@@ -231,13 +231,13 @@ class Report:
         write_json(path, asdict(self))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class UnfinishedReport:
     """Figures of a playback that did not come to its end, as far as it came. None: it had not begun."""
 
-    schema: int
+    schema: int = SCHEMA
     run: Provenance
-    version: str
+    version: str = field(default_factory=lambda: version("vibrocast"))
     file: str
     device: Mapping[str, str]
     played_s: float | None

@@ -15,6 +15,7 @@ from vibrocast.host.skin_quality import SkinQuality
 from vibrocast.output.actuator import FOLLOWED_DB
 from vibrocast.output.sound_card import CardUse
 
+ANSWERS = {True: "yes", False: "NO", None: "not compared"}
 SILENT_DB = -200.0
 """Re detection threshold: below it the output is at rest."""
 
@@ -96,9 +97,8 @@ def describe_losses(report: Report) -> str:
         return f"{report.underruns} of {report.position.positions} positions came too late"
     if report.live is None:
         return f"{report.underruns}, lost packets {report.lost_packets}, reconnects {report.reconnects}"
-    unsent = (
-        f", {report.live.dropped_packets} of them not sent, because too late" if report.live.dropped_packets else ""
-    )
+    dropped = report.live.dropped_packets
+    unsent = f", {dropped} of them not sent, because too late" if dropped else ""
     restarts = f", restarts {report.live.streams - 1}" if report.live.streams > 1 else ""
     return f"{report.underruns}, lost packets {report.lost_packets} of {report.packets}{unsent}{restarts}"
 
@@ -196,9 +196,6 @@ def describe_felt_error(error: FeltError | None) -> str:
     level = f"at most {error.level_db:+.0f} dB re threshold, at {error.frequency_hz:.0f} Hz"
     felt = level if error.level_db > 0 else f"none is felt: {level}"
     return f"{felt}; the texture there {error.texture_db:+.0f} dB"
-
-
-ANSWERS = {True: "yes", False: "NO", None: "not compared"}
 
 
 def describe_skin(skin: SkinQuality | None, note: str | None) -> str:

@@ -225,9 +225,8 @@ def live_coding(coding: CodingOptions, delay: DelayOptions, signal_format: codec
 
 def so_far(stream: streaming.LiveStream, texture: textures.Recording | None) -> tuple[float | None, str]:
     """Return the part of a stream that is done, None where it has no end, and the line that says how it goes."""
-    total_s = None if texture is None else texture.seconds
-    part = None if total_s is None else min(1.0, stream.seconds / total_s)
-    length = "" if total_s is None else f" of {total_s:.1f}"
+    part = None if texture is None else min(1.0, stream.seconds / texture.seconds)
+    length = "" if texture is None else f" of {texture.seconds:.1f}"
     rate_bps = 8 * stream.payload_bytes / stream.seconds if stream.seconds else 0.0
     return part, f"{stream.seconds:.1f}{length} s  {rate_bps / 1000:.2f} kbit/s  underruns {stream.underruns}"
 

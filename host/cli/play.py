@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -48,7 +47,7 @@ from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
 from vibrocast.host.cli.steps import encoded, encoded_profile, files_of, show
 from vibrocast.host.controller import ControllerError
 from vibrocast.host.limits import check_limits, playable
-from vibrocast.host.report import SCHEMA, Provenance, UnfinishedReport, write_json
+from vibrocast.host.report import Provenance, UnfinishedReport, write_json
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import ACTUATORS
 
@@ -249,9 +248,7 @@ class Run:
         """Return the report of a controller that has not played all."""
         now = self.latest.get(name)
         return UnfinishedReport(
-            schema=SCHEMA,
             run=self.provenance,
-            version=version("vibrocast"),
             file=self.file,
             device={"address": self.names[name].address},
             played_s=None if now is None else now.position_s,
