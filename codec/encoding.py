@@ -10,7 +10,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from vibrocast import codec, models, textures
-from vibrocast.codec.stream import CodingQuality, Stream, as_stream, check_length
+from vibrocast.codec.stream import CodingQuality, Stream, check_length
 from vibrocast.codec.threshold import PHYSICAL_UNITS, felt_error, read_threshold, skin_snr_db
 
 Made = TypeVar("Made")
@@ -94,40 +94,32 @@ def encode_recording(  # noqa: PLR0913 - the options of the public `encode`, whi
             chosen.name,
             coded_unit,
             live,
-            encoder_model(candidate),
+            candidate,
             progress=tell,
             framing=None if packet_s is None else codec.timed_framing(packet_s, stream_rate_hz),
             shape=shape,
         )
 
     def code(candidate: models.Model | None, tell: codec.Progress | None) -> Encoding:
-        image, note = None if candidate is None else candidate.image, None
-
-        def size_bytes(coded: codec.CodedSignal) -> int:
-            return as_stream(coded, coded_unit, image).size_bytes
-
+        signal, note = source(candidate, tell), None
         if rate_bps is not None:
-            coded = codec.encode_to_rate(source(candidate, tell), rate_bps, size_bytes, given)
+            stream = codec.encode_to_rate(signal, rate_bps, given)
         elif snr_db is not None:
             try:
-                coded = codec.encode_to_snr(source(candidate, tell), snr_db, given)
+                stream = codec.encode_to_snr(signal, snr_db, given)
             except codec.TargetUnreachable as error:
                 if not (by_default and given) or chosen.needs_model:
                     raise
-                coded, note = (
-                    source(candidate, tell).encode(given),
-                    f"{error}; the rest of the setting has its defaults",
-                )
+                stream, note = signal.encode(given), f"{error}; the rest of the setting has its defaults"
         else:
-            coded = source(candidate, tell).encode(given)
-        stream = replace(as_stream(coded, coded_unit, image), runtime=runtime)
-        encoding = measure_encoding(resampled, stream, rate_bps, snr_db, passed)
+            stream = signal.encode(given)
+        encoding = measure_encoding(resampled, replace(stream, runtime=runtime), rate_bps, snr_db, passed)
         if note is None:
             return encoding
-        return replace(encoding, stream=replace(stream, quality=replace(encoding.quality, note=note)))
+        return replace(encoding, stream=replace(encoding.stream, quality=replace(encoding.quality, note=note)))
 
     def excess(candidate: models.Model) -> float:
-        return unsearched_excess(source(candidate), candidate, given, rate_bps, snr_db)
+        return unsearched_excess(source(candidate), given, rate_bps, snr_db)
 
     def cost(encoding: Encoding) -> float:
         ratio_db = encoding.quality.snr_db
@@ -150,17 +142,13 @@ class FamilyChoice(Generic[Made]):
 
 
 def unsearched_excess(
-    source: codec.Source,
-    model: models.Model,
-    setting: codec.Setting,
-    rate_bps: float | None,
-    snr_db: float | None,
+    source: codec.Source, setting: codec.Setting, rate_bps: float | None, snr_db: float | None
 ) -> float:
-    """Return how far a model's own setting is above a rate, in nepers, or an SNR, in dB. Raises CodecError."""
-    coded = source.encode(setting)
+    """Return how far a setting lies above a rate, in nepers, or an SNR, in dB. Raises CodecError."""
+    stream = source.encode(setting)
     if rate_bps is not None:
-        return math.log(as_stream(coded, source.format.unit, model.image).bits_per_second / rate_bps)
-    ratio_db = codec.snr_db(source.samples, codec.decode(coded, model.tables))
+        return math.log(stream.bits_per_second / rate_bps)
+    ratio_db = codec.snr_db(source.samples, stream.decode())
     assert snr_db is not None, "there is a rate or an SNR to meet"
     return math.inf if ratio_db is None else ratio_db - snr_db
 
@@ -211,11 +199,6 @@ def chosen_codec(codec_name: str | None, model: models.Model | None) -> codec.Co
     if model is not None and model.codec_identifier != chosen.identifier:
         raise codec.CodecError(f"the model {model.name} is not for the codec {codec_name}; give another model or codec")
     return chosen
-
-
-def encoder_model(model: models.Model | None) -> codec.Model | None:
-    """Return the parts of a trained model that an encoder needs."""
-    return None if model is None else codec.Model(model.tables, model.analysis)
 
 
 def families(chosen: codec.Codec) -> list[list[models.Model]]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from vibrocast.device_protocol.coded_stream import MAX_CHANNELS
 from vibrocast.errors import InputError
+from vibrocast.models import Model as Model
 
 Signal = NDArray[np.float64]
 Decoded = NDArray[np.int16]
@@ -155,18 +156,6 @@ class SignalFormat:
     def channels(self) -> int:
         """Channels in the signal."""
         return len(self.gains)
-
-
-@dataclass(frozen=True)
-class Model:
-    """The parts of a trained model that an encoder needs.
-
-    `tables`: payload of the model image; a decoder needs nothing else. `analysis`: ONNX graph of the analysis
-    transform, if the codec has a learned one.
-    """
-
-    tables: bytes
-    analysis: bytes = b""
 
 
 @dataclass(frozen=True)
@@ -416,25 +405,3 @@ def reject_rate_control(name: str, rate_control: RateControl | None) -> None:
         raise CodecError(
             f"all packets of {name} have one quality; choose mdct, or another with rate control in `vibrocast codecs`"
         )
-
-
-@dataclass(frozen=True)
-class CodedSignal:
-    """A whole coded signal, as a container stores it.
-
-    `gains`: the physical value of full scale, one per channel, each a number of at most 8 significant bits.
-    `squared_errors`: of each channel, relative to full scale, by the encoder; None if it cannot tell.
-    """
-
-    codec: str
-    rate_hz: int
-    samples: int
-    gains: tuple[float, ...]
-    configuration: bytes
-    packets: tuple[bytes, ...]
-    squared_errors: tuple[float, ...] | None = field(default=None, compare=False)
-
-    @property
-    def channels(self) -> int:
-        """Channels in the signal."""
-        return len(self.gains)

@@ -12,14 +12,12 @@ from vibrocast.codec.encoding import (
     DEFAULT_STREAM_RATE_HZ,
     FamilyChoice,
     chosen_codec,
-    encoder_model,
     first_reachable,
     measure_encoding,
     unsearched_excess,
 )
-from vibrocast.codec.live_format import recording_format
 from vibrocast.codec.rate_control import DEFAULT_RATE_BUFFER_S
-from vibrocast.codec.stream import Stream, as_stream
+from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.frames import MAX_PAYLOAD_BYTES, write_frame
 from vibrocast.device_protocol.messages import SinglePacket, pack
 from vibrocast.errors import InputError
@@ -157,7 +155,7 @@ def encode(
     passed = textures.highpass(recording, highpass_hz)
     resampled = textures.resample(passed.recording, stream_rate_hz)
     samples = resampled.samples
-    signal_format = recording_format(resampled)
+    signal_format = codec.recording_format(resampled)
     chosen = chosen_codec(codec_name, model)
     given = {
         **codec.shape_setting(chosen, touch, stream_rate_hz, resampled.unit, setting),
@@ -166,33 +164,23 @@ def encode(
     }
 
     def source(candidate: models.Model | None, tell: Callable[[float], None] | None = None) -> codec.Source:
-        return codec.Source(
-            samples,
-            stream_rate_hz,
-            chosen.name,
-            resampled.unit,
-            True,
-            encoder_model(candidate),
-            tell,
-        )
+        return codec.Source(samples, stream_rate_hz, chosen.name, resampled.unit, True, candidate, tell)
 
     def code(candidate: models.Model | None, tell: Callable[[float], None] | None) -> tuple[Stream, Outcome]:
         policy = target.policy(signal_format)
-        coded = source(candidate, tell).encode_rate_controlled(given, policy, target.framing(stream_rate_hz))
-        made = as_stream(coded, resampled.unit, None if candidate is None else candidate.image)
+        made = source(candidate, tell).encode_rate_controlled(given, policy, target.framing(stream_rate_hz))
         stream = measure_encoding(resampled, made, passed=passed).stream
         return stream, outcome(stream, samples, target.rate_bps, policy)
 
     def excess(candidate: models.Model) -> float:
-        return unsearched_excess(source(candidate), candidate, given, target.rate_bps, snr_db=None)
+        return unsearched_excess(source(candidate), given, target.rate_bps, snr_db=None)
 
     return first_reachable(chosen, model, code, progress, FamilyChoice(excess, lambda made: -made[1].snr_db))
 
 
 def outcome(stream: Stream, samples: Signal, rate_bps: float, policy: codec.RatePolicy) -> Outcome:
     """Return how a stream of samples (n, channels) met the target rate of its policy. Raises CodecError."""
-    decoder = stream.decoder()
-    packet_s = decoder.packet_samples / stream.header.rate_hz
+    packet_s = stream.packet_samples / stream.header.rate_hz
     sizes = [len(packet) + added_bytes(packet) for packet in stream.packets]
     seconds = packet_s * len(sizes)
     window_bps = _window_bps(sizes, packet_s)
@@ -202,7 +190,7 @@ def outcome(stream: Stream, samples: Signal, rate_bps: float, policy: codec.Rate
         furthest=max((each / rate_bps - 1 for each in window_bps), key=abs, default=None),
         peak_bps=max(window_bps, default=None),
         padding=policy.padding_bytes / sum(sizes),
-        packet_snrs_db=tuple(_packet_snrs_db(samples, stream.decode(), decoder)),
+        packet_snrs_db=tuple(_packet_snrs_db(samples, stream)),
         packet_s=packet_s,
     )
 
@@ -215,14 +203,14 @@ def _window_bps(sizes: Sequence[int], packet_s: float) -> list[float]:
     return [8 * float(each) / (run * packet_s) for each in np.convolve(sizes, np.ones(run), "valid")]
 
 
-def _packet_snrs_db(samples: Signal, decoded: Signal, decoder: codec.Decoder) -> list[float]:
+def _packet_snrs_db(samples: Signal, stream: Stream) -> list[float]:
     """Return the SNR of each packet over all channels, without quiet packets."""
     # Leave out the last packet: it is seldom full, so it has bits to spare.
-    first_end = decoder.packet_samples - decoder.delay_samples % decoder.packet_samples
-    *cuts, end = [0, *range(first_end, len(samples) + 1, decoder.packet_samples)]
+    first_end = stream.packet_samples - stream.delay_samples % stream.packet_samples
+    *cuts, end = [0, *range(first_end, len(samples) + 1, stream.packet_samples)]
     if not cuts:
         cuts, end = [0], len(samples)
-    samples, decoded = samples[:end], decoded[:end]
+    samples, decoded = samples[:end], stream.decode()[:end]
     scale = np.sqrt(np.mean(np.square(samples), axis=0))
     normalised = np.where(scale > 0, scale, 1.0)
     power = np.add.reduceat(np.sum(np.square(samples / normalised), axis=1), cuts)

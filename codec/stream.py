@@ -1,14 +1,17 @@
 """Coded streams in memory: their properties and their decoding. device_protocol/coded_stream.py has their bytes."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from vibrocast import codec, models, textures
+from vibrocast import models, textures
+from vibrocast.codec.interface import Codec, CodecError, Decoded, Decoder, Signal
+from vibrocast.codec.registry import codec_by_identifier, decoder
 from vibrocast.codec.threshold import FeltError
 from vibrocast.device_protocol import coded_stream
 from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader
@@ -23,6 +26,8 @@ MAX_SAMPLES = 2**29
 MAX_FILE_BYTES = 2**30
 MAX_GAIN_DB = 400
 """Largest change of a level, up or down; a larger one is a mistake."""
+MAX_GAIN = 2.0**127
+_MIN_GAIN = 2.0**-120
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +69,8 @@ class Stream:
         image: The packed model image; None without one.
         runtime: "core" or "onnx": the decoder, where the model leaves the choice. None: as the image says.
         quality: The quality of a stream just encoded; a file does not store it.
+        squared_errors: The squared error of each channel relative to full scale, by the encoder; None where it cannot
+            tell, and in a file.
 
     Raises:
         CodecError: The codec is unknown, or the image is another.
@@ -75,22 +82,22 @@ class Stream:
     image: bytes | None = None
     runtime: str | None = None
     quality: CodingQuality | None = field(default=None, compare=False, repr=False)
+    squared_errors: tuple[float, ...] | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         if self.image is not None and image_hash(self.image) != self.header.image_hash:
-            raise codec.CodecError(
+            raise CodecError(
                 "the stream was not coded for this model image",
                 action="leave out `model`, or give the right one",
                 parameter="model",
             )
-        decoder = self.decoder()
         if not self.packets or self.samples < 1:
             raise StreamError("it holds no signal; encode the recording again")
-        needed = -(-(self.samples + decoder.delay_samples) // decoder.packet_samples)
+        needed = -(-(self.samples + self.delay_samples) // self.packet_samples)
         if len(self.packets) != needed:
             flaw = "it is cut short" if len(self.packets) < needed else "it has surplus packets"
             raise StreamError(f"{flaw}: {len(self.packets)} instead of {needed}; copy the file again")
-        check_length(self.samples * decoder.channels)
+        check_length(self.samples * self.header.channels)
 
     def __bytes__(self) -> bytes:
         """Return the bytes of the .vct file."""
@@ -132,8 +139,7 @@ class Stream:
         """The samples per channel; those of all packets where the header leaves the length open."""
         if self.header.samples is not None:
             return self.header.samples
-        decoder = self.decoder()
-        return len(self.packets) * decoder.packet_samples - decoder.delay_samples
+        return len(self.packets) * self.packet_samples - self.delay_samples
 
     @property
     def seconds(self) -> float:
@@ -146,9 +152,29 @@ class Stream:
         return 8 * self.size_bytes / self.seconds
 
     @property
+    def packet_samples(self) -> int:
+        """The samples per channel in every packet."""
+        return self._layout[0]
+
+    @property
+    def delay_samples(self) -> int:
+        """The samples per channel by which what a decoder returns lags the signal."""
+        return self._layout[1]
+
+    @cached_property
+    def _layout(self) -> tuple[int, int]:
+        """The samples of packets and of the delay, also of a stream whose image is not here. Raises CodecError."""
+        made = _decoder_of(self.header, self.tables if self._codec.needs_model else None, self.runtime)
+        return made.packet_samples, made.delay_samples
+
+    @property
+    def _codec(self) -> Codec:
+        return codec_by_identifier(self.header.codec_identifier, self.header.configuration)
+
+    @property
     def codec_name(self) -> str:
         """The name of the codec."""
-        return codec.codec_by_identifier(self.header.codec_identifier, self.header.configuration).name
+        return self._codec.name
 
     @property
     def model_name(self) -> str | None:
@@ -165,26 +191,22 @@ class Stream:
         if self.image is not None:
             return ModelImage.unpack(self.image).payload
         if self.header.image_hash:
-            raise codec.CodecError(
+            raise CodecError(
                 f"the stream was coded for the model image {self.header.image_hash.hex()}, which does not ship",
                 action="give its folder or its file as `model`",
                 parameter="model",
             )
         return None
 
-    def decoder(self) -> codec.Decoder:
-        """Return a decoder, which states the length of packets and the delay.
-
-        Where the codec has built-in tables, it has those. So you can look at a stream whose image is not here.
+    def decoder(self) -> Decoder:
+        """Return a new decoder of the packets.
 
         Raises:
             CodecError: The codec is unknown, or it needs an image that is not here.
         """
-        identifier, configuration = self.header.codec_identifier, self.header.configuration
-        tables = self.tables if codec.codec_by_identifier(identifier, configuration).needs_model else None
-        return codec.decoder(identifier, configuration, self.header.channels, tables, self.runtime)
+        return _decoder_of(self.header, self.tables, self.runtime)
 
-    def decode_integers(self, progress: Callable[[float], None] | None = None) -> NDArray[np.int16]:
+    def decode_integers(self, progress: Callable[[float], None] | None = None) -> Decoded:
         """Decode to the integers that a controller computes.
 
         Args:
@@ -201,9 +223,7 @@ class Stream:
         # First integers; when all are there, also float64 in the header's unit.
         if lack := shortage(self.samples * header.channels * (2 + 8)):
             raise StreamError(f"decoding {self.samples} samples {lack}")
-        decoder = codec.decoder(
-            header.codec_identifier, header.configuration, header.channels, self.tables, self.runtime
-        )
+        decoder = self.decoder()
         decoded = np.empty((len(self.packets), decoder.packet_samples, decoder.channels), dtype=np.int16)
         for number, packet in enumerate(self.packets):
             decoded[number] = decoder.decode(packet)
@@ -211,7 +231,7 @@ class Stream:
                 progress((number + 1) / len(self.packets))
         return decoded.reshape(-1, decoder.channels)
 
-    def decode(self, progress: Callable[[float], None] | None = None) -> NDArray[np.float64]:
+    def decode(self, progress: Callable[[float], None] | None = None) -> Signal:
         """Decode to samples, with the codec's delay removed.
 
         Args:
@@ -224,8 +244,7 @@ class Stream:
             CodecError: The codec is unknown, or it needs an image that is not here.
             StreamError: There is not enough memory.
         """
-        start = self.decoder().delay_samples
-        integers = self.decode_integers(progress)[start : start + self.samples]
+        integers = self.decode_integers(progress)[self.delay_samples : self.delay_samples + self.samples]
         return integers * (np.array(self.header.gains) / 32768)
 
     def recording(self, name: str = "decoded", progress: Callable[[float], None] | None = None) -> textures.Recording:
@@ -263,15 +282,15 @@ class Stream:
         """
         if gain_db == 0:
             return self
-        beyond = codec.CodecError(
+        beyond = CodecError(
             f"`gain_db`={gain_db:g}", "beyond any level of a stream", "give a number nearer to 0", parameter="gain_db"
         )
         if not abs(gain_db) <= MAX_GAIN_DB:
             raise beyond
         factor = 10 ** (gain_db / 20)
         try:
-            gains = tuple(codec.nearest_gain(gain * factor) for gain in self.header.gains)
-        except codec.CodecError as error:
+            gains = tuple(nearest_gain(gain * factor) for gain in self.header.gains)
+        except CodecError as error:
             raise beyond from error
         return replace(self, header=replace(self.header, gains=gains))
 
@@ -292,25 +311,23 @@ class Stream:
             StreamError: The packets are damaged.
         """
         stream = self
-        longest = min(packet_samples, self.decoder().packet_samples)
-        while stream.decoder().packet_samples > longest or max(map(len, stream.packets)) > packet_bytes:
+        longest = min(packet_samples, self.packet_samples)
+        while stream.packet_samples > longest or max(map(len, stream.packets)) > packet_bytes:
             if stream is not self:
-                longest = stream.decoder().packet_samples // 2
+                longest = stream.packet_samples // 2
             stream = self._split(longest)
         return stream
 
     def _split(self, packet_samples: int) -> "Stream":
         """Return the stream in packets of at most `packet_samples` per channel. Raises as `repacked`."""
-        chosen = codec.codec_by_identifier(self.header.codec_identifier, self.header.configuration)
+        chosen = self._codec
         if chosen.repack is None:
-            raise codec.CodecError(
-                f"the packets of the codec {chosen.name} cannot be split; encode the recording again"
-            )
+            raise CodecError(f"the packets of the codec {chosen.name} cannot be split; encode the recording again")
         configuration, packets = chosen.repack(
             self.header.configuration, self.header.channels, self.tables, self.packets, packet_samples
         )
         header = replace(self.header, configuration=configuration)
-        decoder = codec.decoder(header.codec_identifier, configuration, header.channels, self.tables)
+        decoder = _decoder_of(header, self.tables)
         end = None if header.samples is None else -(-(header.samples + decoder.delay_samples) // decoder.packet_samples)
         return replace(self, header=header, packets=tuple(packets[:end]))
 
@@ -320,7 +337,6 @@ class Stream:
         Raises:
             CodecError: The codec is unknown.
         """
-        decoder = self.decoder()
         refreshes = sum(refresh for _, refresh in map(coded_stream.packet_sequence, self.packets))
         facts = {
             "codec": self.codec_name,
@@ -335,9 +351,9 @@ class Stream:
             "bits_per_sample": self.bits_per_second / self.header.rate_hz / self.header.channels,
             "packets": len(self.packets),
             "random_access_packets": refreshes,
-            "packet_samples": decoder.packet_samples,
+            "packet_samples": self.packet_samples,
             "largest_packet_bytes": max(map(len, self.packets), default=0),
-            "delay_samples": decoder.delay_samples,
+            "delay_samples": self.delay_samples,
             "model": self.model_name,
             "model_image": self.header.image_hash.hex() or None,
         }
@@ -350,21 +366,27 @@ class Stream:
         return {spatial_names.get(name, name): value for name, value in facts.items() if name not in over_time}
 
 
-def as_stream(coded: codec.CodedSignal, unit: str, image: bytes | None = None) -> Stream:
-    """Return a coded signal in this unit as a stream; `image`: the packed model image for which it was coded.
+def gain_for(peak: float) -> float:
+    """Return the smallest number of 8 significant bits that is not below `peak`; 1 for silence.
 
-    Raises StreamError if the layout cannot hold it.
+    Raises CodecError outside 2^-120 to 2^127.
     """
-    header = StreamHeader(
-        codec.codec_by_name(coded.codec).identifier,
-        coded.rate_hz,
-        coded.samples,
-        unit,
-        coded.gains,
-        coded.configuration,
-        b"" if image is None else image_hash(image),
-    )
-    return Stream(header, coded.packets, image)
+    if peak == 0:
+        return 1.0
+    if not _MIN_GAIN <= peak <= MAX_GAIN:
+        raise CodecError(f"the signal's peak {peak:g} is outside {_MIN_GAIN:.0e} to {MAX_GAIN:.0e}; use another unit")
+    mantissa, exponent = math.frexp(peak)
+    return math.ldexp(math.ceil(mantissa * 256), exponent - 8)
+
+
+def nearest_gain(gain: float) -> float:
+    """Return the number of 8 significant bits that is nearest. Raises CodecError as `gain_for`."""
+    mantissa, exponent = math.frexp(gain)
+    return gain_for(math.ldexp(round(mantissa * 256), exponent - 8))
+
+
+def _decoder_of(header: StreamHeader, tables: bytes | None, runtime: str | None = None) -> Decoder:
+    return decoder(header.codec_identifier, header.configuration, header.channels, tables, runtime)
 
 
 def shipped_image(header: StreamHeader) -> bytes | None:

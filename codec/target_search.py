@@ -10,8 +10,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from vibrocast.codec.interface import CodecError, CodedSignal, Setting, Signal, TargetUnreachable, number
-from vibrocast.codec.registry import Source, decode, parts, peak_of
+from vibrocast.codec.interface import CodecError, Setting, Signal, TargetUnreachable, number
+from vibrocast.codec.source import Source, parts, peak_of
+from vibrocast.codec.stream import Stream
 
 SNR_TOLERANCE_DB = 0.2
 RATE_TOLERANCE = 0.02
@@ -29,7 +30,7 @@ _STEPS_BETWEEN = 8
 """Steps from one rate point to the next, if the setting is a fraction."""
 _GUIDED_TRIALS = 4
 """Trials that follow what is expected; then the search halves the steps that are left."""
-_InExcerpt: TypeAlias = Callable[[Source], Callable[[CodedSignal], float]]
+_InExcerpt: TypeAlias = Callable[[Source], Callable[[Stream], float]]
 _FEWEST_BITS = 1e-9
 _Expected: TypeAlias = Callable[[float, Signal], float]
 """Returns the excess that an estimate of bits and errors leads to; see `codec.interface.Estimate`."""
@@ -64,7 +65,7 @@ def snr_db(reference: Signal, decoded: Signal) -> float | None:
     return _mean(ratios) if ratios else None
 
 
-def encode_to_snr(source: Source, target_db: float, setting: Setting | None = None) -> CodedSignal:
+def encode_to_snr(source: Source, target_db: float, setting: Setting | None = None) -> Stream:
     """Code every channel at `target_db` of SNR, to within 0.2 dB; above it if no setting comes nearer.
 
     `setting`: the part of the codec's setting that is given, not searched for. A silent signal meets every target.
@@ -79,34 +80,33 @@ def encode_to_snr(source: Source, target_db: float, setting: Setting | None = No
         )
     if source.silent:
         return source.encode(_rate_points(source, setting)[0])
-    tables = source.model.tables if source.model is not None else None
     heard = np.array([peak_of(channel) > 0 for channel in source.samples.T])
     powers = heard * np.square(source.format.rms)
 
     @cache  # decoding takes nearly half as long as coding
-    def decoded_db(coded: CodedSignal) -> list[float | None]:
-        return channel_snrs_db(source.samples, decode(coded, tables))
+    def decoded_db(coded: Stream) -> list[float | None]:
+        return channel_snrs_db(source.samples, coded.decode())
 
     def at_level(squared_errors: Sequence[float] | Signal, samples: int) -> list[float | None]:
         """Return the SNR of each channel by its error in some samples, at the level of the whole signal."""
         pairs = zip((samples * powers).tolist(), squared_errors, strict=True)
         return [10 * math.log10(energy / error) if energy > 0 and error > 0 else None for energy, error in pairs]
 
-    def told_db(coded: CodedSignal) -> list[float | None]:
+    def told_db(coded: Stream) -> list[float | None]:
         return at_level(coded.squared_errors or (), coded.samples)
 
-    ratios_db: Callable[[CodedSignal], list[float | None]] = decoded_db
+    ratios_db: Callable[[Stream], list[float | None]] = decoded_db
 
-    def excesses_db(coded: CodedSignal) -> list[float]:
+    def excesses_db(coded: Stream) -> list[float]:
         """Return the excess of each channel over the target; 0 for silent ones, which have none."""
         return [0.0 if ratio is None else ratio - target_db for ratio in ratios_db(coded)]
 
-    def in_excerpt(excerpt: Source) -> Callable[[CodedSignal], float]:
+    def in_excerpt(excerpt: Source) -> Callable[[Stream], float]:
         """Return the mean excess in an excerpt, which also shows whether the encoder is right: clipping misleads it."""
 
-        def excess_db(coded: CodedSignal) -> float:
+        def excess_db(coded: Stream) -> float:
             nonlocal ratios_db
-            noise = (excerpt.samples - decode(coded, tables)) / np.array(coded.gains)
+            noise = (excerpt.samples - coded.decode()) / np.array(coded.header.gains)
             errors, told = np.sum(np.square(noise), axis=0), coded.squared_errors
             is_right = told is not None and np.allclose(errors[heard], np.array(told)[heard], _ERROR_TOLERANCE)
             ratios_db = told_db if is_right else decoded_db
@@ -139,7 +139,7 @@ def _mean(ratios_db: Sequence[float | None]) -> float:
     return sum(heard) / len(heard) if heard else math.inf
 
 
-def _balance(source: Source, found: "_Found", excesses_db: Callable[[CodedSignal], list[float]]) -> CodedSignal:
+def _balance(source: Source, found: "_Found", excesses_db: Callable[[Stream], list[float]]) -> Stream:
     """Bring every channel to the target, by its own step or by one."""
     best, least = found.coded, excesses_db(found.coded)
     balanced = [_ChannelStep(found.step) for _ in least]
@@ -216,27 +216,24 @@ class _ChannelStep:
 def encode_to_rate(
     source: Source,
     bits_per_second: float,
-    size_bytes: Callable[[CodedSignal], int],
     setting: Setting | None = None,
-) -> CodedSignal:
+) -> Stream:
     """Code at up to `bits_per_second`, never above, and within 2 % below it if a setting comes as near.
 
-    `size_bytes` counts a coded signal's bytes. All channels have the same setting. `setting`: the part of it that is
-    given, not searched for. Raises CodecError as `encode`, TargetUnreachable with the least rate that the signal takes.
+    The rate counts the bits of the whole .vct file. All channels have the same setting. `setting`: the part of it that
+    is given, not searched for. Raises CodecError as `encode`, TargetUnreachable with the least rate that the signal
+    takes.
     """
     if not (math.isfinite(bits_per_second) and bits_per_second > 0):
         raise CodecError(f"a rate of {bits_per_second} bit/s cannot be met; ask for a positive number")
 
-    def rate(coded: CodedSignal) -> float:
-        return size_bytes(coded) * 8 * coded.rate_hz / coded.samples
-
-    def excess(coded: CodedSignal) -> float:
-        return math.log(rate(coded)) - math.log(bits_per_second)
+    def excess(coded: Stream) -> float:
+        return math.log(coded.bits_per_second) - math.log(bits_per_second)
 
     def expected_excess(bits: float, errors: Signal) -> float:
         return math.log(max(bits, _FEWEST_BITS) * source.format.rate_hz / bits_per_second)
 
-    def in_excerpt(excerpt: Source) -> Callable[[CodedSignal], float]:
+    def in_excerpt(excerpt: Source) -> Callable[[Stream], float]:
         return lambda coded: excess(coded) - _EXCERPT_RATE
 
     if not setting and source.codec.step_range:
@@ -245,8 +242,9 @@ def encode_to_rate(
         best = _choose(source, setting, excess, _RATE, in_excerpt)
     if _RATE.misses(excess(best)):
         raise TargetUnreachable(
-            f"a rate of {bits_per_second:.0f} bit/s cannot be met; this signal takes at least {rate(best):.0f} bit/s "
-            f"with {source.codec.name}: ask for more, code a longer signal, or choose another codec"
+            f"a rate of {bits_per_second:.0f} bit/s cannot be met; this signal takes at least "
+            f"{best.bits_per_second:.0f} bit/s with {source.codec.name}: ask for more, code a longer signal, or choose "
+            "another codec"
         )
     return best
 
@@ -301,10 +299,10 @@ def _steps_between(source: Source, rate_points: list[Setting]) -> tuple[list[Set
 def _choose(
     source: Source,
     setting: Setting | None,
-    excess: Callable[[CodedSignal], float],
+    excess: Callable[[Stream], float],
     goal: "_Goal",
     in_excerpt: _InExcerpt,
-) -> CodedSignal:
+) -> Stream:
     """Code where the excess changes its sign; at every rate point if no setting there is good enough.
 
     The excess rises on the whole from rate point to rate point. Returns the result that the goal prefers. In a long
@@ -315,7 +313,7 @@ def _choose(
     index, trials = _best_of(excerpt or source, settings, steps, in_excerpt(excerpt) if excerpt else excess, goal)
     if excerpt is None:
         return trials[index][0]
-    tried: dict[int, tuple[CodedSignal, float]] = {}
+    tried: dict[int, tuple[Stream, float]] = {}
     while index in range(len(settings)) and index not in tried:
         coded = source.encode(settings[index])
         found = excess(coded)
@@ -329,10 +327,10 @@ def _choose(
 
 
 def _best_of(
-    source: Source, settings: list[Setting], steps: int, excess: Callable[[CodedSignal], float], goal: "_Goal"
-) -> tuple[int, dict[int, tuple[CodedSignal, float]]]:
+    source: Source, settings: list[Setting], steps: int, excess: Callable[[Stream], float], goal: "_Goal"
+) -> tuple[int, dict[int, tuple[Stream, float]]]:
     """Return the setting that the goal prefers near the change of sign, or among rate points, and what was coded."""
-    tried: dict[int, tuple[CodedSignal, float]] = {}
+    tried: dict[int, tuple[Stream, float]] = {}
 
     def excess_at(index: int) -> float:
         if index not in tried:
@@ -351,9 +349,7 @@ def _best_of(
     return best, tried
 
 
-def _choose_for_each(
-    source: Source, setting: Setting | None, excesses_db: Callable[[CodedSignal], list[float]]
-) -> CodedSignal:
+def _choose_for_each(source: Source, setting: Setting | None, excesses_db: Callable[[Stream], list[float]]) -> Stream:
     """Code each channel at the coarsest setting that brings it to the target.
 
     Finds it with all channels at the same setting first. Then makes it finer for a channel that falls short next to the
@@ -361,7 +357,7 @@ def _choose_for_each(
     """
     settings, _ = _steps_between(source, _rate_points(source, setting))
     varied = {name for name in settings[0] if settings[0][name] != settings[-1][name]}
-    tried: dict[tuple[int, ...], tuple[CodedSignal, list[float]]] = {}
+    tried: dict[tuple[int, ...], tuple[Stream, list[float]]] = {}
 
     def attempt(indices: tuple[int, ...]) -> list[float]:
         if indices not in tried:
@@ -429,7 +425,7 @@ _RATE = _Goal(math.log1p(-RATE_TOLERANCE), 0.0, ceiling=True, per_octave=0.6, do
 class _Found:
     """The result of a search: the coded signal, its excess, the one expected, the step code and rd_weight."""
 
-    coded: CodedSignal
+    coded: Stream
     excess: float
     expected: float
     exponent: int
@@ -448,7 +444,7 @@ def _step_of(code: int) -> float:
 
 def _search(
     source: Source,
-    excess: Callable[[CodedSignal], float],
+    excess: Callable[[Stream], float],
     goal: _Goal,
     in_excerpt: _InExcerpt | None = None,
     expected: _Expected | None = None,
@@ -515,7 +511,7 @@ def _search(
     return best
 
 
-def _fall(source: Source, found: _Found, excess: Callable[[CodedSignal], float]) -> float:
+def _fall(source: Source, found: _Found, excess: Callable[[Stream], float]) -> float:
     """Return by how much the excess falls from one step code to the next, measured over half an octave."""
     codes = _STEPS_PER_OCTAVE // 2
     coarser = source.encode(_setting(source, _step_of(found.exponent + codes), found.rd_weight))

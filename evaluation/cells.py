@@ -13,7 +13,7 @@ import numpy as np
 
 from vibrocast import codec, textures
 from vibrocast.codec import Setting, Signal, metrics, plugins
-from vibrocast.codec.stream import Stream, as_stream
+from vibrocast.codec.stream import Stream
 from vibrocast.codec.timing import time_coding
 from vibrocast.device_protocol import coded_stream
 from vibrocast.errors import InputError
@@ -108,8 +108,7 @@ class Cell:
             decode = partial(decode_file, model=self.model)
             file = encode()
             decoded, size_bytes = decode(file), len(file)
-            tables = trained.for_encoder(self.model) if self.model else None
-            settled = codec.Source(samples, rate_hz, coder, recording.unit, model=tables).resolved(self.setting)
+            settled = codec.Source(samples, rate_hz, coder, recording.unit, model=self.model).resolved(self.setting)
             delay_ms = cost.delay_ms(coder, settled, rate_hz, recording.channels, recording.unit, self.model)
             if self.repeats:
                 times = time_coding(encode, decode, samples.size, self.repeats)
@@ -127,11 +126,8 @@ def encode_file(recording: textures.Recording, codec_name: str, setting: Setting
 
     Raises CodecError.
     """
-    image, tables = (model.image, trained.for_encoder(model)) if model else (None, None)
     rate_hz = round(recording.rate_hz)
-    coded = codec.encode(recording.samples, rate_hz, setting, codec=codec_name, unit=recording.unit, model=tables)
-    stream = as_stream(coded, recording.unit, image)
-    return coded_stream.pack_file(stream.header, stream.packets)
+    return bytes(codec.encode(recording.samples, rate_hz, setting, codec=codec_name, unit=recording.unit, model=model))
 
 
 def decode_file(file: bytes, model: Model | None, runtime: str | None = None) -> Signal:

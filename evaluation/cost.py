@@ -72,9 +72,7 @@ def delay_ms(
     """
     signal_format = SignalFormat(rate_hz, unit, gains=(1.0,) * channels, rms=(1.0,) * channels)
     plug_in = codec.codec_by_name(codec_name)
-    encoder = plug_in.make_encoder(
-        plug_in.complete(setting), signal_format, Framing(1, 1), trained.for_encoder(model) if model else None, None
-    )
+    encoder = plug_in.make_encoder(plug_in.complete(setting), signal_format, Framing(1, 1), model, None)
     return 1e3 * (encoder.packet_samples + encoder.delay_samples) / rate_hz
 
 
@@ -96,9 +94,7 @@ def _memory_added(codec_name: str, model: Model | None) -> int:
     before = 0
     for part in (noise[: MEMORY_RATE_HZ // 10], noise):
         before = _peak_resident_bytes()
-        for_encoder = trained.for_encoder(model) if model else None
-        coded = codec.encode(part, MEMORY_RATE_HZ, {}, codec=codec_name, model=for_encoder)
-        codec.decode(coded, model.tables if model else None)
+        codec.encode(part, MEMORY_RATE_HZ, {}, codec=codec_name, model=model).decode()
     return _peak_resident_bytes() - before
 
 

@@ -29,11 +29,6 @@ def codec_name(model: Model) -> str:
     return codec.codec_by_identifier(model.codec_identifier).name
 
 
-def for_encoder(model: Model) -> codec.Model:
-    """Return the parts of a model that an encoder gets."""
-    return codec.Model(model.tables, model.analysis)
-
-
 def digest(model: Model) -> str:
     """Return a hash of all of a model that figures depend on."""
     return hashlib.sha256(model.image + model.analysis).hexdigest()
@@ -50,7 +45,7 @@ def rate_point_set(model: Model) -> list[Setting]:
     different: dict[bytes, Setting] = {}
     for setting in every:
         with suppress(CodecError):
-            encoder = known.make_encoder(known.complete(setting), _FORMAT, Framing(64, 0), for_encoder(model), None)
+            encoder = known.make_encoder(known.complete(setting), _FORMAT, Framing(64, 0), model, None)
             different.setdefault(encoder.configuration, setting)
     return list(different.values()) or [every[0]]
 

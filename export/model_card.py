@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from vibrocast import codec, pages, textures
+from vibrocast.codec import Stream
 from vibrocast.codec.encoding import Encoding, encode_recording
 from vibrocast.codec.eva_image import EvaImage
 from vibrocast.codec.onnx_check import OPSET
-from vibrocast.codec.stream import as_stream
 from vibrocast.codec.timing import cpu_name, time_coding
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.export import configuration
@@ -197,13 +197,12 @@ def _speed(model: Model, recordings: Sequence[textures.Recording]) -> dict[str, 
     """Return the processor seconds that a million samples take, all recordings after one another."""
     samples = np.concatenate([recording.samples for recording in recordings])
     rate_hz = round(recordings[0].rate_hz)
-    tables = codec.Model(model.tables, model.analysis)
 
-    def encode() -> codec.CodedSignal:
-        return codec.encode(samples, rate_hz, {}, codec="eva", model=tables)
+    def encode() -> Stream:
+        return codec.encode(samples, rate_hz, {}, codec="eva", model=model)
 
-    def decode(coded: codec.CodedSignal, runtime: str) -> object:
-        return replace(as_stream(coded, "full scale", model.image), runtime=runtime).decode_integers()
+    def decode(stream: Stream, runtime: str) -> object:
+        return replace(stream, runtime=runtime).decode_integers()
 
     speeds = {
         runtime: time_coding(encode, partial(decode, runtime=runtime), len(samples), _REPEATS)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vibrocast import codec, textures
-from vibrocast.codec.live_format import recording_format
+from vibrocast.codec.source import recording_format
 from vibrocast.device_protocol.messages import Status
 from vibrocast.harness.sensors import Recorder, TimedRecording, recorded
 from vibrocast.host import live

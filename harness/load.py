@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vibrocast.codec import Signal, SignalFormat
-from vibrocast.codec.live_format import live_format
+from vibrocast.codec.source import live_format
 from vibrocast.device_protocol.messages import PACKET_OVERHEAD_BYTES, CaptureData, State, StreamData, Tap
 from vibrocast.harness.latency import looped
 from vibrocast.host import live

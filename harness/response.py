@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast import codec, textures
-from vibrocast.codec.stream import as_stream
 from vibrocast.harness.sensors import Recorder, recorded
 from vibrocast.host import player
 from vibrocast.host.controller import Controller, ControllerError
@@ -135,14 +134,14 @@ def play_sweep(
     phase = 2 * np.pi * MIN_HZ * seconds / np.log(highest_hz / MIN_HZ)
     chirp = AMPLITUDE * np.sin(phase * (np.exp(time_s / seconds * np.log(highest_hz / MIN_HZ)) - 1))
     chirp *= np.clip(np.minimum(time_s, seconds - time_s) / _FADE_S, 0.0, 1.0)
-    stream = as_stream(codec.encode(chirp[:, None], rate_hz, {"step": _STEP}, live=True), "full scale")
+    stream = codec.encode(chirp[:, None], rate_hz, {"step": _STEP}, live=True)
     with recorded(recorder, controller, seconds) as finish:
         settings = player.PlaybackSettings(
             compensation=compensation,
             capture=True,
             progress=progress and (lambda now: progress(now.position_s / seconds)),
         )
-        packet_samples = stream.decoder().packet_samples
+        packet_samples = stream.packet_samples
         played = controller.run(player.play_steps(controller, stream.header, stream.packets, packet_samples, settings))
         if played.underruns or played.lost_packets or played.dac_codes is None or played.decoded is None:
             raise ControllerError("the sweep was interrupted; use a machine that is less busy, or a shorter cable")

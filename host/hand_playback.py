@@ -134,7 +134,7 @@ def load(controller: Controller, stream: Stream) -> StreamSession:
             f"{limits.profile_samples}; "
             + ("update its firmware" if not limits.profile_samples else "code a shorter one, or a coarser pitch")
         )
-    packet_samples = stream.decoder().packet_samples
+    packet_samples = stream.packet_samples
     session = controller.run(configure_steps(controller, header, 0, packets=len(stream.packets)))
     max_bytes = limits.sendable_packet_bytes
     if max(map(len, stream.packets)) > max_bytes:
@@ -267,7 +267,7 @@ def computed(session: Session, stream: Stream, played: Played) -> tuple[NDArray[
 
     Heights in um and the DAC's codes, both (n, channels), from its first sample on. Raises CodecError.
     """
-    return _rendered(session, stream, stream.decode_integers(), stream.decoder().delay_samples, played)
+    return _rendered(session, stream, stream.decode_integers(), stream.delay_samples, played)
 
 
 def _rendered(

@@ -7,7 +7,6 @@ from vibrocast.codec.core import decoding_cycles
 from vibrocast.codec.encoding import (
     DEFAULT_STREAM_RATE_HZ,
     encode_recording,
-    encoder_model,
     families,
     middle,
 )
@@ -67,7 +66,7 @@ def fitted(controller: Controller, stream: Stream) -> Stream:
     samples, size_bytes = packet_limit(limits), limits.sendable_packet_bytes
     if chosen.repack is not None:
         samples = min(samples, limits.buffer_samples // _BUFFERED_PACKETS)
-    longest, largest = stream.decoder().packet_samples, max(map(len, stream.packets))
+    longest, largest = stream.packet_samples, max(map(len, stream.packets))
     if longest <= samples and largest <= size_bytes:
         return stream
     problem = f"packets of {longest} samples and {largest} bytes, the controller takes {samples} and {size_bytes}"
@@ -145,7 +144,7 @@ def _lighter(controller: Controller, header: StreamHeader, limit: int) -> Iterat
 
     def cycles_per_s(chosen: codec.Codec, model: models.Model | None) -> int:
         setting, framing = chosen.complete(chosen.live_setting(header.rate_hz)), codec.live_framing(header.rate_hz)
-        encoder = chosen.make_encoder(setting, signal_format, framing, encoder_model(model), None)
+        encoder = chosen.make_encoder(setting, signal_format, framing, model, None)
         tables = None if model is None else model.tables
         return header.rate_hz * decoding_cycles(chosen.identifier, encoder.configuration, header.channels, tables)
 

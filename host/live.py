@@ -8,7 +8,7 @@ import numpy as np
 
 from vibrocast import codec, models
 from vibrocast.codec import Signal, SignalFormat
-from vibrocast.codec.encoding import chosen_codec, encoder_model
+from vibrocast.codec.encoding import chosen_codec
 from vibrocast.codec.rate_control import REFRESH_S as RATE_CONTROLLED_REFRESH_S
 from vibrocast.codec.rate_controlled import added_bytes
 from vibrocast.codec.stream import image_hash
@@ -236,14 +236,14 @@ class LiveStream:
 
     def _make_encoder(self, framing: codec.Framing) -> codec.Encoder:
         """Make the stream's first encoder; what it learns of a policy's least holds for all later ones."""
-        model = encoder_model(self._model)
+        model = self._model
         if self.policy is None:
             return self._codec.make_encoder(self.setting, self.format, framing, model, None)
         return codec.rate_controlled_encoder(self._codec, self.setting, self.format, framing, model, self.policy)
 
     def _begin_encoder(self, first: int) -> None:
         """Make an encoder that begins with packet `first`, a refresh."""
-        model = encoder_model(self._model)
+        model = self._model
         self._encoder = self._codec.make_encoder(self.setting, self.format, self._framing, model, self.policy)
         if self.policy is not None:
             tables = None if model is None else model.tables

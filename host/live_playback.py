@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from vibrocast import codec, models
 from vibrocast.codec import Signal
-from vibrocast.codec.live_format import recording_format
+from vibrocast.codec.source import recording_format
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import State, Status, Tap
 from vibrocast.host import live, playback
@@ -240,12 +240,12 @@ class LivePlayback:
 
     def _quality(self, whole: Stream) -> tuple[float | None, tuple[Trace, ...]]:
         """Return the SNR of coding and the traces, at the skin by models; nothing where the stream was too short."""
-        header, decoder = whole.header, whole.decoder()
+        header = whole.header
         signal = np.concatenate([np.zeros((0, header.channels)), *self._blocks])
-        samples = min(len(signal), len(self._packets) * decoder.packet_samples - decoder.delay_samples)
+        samples = min(len(signal), len(self._packets) * whole.packet_samples - whole.delay_samples)
         if samples < _MIN_S * header.rate_hz:
             return None, ()
-        needed = -(-(samples + decoder.delay_samples) // decoder.packet_samples)
+        needed = -(-(samples + whole.delay_samples) // whole.packet_samples)
         stream = replace(whole, header=replace(header, samples=samples), packets=whole.packets[:needed])
         signals = {"source": signal[:samples], "decoded": stream.decode()}
         snr_db = codec.snr_db(*signals.values())
@@ -260,7 +260,7 @@ class LivePlayback:
         if not keeps:
             return None, None
         offline = coded.decode_integers()
-        codes, _ = render(header, offline, coded.decoder().delay_samples, self.session.driven)
+        codes, _ = render(header, offline, coded.delay_samples, self.session.driven)
         values = _READ_BACK_S * self.stream.link_bytes_per_second / len(Tap) / offline.itemsize
         newest = int(min(values / header.channels, keeps))
 

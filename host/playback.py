@@ -120,7 +120,7 @@ def play_together(
             capture=_unread_reason(session, fitting, loops) is None,
             progress=progress and partial(progress, key),
         )
-        packet_samples = fitting.decoder().packet_samples
+        packet_samples = fitting.packet_samples
         steps = player.play_steps(controller, fitting.header, fitting.packets, packet_samples, settings)
         works[key] = controller, steps
     offline = {each: each.decode_integers() for each in set(sent.values())}
@@ -157,13 +157,13 @@ def _compared(
 
     `offline`: one pass, decoded here. `underruns_before`: of the sound card, before it played.
     """
-    header, decoder, driven = stream.header, stream.decoder(), session.driven
+    header, driven = stream.header, session.driven
     read_back = result.dac_codes is not None
-    codes, _ = render(header, offline, decoder.delay_samples, driven, loops=loops if read_back else 1)
+    codes, _ = render(header, offline, stream.delay_samples, driven, loops=loops if read_back else 1)
     played_codes = result.dac_codes if result.dac_codes is not None else codes
     played = result.decoded if result.decoded is not None else offline
-    drive_s, delay_s = output_delay_s(header, driven), decoder.delay_samples / header.rate_hz
-    missed_s = result.captured_from * decoder.packet_samples / header.rate_hz
+    drive_s, delay_s = output_delay_s(header, driven), stream.delay_samples / header.rate_hz
+    missed_s = result.captured_from * stream.packet_samples / header.rate_hz
     signals = {}
     if encoding:
         signals["recording"] = encoding.recording.samples * (np.array(header.gains) / encoding.stream.header.gains)
@@ -172,7 +172,7 @@ def _compared(
     skin_um = _skin_um(session.skin, played_codes, delay_s + drive_s, missed_s, stream.seconds)
     traces = traces_of(signals, header, driven, skin_um)
     card = session.controller.sound_card
-    algorithmic_s = decoder.packet_samples / header.rate_hz + delay_s
+    algorithmic_s = stream.packet_samples / header.rate_hz + delay_s
     card_s = card.latency_ms / 1e3 if card else 0.0
     # After a lost connection the controller begins in the middle; what it plays then has no simple counterpart here.
     comparable = result.captured_from == 0 and not result.altered
@@ -327,8 +327,7 @@ def _unread_reason(session: Session, stream: Stream, loops: int) -> str | None:
     """Return why nothing of a playback is read back; None if everything is."""
     if not session.controller.description.limits.capture_samples:
         return "the controller keeps no captures"
-    decoder = stream.decoder()
-    if loops * len(stream.packets) * decoder.packet_samples * decoder.channels > MAX_COMPARED_SAMPLES:
+    if loops * len(stream.packets) * stream.packet_samples * stream.header.channels > MAX_COMPARED_SAMPLES:
         return f"a comparison takes at most {MAX_COMPARED_SAMPLES} samples"
     return None
 
@@ -357,9 +356,8 @@ def at_the_skin(stream: Stream, driven: Actuator, skin: Actuator | None = None, 
     """
     if stream.header.spatial:
         raise StreamError("a height profile moves the skin only under a hand; play it with --hand")
-    decoder = stream.decoder()
-    late_s = decoder.delay_samples / stream.header.rate_hz + output_delay_s(stream.header, driven)
-    codes, _ = render(stream.header, stream.decode_integers(), decoder.delay_samples, driven, loops=loops)
+    late_s = stream.delay_samples / stream.header.rate_hz + output_delay_s(stream.header, driven)
+    codes, _ = render(stream.header, stream.decode_integers(), stream.delay_samples, driven, loops=loops)
     skin_um = _skin_um(skin or driven, codes, late_s, 0.0, loops * stream.seconds)
     return Recording(skin_um, SKIN_OVERSAMPLING * driven.dac_rate_hz, "um", "skin")
 

@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +44,7 @@ class Model:
         configuration = self.card.get("training", {}).get("configuration", {})
         return bool(configuration.get("training", {}).get("distortion", "plain") != "plain")
 
-    @property
+    @cached_property
     def tables(self) -> bytes:
         """The payload of the image; a decoder needs nothing else."""
         return ModelImage.unpack(self.image).payload

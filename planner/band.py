@@ -162,13 +162,13 @@ def error_over_threshold_db(reference: Recording, decoded: Samples, actuator: Ac
 def played_codes(stream: Stream, decoded: Codes, actuator: Actuator) -> Codes:
     """Return the DAC's codes (n, channels) of a stream's decoded samples, int16 (samples, channels), played live."""
     header = replace(stream.header, samples=None)
-    return render(header, decoded, stream.decoder().delay_samples, actuator)[0]
+    return render(header, decoded, stream.delay_samples, actuator)[0]
 
 
 def rendering_s(stream: Stream, actuator: Actuator) -> float:
     """Return the delay in s from a sample's due time to the skin: decoding, output stage, DAC."""
     drive_s: float = Drive(stream.header, actuator, compensation=True).delay_seconds
-    return stream.decoder().delay_samples / stream.header.rate_hz + drive_s + 1 / actuator.dac_rate_hz
+    return stream.delay_samples / stream.header.rate_hz + drive_s + 1 / actuator.dac_rate_hz
 
 
 def played_error_over_threshold_db(
@@ -185,9 +185,8 @@ def played_error_over_threshold_db(
     the DAC's `codes`, minus the displacement by the recording without a codec. Both pass the output stage of a
     controller that works with `driven`, limits included, and `skin_model`.
     """
-    decoder = stream.decoder()
-    delay = decoder.delay_samples
-    exact = np.zeros((len(stream.packets) * decoder.packet_samples, recording.channels), np.int16)
+    delay = stream.delay_samples
+    exact = np.zeros((len(stream.packets) * stream.packet_samples, recording.channels), np.int16)
     full_scale = recording.samples / np.array(stream.header.gains)
     exact[delay : delay + len(full_scale)] = np.clip(np.round(32768 * full_scale), -32768, 32767)
     wanted = played_codes(stream, exact, driven)

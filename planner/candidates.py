@@ -7,11 +7,11 @@ import numpy as np
 
 from vibrocast import codec, models, textures
 from vibrocast.codec import Codec, CodecError, Framing, Setting, Signal, Source, metrics
-from vibrocast.codec.encoding import Encoding, encoder_model, families
+from vibrocast.codec.encoding import Encoding, families
 from vibrocast.codec.rate_control import DEFAULT_RATE_BUFFER_S
 from vibrocast.codec.rate_controlled import RateTarget, added_bytes
-from vibrocast.codec.registry import LIVE_REFRESH_S
 from vibrocast.codec.shaping import DEFAULT_TOUCH, FLAT
+from vibrocast.codec.source import LIVE_REFRESH_S
 from vibrocast.codec.target_search import settings
 from vibrocast.codec.threshold import read_threshold
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT, StreamHeader
@@ -258,9 +258,7 @@ class Evaluator:
             found: list[tuple[str | None, Setting]] = []
             try:
                 for model in members:
-                    source = Source(
-                        part.samples, round(part.rate_hz), option.codec, part.unit, True, encoder_model(model)
-                    )
+                    source = Source(part.samples, round(part.rate_hz), option.codec, part.unit, True, model)
                     name = None if model is None else model.name
                     found += [(name, chosen.complete(setting)) for setting in settings(source, self._given(option))]
             except CodecError:
@@ -332,7 +330,6 @@ class Evaluator:
             self.over_position,
             target,
         )
-        decoder = encoding.stream.decoder()
         decoded = encoding.stream.decode()
         felt = [recording]
         if self.over_position:
@@ -342,7 +339,7 @@ class Evaluator:
             ]
         packets = encoding.stream.packets
         frames = [len(packet) + added_bytes(packet) for packet in packets]
-        packet_s = decoder.packet_samples / rate_hz
+        packet_s = encoding.stream.packet_samples / rate_hz
         seconds = len(packets) * packet_s
         spectral = every or self._measure == "third_octave_distance_db"
         return MeasuredCoding(
@@ -350,13 +347,13 @@ class Evaluator:
             model=model_name,
             setting=setting,
             target=target,
-            packet_samples=decoder.packet_samples,
+            packet_samples=encoding.stream.packet_samples,
             refresh_packets=refresh_packets,
             payload_bps=8 * sum(map(len, packets)) / seconds,
             wire_bps=8 * sum(frames) / seconds,
             peak_bps=_peak_bps(frames, packet_s),
             max_frame_bytes=max(frames),
-            delay_samples=decoder.delay_samples,
+            delay_samples=encoding.stream.delay_samples,
             snr_db=encoding.quality.snr_db,
             spqi=spqi(felt[0], decoded) if every or self._measure == "spqi" else None,
             third_octave_distance_db=(

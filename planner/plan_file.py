@@ -15,9 +15,8 @@ from msgspec import Meta, field, structs
 from vibrocast import codec, models, textures
 from vibrocast.codec import Framing, Setting
 from vibrocast.codec.encoding import Encoding, measure_encoding
-from vibrocast.codec.live_format import recording_format
 from vibrocast.codec.rate_controlled import RateTarget
-from vibrocast.codec.stream import as_stream
+from vibrocast.codec.source import recording_format
 from vibrocast.codec.threshold import DETECTION_THRESHOLD, sites, threshold_file
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
 from vibrocast.errors import InputError, located
@@ -219,13 +218,11 @@ def encode(
     """
     unit = PROFILE_UNIT if over_position else recording.unit
     samples, rate = recording.samples, round(recording.rate_hz)
-    tables = None if model is None else codec.Model(model.tables, model.analysis)
-    source = codec.Source(samples, rate, codec_name, unit, True, tables, framing=framing)
+    source = codec.Source(samples, rate, codec_name, unit, True, model, framing=framing)
     if target is None:
-        coded = source.encode(setting)
-    else:
-        coded = source.encode_rate_controlled(setting, target.policy(recording_format(recording)), framing)
-    return measure_encoding(recording, as_stream(coded, unit, None if model is None else model.image))
+        return measure_encoding(recording, source.encode(setting))
+    policy = target.policy(recording_format(recording))
+    return measure_encoding(recording, source.encode_rate_controlled(setting, policy, framing))
 
 
 def write_plan(path: Path, plan: Plan) -> None:

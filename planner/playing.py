@@ -8,7 +8,7 @@ from functools import partial
 
 from vibrocast import models
 from vibrocast.codec import Signal, metrics
-from vibrocast.codec.live_format import recording_format
+from vibrocast.codec.source import recording_format
 from vibrocast.codec.threshold import read_threshold
 from vibrocast.device_protocol.frames import write_frame
 from vibrocast.device_protocol.messages import SinglePacket, State, Status, pack
@@ -212,7 +212,7 @@ class _Player:
         report = hand_playback.play_and_compare(self._session, texture.name, stream, movement, recording, note).report
         # As if swept at the greatest speed, like the forecast.
         rate_hz = texture.rate * texture.hand_speed_mm_s / 1000
-        seconds = len(stream.packets) * stream.decoder().packet_samples / rate_hz
+        seconds = len(stream.packets) * stream.packet_samples / rate_hz
         frame_bytes = sum(len(write_frame(pack(SinglePacket(0, packet)))) for packet in stream.packets)
         measured = self._measured(
             texture,

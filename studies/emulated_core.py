@@ -14,7 +14,7 @@ from unicorn import arm_const as emulated
 from unicorn import riscv_const
 
 from vibrocast import codec, extras
-from vibrocast.codec import CodedSignal, Decoded
+from vibrocast.codec import Decoded, Stream
 from vibrocast.firmware.build import FLAGS, M0_PLUS, M4F, M7, M33, ROOT, cortex_m_flags
 from vibrocast.firmware.elf import Elf
 from vibrocast.firmware.native_core import BuildError
@@ -183,11 +183,11 @@ class Run:
     stack_bytes: int
 
 
-def decode(program: Path, core: Core, coded: CodedSignal, tables: bytes | None = None) -> Run:
+def decode(program: Path, core: Core, coded: Stream) -> Run:
     """Decode a stream on an emulated processor. Raises ValueError where the decoder does not take it."""
     emulated_core = EmulatedCore(program, core)
-    name = coded.codec
-    packet_samples = _start(emulated_core, coded, tables)
+    name = coded.codec_name
+    packet_samples = _start(emulated_core, coded, coded.tables)
     samples = packet_samples * len(coded.packets)
     emulated_core.clear()
     decoded = b""
@@ -195,9 +195,9 @@ def decode(program: Path, core: Core, coded: CodedSignal, tables: bytes | None =
         emulated_core.write(_PACKET, packet)
         if emulated_core.call(f"vc_{name}_decode", _RAM, _PACKET, len(packet), _SAMPLES) != 0:
             raise ValueError(f"{name}: the decoder does not take a packet")
-        decoded += emulated_core.read(_SAMPLES, 2 * packet_samples * coded.channels)
+        decoded += emulated_core.read(_SAMPLES, 2 * packet_samples * coded.header.channels)
     return Run(
-        np.frombuffer(decoded, "<i2").astype(np.int16).reshape(samples, coded.channels),
+        np.frombuffer(decoded, "<i2").astype(np.int16).reshape(samples, coded.header.channels),
         emulated_core.instructions / samples,
         emulated_core.cycles / samples,
         emulated_core.stack_bytes,
@@ -222,13 +222,13 @@ class Costs:
 
 
 def decode_in_blocks(
-    emulated_core: EmulatedCore, coded: CodedSignal, tables: bytes | None, packets: Sequence[bytes]
+    emulated_core: EmulatedCore, coded: Stream, tables: bytes | None, packets: Sequence[bytes]
 ) -> Costs:
     """Decode packets, damaged ones as well, as those of a stream, and a block a call as controllers do.
 
     Raises ValueError where the decoder does not take the stream.
     """
-    name = coded.codec
+    name = coded.codec_name
     packet_samples = _start(emulated_core, coded, tables)
     feed = block = whole = 0
     for packet in packets:
@@ -244,13 +244,13 @@ def decode_in_blocks(
     return Costs(feed, block, whole / (packet_samples * len(packets)))
 
 
-def _start(emulated_core: EmulatedCore, coded: CodedSignal, tables: bytes | None) -> int:
+def _start(emulated_core: EmulatedCore, coded: Stream, tables: bytes | None) -> int:
     """Start a decoder of a stream; return the samples of its packets. Raises ValueError."""
-    name = coded.codec
-    arguments = [_RAM, _CONFIGURATION, len(coded.configuration), coded.channels]
+    name = coded.codec_name
+    arguments = [_RAM, _CONFIGURATION, len(coded.header.configuration), coded.header.channels]
     if codec.CODECS[name].takes_model:
         arguments += [_TABLES, len(tables)] if tables else [0, 0]
-    emulated_core.write(_CONFIGURATION, coded.configuration)
+    emulated_core.write(_CONFIGURATION, coded.header.configuration)
     emulated_core.write(_TABLES, tables or b"")
     if emulated_core.call(f"vc_{name}_decoder_init", *arguments) != 0:
         raise ValueError(f"{name}: the decoder does not take the configuration or the model")

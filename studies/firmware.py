@@ -13,10 +13,9 @@ import numpy as np
 
 from studies import page
 from vibrocast import codec, extras, models
-from vibrocast.codec import CodedSignal, Signal
+from vibrocast.codec import Signal, Stream
 from vibrocast.codec.encoding import middle
-from vibrocast.codec.live_format import live_format
-from vibrocast.codec.stream import as_stream
+from vibrocast.codec.source import live_format
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
 from vibrocast.evaluation import points, trained
 from vibrocast.firmware.build import size as firmware_size
@@ -167,22 +166,21 @@ def texture(kind: str, seconds: float, seed: int = 0) -> Signal:
 
 
 @cache
-def coded(decoder: str, kind: str, seconds: float) -> tuple[CodedSignal, float]:
+def coded(decoder: str, kind: str, seconds: float) -> tuple[Stream, float]:
     """Return a texture as it is streamed, near TARGET_DB or the next better quality there is, and its SNR in dB.
 
     By a codec that keeps no waveform, as finely as its set of rate points goes.
     """
     model = _model(decoder)
     signal = texture(kind, seconds)
-    for_encoder = trained.for_encoder(model) if model else None
     name = _codec_name(decoder)
     if codec.CODECS[name].keeps_waveform:
-        source = codec.Source(signal, RATE_HZ, name, live=True, model=for_encoder)
+        source = codec.Source(signal, RATE_HZ, name, live=True, model=model)
         stream = codec.encode_to_snr(source, TARGET_DB)
     else:
         finest = next(iter(codec.CODECS[name].rate_point_sets.values()))[-1]
         stream = codec.encode(signal, RATE_HZ, finest, codec=name, live=True)
-    snr_db = codec.snr_db(signal, codec.decode(stream, _tables(decoder)))
+    snr_db = codec.snr_db(signal, stream.decode())
     assert snr_db is not None, "textures are not silent"
     return stream, snr_db
 
@@ -190,7 +188,7 @@ def coded(decoder: str, kind: str, seconds: float) -> tuple[CodedSignal, float]:
 def measure_loads(folder: Path, decoders: Iterable[str], kinds: Sequence[str], seconds: float) -> Iterator[Load]:
     """Yield what decoding takes on each core with each kernels; programs are built in `folder`.
 
-    Raises BuildError, and AssertionError where an emulated decoder gives other samples than codec.decode_integers.
+    Raises BuildError, and AssertionError where an emulated decoder gives other samples than the host.
     """
     for core_name, core in CORES.items():
         for kernels in _PORTABLE:
@@ -198,8 +196,8 @@ def measure_loads(folder: Path, decoders: Iterable[str], kinds: Sequence[str], s
             for decoder in decoders:
                 for kind in kinds:
                     stream, snr_db = coded(decoder, kind, seconds)
-                    run = decode(program, core, stream, _tables(decoder))
-                    expected = codec.decode_integers(stream, _tables(decoder))
+                    run = decode(program, core, stream)
+                    expected = stream.decode_integers()
                     assert np.array_equal(run.decoded, expected), f"{decoder} decodes {kind} differently on {core_name}"
                     yield Load(
                         decoder,
@@ -222,8 +220,8 @@ def measure_decoding(folder: Path, decoders: Iterable[str], kinds: Sequence[str]
         program = _program(folder, core, "DSP instructions", {name})
         known = codec.CODECS[name]
         for block in known.blocks or ("",):
-            for kind, stream, tables in _qualities(decoder, known.block_setting(block), kinds, seconds):
-                run = decode(program, core, stream, tables)
+            for kind, stream in _qualities(decoder, known.block_setting(block), kinds, seconds):
+                run = decode(program, core, stream)
                 bits_per_sample = 8 * sum(map(len, stream.packets)) / len(run.decoded)
                 quiet = quiet_part(run.decoded)
                 yield Decoding(
@@ -233,8 +231,8 @@ def measure_decoding(folder: Path, decoders: Iterable[str], kinds: Sequence[str]
 
 def _qualities(
     decoder: str, given: codec.Setting, kinds: Sequence[str], seconds: float
-) -> Iterator[tuple[str, CodedSignal, bytes | None]]:
-    """Yield textures as they are streamed, with the tables that decode them: at QUALITIES_DB; by every third member of
+) -> Iterator[tuple[str, Stream]]:
+    """Yield textures as they are streamed: at QUALITIES_DB; by every third member of
     a family of models; or at each rate point of a codec that keeps no waveform.
     """
     name, members = _codec_name(decoder), _members(decoder)
@@ -242,16 +240,14 @@ def _qualities(
         signal = texture(kind, seconds)
         if len(members) > 1:
             for model in members[::3]:
-                stream = codec.encode(signal, RATE_HZ, given, codec=name, live=True, model=trained.for_encoder(model))
-                yield kind, stream, model.tables
+                yield kind, codec.encode(signal, RATE_HZ, given, codec=name, live=True, model=model)
         elif codec.CODECS[name].keeps_waveform:
-            for_encoder = trained.for_encoder(members[0]) if members else None
             for snr_db in QUALITIES_DB:
-                source = codec.Source(signal, RATE_HZ, name, live=True, model=for_encoder)
-                yield kind, codec.encode_to_snr(source, snr_db, given), _tables(decoder)
+                source = codec.Source(signal, RATE_HZ, name, live=True, model=members[0] if members else None)
+                yield kind, codec.encode_to_snr(source, snr_db, given)
         else:
             for rate_point in next(iter(codec.CODECS[name].rate_point_sets.values())):
-                yield kind, codec.encode(signal, RATE_HZ, {**rate_point, **given}, codec=name, live=True), None
+                yield kind, codec.encode(signal, RATE_HZ, {**rate_point, **given}, codec=name, live=True)
 
 
 def measure_sizes(folder: Path, decoders: Iterable[str]) -> Iterator[Size]:
@@ -301,8 +297,7 @@ def _play(
     """Play a signal; return the instructions a second that it took, and of these what decoding takes while playing."""
     framing = codec.Framing(played.packet_samples, 0)
     if played.unit == PROFILE_UNIT:
-        coded_profile = codec.encode(signal, played.rate_hz, {}, unit="um", live=True, framing=framing)
-        profile = as_stream(coded_profile, PROFILE_UNIT, None)
+        profile = codec.encode(signal, played.rate_hz, {}, unit=PROFILE_UNIT, live=True, framing=framing)
         length_mm = 1e3 * len(signal) / played.rate_hz
         movement = hand_playback.back_and_forth(length_mm, PROFILE_SPEED_MM_S, 1)
         hand_playback.play(session.controller, profile, movement, lambda _: counter.note())
@@ -317,9 +312,7 @@ def _play(
     live_playback = LivePlayback(session, stream, "rough")
     sent_stream = live_playback.play(live_playback.paced(signal), lambda _: counter.note()).stream
     assert counter.per_second is not None and sent_stream is not None, "emulated processors are counted"
-    header = sent_stream.header
-    sent = CodedSignal("mdct", played.rate_hz, len(signal), header.gains, header.configuration, sent_stream.packets)
-    return counter.per_second, decode(program, core, sent).instructions * played.rate_hz
+    return counter.per_second, decode(program, core, sent_stream).instructions * played.rate_hz
 
 
 def _rest_bytes(folder: Path, core: Core, channels: int) -> tuple[int, int]:

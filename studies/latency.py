@@ -83,7 +83,6 @@ def played_parts(path: Path) -> dict[str, float]:
     Those that a report does not have, of the host and the link, are left out.
     """
     stream = vibrocast.encode(vibrocast.load(path), random_access=True)
-    decoder = stream.decoder()
     with vibrocast.connect("sim") as controller:
         reports: list[Report] = [controller.play(stream) for _ in range(RUNS)]
         dac_ms = 1e3 / controller.controller.description.actuator.dac_rate_hz
@@ -91,8 +90,8 @@ def played_parts(path: Path) -> dict[str, float]:
     assert latency.algorithmic and latency.buffered and latency.end_to_end, "it was played to its end"
     return {
         "buffer": latency.buffered,
-        "packet": 1e3 * decoder.packet_samples / stream.header.rate_hz,
-        "overlap": 1e3 * decoder.delay_samples / stream.header.rate_hz,
+        "packet": 1e3 * stream.packet_samples / stream.header.rate_hz,
+        "overlap": 1e3 * stream.delay_samples / stream.header.rate_hz,
         "drive": latency.end_to_end - latency.algorithmic - latency.buffered - dac_ms,
         "dac": dac_ms,
     }

@@ -15,7 +15,7 @@ import numpy as np
 from studies import page
 from studies.latency import PARTS
 from vibrocast.codec.encoding import encode_recording
-from vibrocast.codec.live_format import recording_format
+from vibrocast.codec.source import recording_format
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.transports import SerialTransport
 from vibrocast.firmware.build import build
@@ -126,7 +126,7 @@ def pinned() -> Iterator[list[int]]:
 def measure(count: int, seconds: float) -> Measured:
     """Stream to `count` controllers at once, without reading back; this process on one core, theirs on the others."""
     stream = noise(CHANNELS, seconds)
-    packet_samples = stream.decoder().packet_samples
+    packet_samples = stream.packet_samples
     settings = player.PlaybackSettings()
     children_s = os.times().children_user + os.times().children_system
     with pinned() as others, ports(count, CHANNELS, others) as names, contextlib.ExitStack() as stack:

@@ -352,7 +352,7 @@ def sensed() -> float:
 def _heights(stream: Stream, time_s: codec.Signal, position_nm: codec.Signal) -> codec.Signal:
     positions = [(round(1e6 * at_s), int(at_nm)) for at_s, at_nm in zip(time_s, position_nm, strict=True)]
     count = round(float(time_s[-1]) * PIEZO_STACK.dac_rate_hz)
-    delay, integers = stream.decoder().delay_samples, stream.decode_integers()
+    delay, integers = stream.delay_samples, stream.decode_integers()
     heights, _ = rendering.render(stream.header, integers, delay, positions, count, PIEZO_STACK)
     return heights.astype(np.float64)
 

@@ -94,9 +94,7 @@ def savings(group: str, trace: DatasetEntry, unit: str | None) -> Iterator[Savin
     default_snr_db = codec.snr_db(reference.samples[:length], in_band.samples[:length])
     assert default_snr_db is not None, "what is silent has no band worth coding"
     header = default.stream.header
-    default_delay_s = default.stream.decoder().packet_samples / header.rate_hz + rendering_s(
-        default.stream, PIEZO_STACK
-    )
+    default_delay_s = default.stream.packet_samples / header.rate_hz + rendering_s(default.stream, PIEZO_STACK)
     limits_ms = {FREE: None, HELD: 1e3 * default_delay_s + BUFFERS_MS[-1]}
     evaluator: Evaluator | None = None
     for (delay, limit_ms), (name, weights) in product(limits_ms.items(), WEIGHTS.items()):
@@ -170,7 +168,7 @@ def _scene(
 def _default_costs(default: Encoding) -> tuple[float, float, float]:
     """Return bits a second on the wire, instructions a second and kilobytes of decoding the default."""
     header, packets = default.stream.header, default.stream.packets
-    seconds = len(packets) * default.stream.decoder().packet_samples / header.rate_hz
+    seconds = len(packets) * default.stream.packet_samples / header.rate_hz
     payload_bytes = sum(map(len, packets))
     wire_bytes = payload_bytes + sum(map(added_bytes, packets))
     decoding = costs.decoder_cost(codec.DEFAULT_CODEC, CORE, str(mdct.hop_samples(header.rate_hz)))

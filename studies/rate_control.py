@@ -135,7 +135,7 @@ def measure_refreshes(recordings: Sequence[textures.Recording], rate_bps: int, r
         coded = source.encode_rate_controlled(
             {}, codec.ConstantRate(total_bps, added_bytes), codec.Framing(framing.packet_samples, packets)
         )
-        ratios_db.append(codec.snr_db(recording.samples, codec.decode(coded)))
+        ratios_db.append(codec.snr_db(recording.samples, coded.decode()))
     return RefreshCost(rate_bps, refresh_s, fmean(ratio for ratio in ratios_db if ratio is not None))
 
 

@@ -81,9 +81,9 @@ def compile_decoder(output: Path, processor: Core, codec_name: str) -> Path:
 def file_of(hostile: worst_case.Hostile, image: bytes | None) -> bytes:
     """Return the .vct file of a stream from worst_case; `image`: its model image."""
     stream = hostile.stream
-    name = codec.CODECS[stream.codec].identifier
+    name = codec.CODECS[stream.codec_name].identifier
     hashed = b"" if image is None else sha256(image)[:4]
-    header = StreamHeader(name, stream.rate_hz, None, "full scale", (1.0,), stream.configuration, hashed)
+    header = StreamHeader(name, stream.header.rate_hz, None, "full scale", (1.0,), stream.header.configuration, hashed)
     return pack_file(header, hostile.packets)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from studies import page
 from vibrocast import codec
-from vibrocast.codec import CodedSignal, Signal, Source
+from vibrocast.codec import Signal, Source, Stream
 from vibrocast.codec.interface import Value
 from vibrocast.codec.timing import time_coding
 from vibrocast.harness.measurements import machine
@@ -75,12 +75,12 @@ def measure(samples: int, repeats: int) -> list[Row]:
 def _searched(name: str, parameter: str, signal: Signal, repeats: int) -> list[Row]:
     """Return the rows of a codec: to an SNR, to the rate that this takes, and with a given setting near it."""
     found = codec.encode_to_snr(_source(signal, name), SNR_DB)
-    rate_bps = _rate_bps(found)
+    rate_bps = found.bits_per_second
     nearest = _nearest(signal, name, parameter, rate_bps)
-    tasks: dict[str, Callable[[], CodedSignal]] = {
+    tasks: dict[str, Callable[[], Stream]] = {
         GIVEN: lambda: _source(signal, name).encode({parameter: nearest}),
         TO_SNR: lambda: codec.encode_to_snr(_source(signal, name), SNR_DB),
-        TO_RATE: lambda: codec.encode_to_rate(_source(signal, name), rate_bps, _size_bytes),
+        TO_RATE: lambda: codec.encode_to_rate(_source(signal, name), rate_bps),
     }
     rows = [_row(name, task, signal, repeats, encode) for task, encode in tasks.items()]
     return [rows[0], *(replace(row, encodings=row.encode_s / rows[0].encode_s) for row in rows[1:])]
@@ -90,7 +90,7 @@ def _nearest(signal: Signal, name: str, parameter: str, rate_bps: float) -> Valu
     """Return the value of a codec's rate points that comes nearest to a rate, on the signal's beginning."""
     beginning = _source(signal[: 10 * RATE_HZ], name)
     points = next(iter(codec.codec_by_name(name).rate_point_sets.values()))
-    rates = {rate_point[parameter]: _rate_bps(beginning.encode(rate_point)) for rate_point in points}
+    rates = {rate_point[parameter]: beginning.encode(rate_point).bits_per_second for rate_point in points}
     return min(rates, key=lambda value: abs(np.log(rates[value] / rate_bps)))
 
 
@@ -99,19 +99,11 @@ def _source(signal: Signal, name: str) -> Source:
     return Source(signal, RATE_HZ, name)
 
 
-def _size_bytes(coded: CodedSignal) -> int:
-    return sum(map(len, coded.packets))
-
-
-def _rate_bps(coded: CodedSignal) -> float:
-    return 8 * _size_bytes(coded) * RATE_HZ / coded.samples
-
-
-def _row(name: str, task: str, signal: Signal, repeats: int, encode: Callable[[], CodedSignal]) -> Row:
+def _row(name: str, task: str, signal: Signal, repeats: int, encode: Callable[[], Stream]) -> Row:
     coded = encode()
-    ratio_db = None if name == "flac" else codec.snr_db(signal, codec.decode(coded))
-    seconds = time_coding(encode, codec.decode, len(signal), repeats)
-    return Row(name, task, _rate_bps(coded) / RATE_HZ, ratio_db, *seconds)
+    ratio_db = None if name == "flac" else codec.snr_db(signal, coded.decode())
+    seconds = time_coding(encode, Stream.decode, len(signal), repeats)
+    return Row(name, task, coded.bits_per_second / RATE_HZ, ratio_db, *seconds)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,6 @@ from vibrocast import codec, textures
 from vibrocast.codec import dct
 from vibrocast.codec.core import UNIT
 from vibrocast.codec.huffman import code_lengths
-from vibrocast.codec.stream import as_stream
 from vibrocast.codec.threshold import read_threshold, threshold_amplitude
 from vibrocast.evaluation.charts import WIDTH_IN
 from vibrocast.evaluation.curves import Curve, Panel, curves
@@ -158,13 +157,13 @@ def code(profile: textures.Profile, setting: codec.Setting, b0_db: float | None 
     if b0_db is not None:
         whole = {**whole, "threshold": "on", "b0_db": b0_db}
     coded = codec.encode(recording.samples, RATE_HZ, whole, codec="dct", unit="um")
-    decoder = dct.WholeDecoder(coded.configuration, 1)
+    decoder = dct.WholeDecoder(coded.header.configuration, 1)
     samples = decoder.packet_samples
-    coded_um = np.array([decoder.coefficients(packet)[0] for packet in coded.packets]) * (coded.gains[0] / UNIT)
+    coded_um = np.array([decoder.coefficients(packet)[0] for packet in coded.packets]) * (coded.header.gains[0] / UNIT)
     padded = np.pad(recording.samples[:, 0], (0, -len(recording.samples) % samples)).reshape(-1, samples)
     original_um = fast_dct(padded, axis=1, norm="ortho")[:, 1 : coded_um.shape[1] + 1] * math.sqrt(2 / samples)
     frequency_hz = np.arange(1, coded_um.shape[1] + 1) * RATE_HZ / (2 * samples)
-    return Coded(original_um, coded_um, 8 * as_stream(coded, "um").size_bytes, frequency_hz)
+    return Coded(original_um, coded_um, 8 * coded.size_bytes, frequency_hz)
 
 
 def measure(surface: str, coded: Coded, setting: codec.Setting, b0_db: float | None = None) -> Result:
@@ -237,9 +236,7 @@ def _medians(recordings: Sequence[textures.Recording], quantiser: str, block: st
     setting: codec.Setting = {"quantiser": quantiser, "block": block, "levels": levels}
     streams = [
         [
-            as_stream(
-                codec.encode(each.samples, round(each.rate_hz), {**setting, "entropy": entropy}, codec="dct"), "m/s^2"
-            )
+            codec.encode(each.samples, round(each.rate_hz), {**setting, "entropy": entropy}, codec="dct", unit="m/s^2")
             for each in recordings
         ]
         for entropy in ("huffman", "range")

@@ -11,7 +11,7 @@ import unicorn
 
 from studies import page
 from vibrocast import codec, extras, models, progress
-from vibrocast.codec import CodedSignal, Framing, Setting
+from vibrocast.codec import Framing, Setting, Stream
 from vibrocast.codec.core import decoding_cycles
 from vibrocast.codec.eva_image import EvaImage
 from vibrocast.device_protocol.coded_stream import StreamHeader
@@ -127,7 +127,7 @@ class Turn:
 class Hostile:
     """Packets that cost much, the stream that they are to be part of, and the payload of its model."""
 
-    stream: CodedSignal
+    stream: Stream
     tables: bytes | None
     packets: list[bytes]
 
@@ -169,17 +169,16 @@ def noise(processor: EmulatedCore, decoder: str, block: str, channels: int) -> t
     name, model = codec_of(decoder)
     known = codec.CODECS[name]
     signal = np.random.default_rng(0).uniform(-1, 1, (_NOISE_SAMPLES, channels))
-    for_encoder = None if model is None else trained.for_encoder(model)
-    tables = None if model is None else model.tables
     setting = known.block_setting(block)
     if name in ("eva", "parametric"):
         finest = {**_SETTINGS[name][0], **setting}
-        stream = codec.encode(signal, RATE_HZ, finest, codec=name, live=True, model=for_encoder)
+        stream = codec.encode(signal, RATE_HZ, finest, codec=name, live=True, model=model)
     else:
-        source = codec.Source(signal, RATE_HZ, name, live=True, model=for_encoder)
+        source = codec.Source(signal, RATE_HZ, name, live=True, model=model)
         stream = codec.encode_to_snr(source, NOISE_DB, setting)
-    costs = decode_in_blocks(processor, stream, tables, stream.packets)
-    return round(costs.sample_cycles), decoding_cycles(known.identifier, stream.configuration, channels, tables)
+    costs = decode_in_blocks(processor, stream, stream.tables, stream.packets)
+    stated = decoding_cycles(known.identifier, stream.header.configuration, channels, stream.tables)
+    return round(costs.sample_cycles), stated
 
 
 def costliest(processor: EmulatedCore, decoder: str, block: str, channels: int, tries: int) -> tuple[Costs, Hostile]:
@@ -195,11 +194,10 @@ def costliest(processor: EmulatedCore, decoder: str, block: str, channels: int, 
             {**setting, **known.block_setting(block)},
             codec=name,
             live=True,
-            model=None if model is None else trained.for_encoder(model),
+            model=model,
             framing=Framing(packet_samples, refresh_packets),
         )
-        made = known.make_decoder(stream.configuration, channels, None if model is None else model.tables)
-        most_bytes = min(_MOST_PACKET_BYTES, _BYTES_PER_SAMPLE * made.packet_samples)
+        most_bytes = min(_MOST_PACKET_BYTES, _BYTES_PER_SAMPLE * stream.packet_samples)
         for tables in hostile_tables(name, model):
             for packets in filled(list(stream.packets[:_PACKETS]), most_bytes, random):
                 hostile = Hostile(stream, tables, packets)
@@ -276,12 +274,14 @@ class Board:
             assert hostile.tables is not None, "models have tables"
             image = replace(ModelImage.unpack(model.image), payload=hostile.tables).pack()
             image_hash = uploader.flash(self._host, image).sha256[:4]
-        stream, known = hostile.stream, codec.CODECS[hostile.stream.codec]
-        gains = (1.0,) * stream.channels
+        stream, known = hostile.stream, codec.CODECS[hostile.stream.codec_name]
+        gains = (1.0,) * stream.header.channels
         header = StreamHeader(
-            known.identifier, turn.rate_hz, None, "full scale", gains, stream.configuration, image_hash
+            known.identifier, turn.rate_hz, None, "full scale", gains, stream.header.configuration, image_hash
         ).pack()
-        self._packet_samples = known.make_decoder(stream.configuration, stream.channels, hostile.tables).packet_samples
+        self._packet_samples = known.make_decoder(
+            stream.header.configuration, stream.header.channels, hostile.tables
+        ).packet_samples
         self._configure = Configure(1, header, self._packet_samples)
         self._host.request(self._configure, Status)
 
@@ -322,7 +322,7 @@ class Board:
 
 def on_board(hostile: Hostile, decoder: str, rate_hz: int, stops: int) -> Turn:
     """Return the worst of several plays of a hostile stream on the board, each with a Stop at another moment."""
-    turn = Turn(decoder, hostile.stream.channels, rate_hz)
+    turn = Turn(decoder, hostile.stream.header.channels, rate_hz)
     try:
         board = Board(hostile, turn)
     except ControllerError as error:

@@ -156,7 +156,7 @@ class ControllerPlayer(StimulusPlayer):
             watch(now.position_s if now.status.state == State.PLAYING else None)
 
         stream = self._carried.get(stream_sha256(stimulus.stream), stimulus.stream)
-        packet_samples, loops = stream.decoder().packet_samples, stimulus.loops
+        packet_samples, loops = stream.packet_samples, stimulus.loops
         player.play(self._controller, stream.header, stream.packets, packet_samples, loops=loops, progress=note)
 
 
@@ -277,7 +277,7 @@ class CardPlayer(StimulusPlayer):
                     f"{stimulus.key}: {stream.header.channels} channels on {self._channels} of the sound card; name as "
                     "many in its address"
                 )
-            delay = stream.decoder().delay_samples
+            delay = stream.delay_samples
             codes, counts = render(stream.header, stream.decode_integers(), delay, self._actuator, loops=stimulus.loops)
             on_all = np.ascontiguousarray(np.broadcast_to(codes, (len(codes), self._channels)))
             self._rendered[sha256] = on_all, limited_samples(counts)

@@ -148,7 +148,7 @@ def _low_passed(recording: Recording, corner_hz: float) -> Recording:
 def _played(coded: Stream, gain_db: float, actuator: Actuator, loops: int) -> tuple[Stream, Codes, LimitCounts]:
     """Return a stream at a level, and its DAC codes with the limits that acted."""
     stream = coded.with_gain(gain_db)
-    delay = stream.decoder().delay_samples
+    delay = stream.delay_samples
     codes, counts = render(stream.header, stream.decode_integers(), delay, actuator, loops=loops)
     return stream, codes, counts
 

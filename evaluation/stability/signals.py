@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast import codec
-from vibrocast.codec.stream import Stream, as_stream
-from vibrocast.evaluation import trained
+from vibrocast.codec.stream import Stream
 from vibrocast.evaluation.stability.maps import (
     LEVELS,
     Group,
@@ -184,11 +183,9 @@ def encoded(
     samples: Signal, rate_hz: int, rate_point: RatePoint, unit: str = "full scale", live: bool = False
 ) -> Stream:
     """Code a signal into a whole stream. Raises as codec.encode."""
-    model = trained.for_encoder(rate_point.model) if rate_point.model else None
-    coded = codec.encode(
-        samples, rate_hz, rate_point.setting, codec=rate_point.codec, unit=unit, live=live, model=model
+    return codec.encode(
+        samples, rate_hz, rate_point.setting, codec=rate_point.codec, unit=unit, live=live, model=rate_point.model
     )
-    return as_stream(coded, unit, rate_point.image)
 
 
 @lru_cache

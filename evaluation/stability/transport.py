@@ -74,7 +74,7 @@ class LinkFaults:
 def _stream(rate_point: RatePoint) -> tuple[Stream, NDArray[np.int16]]:
     """Return a live stream of the texture, and all DAC codes of its faultless playback."""
     stream = encoded(0.5 * texture(seconds=SECONDS), RATE_HZ, rate_point, live=True)
-    delay_samples = stream.decoder().delay_samples
+    delay_samples = stream.delay_samples
     codes, _ = render(stream.header, stream.decode_integers(), delay_samples, PIEZO_STACK, loops=LOOPS)
     return stream, codes
 
@@ -95,7 +95,7 @@ def measure(rate_point: RatePoint, faults: LinkFaults, buffer_s: float = BUFFER_
     played: list[NDArray[np.int16]] = []
     controller = Controller(Settings(drift_ppm=faults.drift_ppm), flash_with(rate_point.image), on_dac=played.append)
     link = MemoryLink(FaultyWire(controller, tuple(faults.of_wire())))
-    packet_samples = stream.decoder().packet_samples
+    packet_samples = stream.packet_samples
     host = Host(link, link.clock, link.sleep)
     result = play(host, stream.header, stream.packets, packet_samples, loops=LOOPS, buffer_s=buffer_s)
     codes = np.concatenate(played).astype(np.float64)
@@ -137,7 +137,7 @@ def measure_paced(rate_point: RatePoint, drift_ppm: int) -> Measured:
     stream, _ = _stream(rate_point)
     link = MemoryLink(Controller(Settings(drift_ppm=drift_ppm), flash_with(rate_point.image)))
     host = Host(link, link.clock, link.sleep)
-    packets, packet_samples = stream.packets, stream.decoder().packet_samples
+    packets, packet_samples = stream.packets, stream.packet_samples
     packet_s = stream.seconds / len(packets)
     ahead = max(2, round(PACED_AHEAD_S / packet_s))
     prebuffer_samples = ahead * packet_samples

@@ -260,7 +260,7 @@ class Probe:
 
         Skips the test where the controller has no room for them. Raises NotConforming, TransportError.
         """
-        packet_samples = stream.decoder().packet_samples
+        packet_samples = stream.packet_samples
         waiting = list(stream.packets if packets is None else packets)
         deadline_s = self.link.clock() + ANSWER_S + 2 * stream.seconds
         while waiting:

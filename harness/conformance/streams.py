@@ -61,7 +61,7 @@ def stream_for(
     stream = coded(
         make_signal or texture, codec_name, rate_hz, channels, unit, peak, seconds, limits.sendable_packet_bytes
     )
-    if stream is None or stream.decoder().packet_samples * 2 > limits.buffer_samples:
+    if stream is None or stream.packet_samples * 2 > limits.buffer_samples:
         pytest.skip(f"no packet of {codec_name} fits the frames or the buffer of the controller")
     return stream
 
@@ -189,7 +189,7 @@ def known_actuator(description: ActuatorDescription) -> Actuator:
 
 def held_samples(hello: HelloResponse, stream: Stream) -> int:
     """Return how many samples of a stream the buffer holds: whole packets, no more than credit may ever grant."""
-    packet_samples = stream.decoder().packet_samples
+    packet_samples = stream.packet_samples
     return min(_MAX_PACKETS, hello.limits.buffer_samples // packet_samples) * packet_samples
 
 

@@ -176,8 +176,7 @@ def test_answer_says_how_the_stream_is_coded(probe: Probe, hello: HelloResponse,
     """From version 2.1 on, only the answer to Configure states the samples of a packet and the delay of the decoder."""
     if hello.minor < 1:
         pytest.skip(f"the controller speaks version {hello.major}.{hello.minor}")
-    decoder = stream.decoder()
-    expected = CodingDescription(decoder.packet_samples, decoder.delay_samples)
+    expected = CodingDescription(stream.packet_samples, stream.delay_samples)
     status = probe.configure(stream)
     assert status.coding == expected, f"expected {expected}, came {status.coding}"
     status = probe.status()
@@ -187,7 +186,7 @@ def test_answer_says_how_the_stream_is_coded(probe: Probe, hello: HelloResponse,
 @section("Playing: Credit")
 def test_first_credit(probe: Probe, stream: Stream) -> None:
     """The controller grants whole packets in its answer to Configure: at most its buffer, and at most 1024."""
-    packet_samples = stream.decoder().packet_samples
+    packet_samples = stream.packet_samples
     status = probe.configure(stream)
     max_samples = held_samples(probe.description, stream)
     assert packet_samples <= status.credit_until <= max_samples, (

@@ -141,11 +141,11 @@ def test_frames_may_come_back_to_back(probe: Probe) -> None:
     """The controller reads frames that arrive together one by one, in their order."""
     stream = stream_for(probe.description)
     number = probe.configure(stream).stream
-    packets = stream.packets[: probe.status().credit_until // stream.decoder().packet_samples]
+    packets = stream.packets[: probe.status().credit_until // stream.packet_samples]
     data = b"".join(write_frame(pack(StreamData(number, 0, (packet,)))) for packet in packets)
     probe.link.write(data)
     status = probe.status()
-    expected = len(packets) * stream.decoder().packet_samples
+    expected = len(packets) * stream.packet_samples
     assert status.buffered_samples == expected, f"expected {expected} samples buffered, came {describe(status)}"
 
 

@@ -73,7 +73,7 @@ def test_faults_on_the_link(probe: Probe, fault: str, record_property: Callable[
 
 def play_with_faults(probe: Probe, stream: Stream, fault: Fault, seed: int) -> tuple[player.PlaybackResult, list[int]]:
     """Play a stream on a faulty link; return what happened, and the packets that did not arrive."""
-    packet_samples = stream.decoder().packet_samples
+    packet_samples = stream.packet_samples
     controller = host(probe)
     there = probe.link.to_controller = NotedDamage(fault, seed)
     probe.link.to_host = FrameDamage(fault, seed + 1)
@@ -103,7 +103,7 @@ def test_connection_that_breaks(probe: Probe) -> None:
         host(probe),
         stream.header,
         stream.packets,
-        stream.decoder().packet_samples,
+        stream.packet_samples,
         buffer_s=stream.seconds,
         capture=True,
         progress=cut_once,
@@ -126,7 +126,7 @@ def test_clocks(probe: Probe, record_property: Callable[[str, object], None]) ->
         if progress.status.state == State.PLAYING:
             seen.append((probe.link.clock(), progress.status))
 
-    packet_samples = stream.decoder().packet_samples
+    packet_samples = stream.packet_samples
     result = player.play(
         host(probe), stream.header, stream.packets, packet_samples, buffer_s=answered_s(probe), progress=note
     )

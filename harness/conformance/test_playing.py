@@ -108,7 +108,7 @@ def test_start_at_a_past_time_plays_at_once(probe: Probe, stream: Stream) -> Non
 @section("Playing: Start")
 def test_start_waits_for_the_prebuffer(probe: Probe, stream: Stream) -> None:
     """After Start, the controller waits in ARMED until the prebuffer is there."""
-    packet_samples = stream.decoder().packet_samples
+    packet_samples = stream.packet_samples
     status = probe.configure(stream, prebuffer_samples=2 * packet_samples)
     granted = status.credit_until // packet_samples
     # Without a request between them: after a second without data, the controller would play what it has.
@@ -139,7 +139,7 @@ def test_all_data_is_enough_for_the_prebuffer(probe: Probe, stream: Stream) -> N
 @section("Playing: Start")
 def test_start_does_not_wait_for_ever(probe: Probe, stream: Stream) -> None:
     """The controller plays the packets that it has when no data have arrived for a second."""
-    packet_samples = stream.decoder().packet_samples
+    packet_samples = stream.packet_samples
     number = probe.configure(stream, prebuffer_samples=2 * packet_samples).stream
     probe.feed(number, stream, stream.packets[:1])
     probe.expect(Start(), Status)
@@ -149,7 +149,7 @@ def test_start_does_not_wait_for_ever(probe: Probe, stream: Stream) -> None:
 @section("Playing: Stream data")
 def test_packets_are_sorted(probe: Probe, stream: Stream) -> None:
     """The controller plays packets in their own order and once, however they arrive."""
-    packet_samples = stream.decoder().packet_samples
+    packet_samples = stream.packet_samples
     status = probe.configure(stream)
     granted = stream.packets[: status.credit_until // packet_samples]
     packets = [*granted, *granted]
@@ -179,7 +179,7 @@ def test_data_of_another_stream_is_dropped(probe: Probe, stream: Stream) -> None
 @section("Playing: Credit")
 def test_data_beyond_the_credit_is_dropped(probe: Probe, stream: Stream) -> None:
     """The controller drops a packet that ends beyond the credit, and takes one that ends at it."""
-    packet_samples = stream.decoder().packet_samples
+    packet_samples = stream.packet_samples
     endless = replace(
         probe.configuration(stream, packets=_ENDLESS_PACKETS), header=replace(stream.header, samples=None).pack()
     )
@@ -198,7 +198,7 @@ def test_data_beyond_the_credit_is_dropped(probe: Probe, stream: Stream) -> None
 @section("Playing: Credit")
 def test_credit_grows_as_data_is_played(probe: Probe, stream: Stream) -> None:
     """The controller raises credit as the position advances, never lowers it, and reports it in notifications."""
-    packet_samples = stream.decoder().packet_samples
+    packet_samples = stream.packet_samples
     first = probe.configure(stream)
     probe.feed(first.stream, stream)
     probe.notified.clear()
@@ -250,7 +250,7 @@ def test_playing_begins_at_the_first_packet(probe: Probe, stream: Stream) -> Non
     refreshes = [number for number, packet in enumerate(stream.packets) if number and packet_sequence(packet)[1]]
     if not refreshes:
         pytest.skip("the longest stream that the buffer holds has one refresh packet")
-    packet_samples = stream.decoder().packet_samples
+    packet_samples = stream.packet_samples
     first = refreshes[0]
     status = probe.configure(stream, first_packet=first)
     assert status.position == first * packet_samples, (
@@ -301,7 +301,7 @@ def test_underrun_is_counted_once_and_time_goes_on(probe: Probe, stream: Stream)
     """The controller counts and reports one underrun when nothing is buffered, and time goes on."""
     packets = len(stream.packets)
     half = packets // 2
-    packet_samples = stream.decoder().packet_samples
+    packet_samples = stream.packet_samples
     number = probe.configure(stream).stream
     probe.feed(number, stream, stream.packets[:half])
     probe.notified.clear()
@@ -322,7 +322,7 @@ def test_late_data_is_dropped(probe: Probe, stream: Stream) -> None:
     packets = len(stream.packets)
     number = probe.configure(stream).stream
     probe.expect(Start(), Status)
-    gone = min(4, packets - 2) * stream.decoder().packet_samples
+    gone = min(4, packets - 2) * stream.packet_samples
     probe.wait_for(lambda status: status.position > gone, "to play without data", _MAX_WAIT_S + ANSWER_S)
     before = probe.status().buffered_samples
     probe.send_packets(number, stream.packets[: min(4, packets - 2)])
@@ -433,7 +433,7 @@ def test_stop_ramps_down_at_once(probe: Probe, longer: Stream) -> None:
     number = probe.configure(longer).stream
     probe.feed(number, longer)
     probe.expect(Start(), Status)
-    probe.wait_for(lambda status: status.position > 2 * longer.decoder().packet_samples, "to play", ANSWER_S)
+    probe.wait_for(lambda status: status.position > 2 * longer.packet_samples, "to play", ANSWER_S)
     status = probe.stop()
     assert status.buffered_samples == 0, f"expected nothing buffered, came {describe(status)}"
     ends_at_rest(probe, longer)

@@ -71,7 +71,7 @@ def test_profile_is_loaded_without_gaps(probe: Probe, profile: Stream) -> None:
     """The controller reports in Status.position how much of a profile is loaded without a gap, for any packet order."""
     if len(profile.packets) < 3:
         pytest.skip("the profile has too few packets to leave one out")
-    packet_samples = profile.decoder().packet_samples
+    packet_samples = profile.packet_samples
     number = probe.configure(profile).stream
     for sent, loaded in ((profile.packets[:1], 1), (profile.packets[2:], 1), (profile.packets, len(profile.packets))):
         probe.feed(number, profile, sent)
@@ -85,7 +85,7 @@ def test_profile_is_loaded_without_gaps(probe: Probe, profile: Stream) -> None:
 def test_credit_that_has_grown_is_notified(probe: Probe, hello: HelloResponse) -> None:
     """The controller sends Status when credit has grown by a quarter of the first credit, also before Start."""
     profile = profile_for(hello, _QUARTER * hello.limits.buffer_samples / RATE_HZ)
-    packet_samples = profile.decoder().packet_samples
+    packet_samples = profile.packet_samples
     first = probe.configure(profile)
     probe.notified.clear()
     probe.send_packets(first.stream, profile.packets[: first.credit_until // packet_samples])
@@ -125,7 +125,7 @@ def test_hand_at_rest_holds_the_output(probe: Probe, hello: HelloResponse, profi
     probe.expect(Loop(1), Status)  # changes nothing
     end = probe.read_capture(Tap.DAC, (1 << 64) - 1, 0, 1).end
     held = probe.read_capture(Tap.DAC, end - min(end, _STILL_SAMPLES), _STILL_SAMPLES, 1)
-    delay_samples = profile.decoder().delay_samples
+    delay_samples = profile.delay_samples
     samples = round(_SETTLED_S * actuator.dac_rate_hz)
     hand = [(0, position_nm)]
     _, codes = rendering.render(profile.header, decoded(profile), delay_samples, hand, samples, actuator)
@@ -167,7 +167,7 @@ def test_profiles_that_are_rejected(probe: Probe, profile: Stream) -> None:
     min_samples = rendering.min_samples(_FINEST_PER_METRE, probe.description.actuator.dac_rate_hz)
     too_short = replace(header, rate_hz=_FINEST_PER_METRE, samples=min_samples - 1)
     too_long = probe.description.limits.profile_samples + 1
-    packets_of_too_long = -(-(too_long + profile.decoder().delay_samples) // profile.decoder().packet_samples)
+    packets_of_too_long = -(-(too_long + profile.delay_samples) // profile.packet_samples)
     for changed, options, code in (
         (replace(header, samples=None), {"packets": 0}, ErrorCode.BAD_VALUE),
         (header, {"packets": packets - 1}, ErrorCode.BAD_VALUE),

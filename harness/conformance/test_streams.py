@@ -25,7 +25,7 @@ def played(probe: Probe, stream: Stream, **options: int | float | bool) -> playe
     """Play a stream as the host does, read back what it did, and see that nothing of it was lost."""
     need_capture(probe.description)
     controller = Controller(probe.link, probe.link.clock, probe.link.sleep)
-    packet_samples = stream.decoder().packet_samples
+    packet_samples = stream.packet_samples
     settings = player.PlaybackSettings(capture=True, **options)  # type: ignore[arg-type]
     result = controller.run(player.play_steps(controller, stream.header, stream.packets, packet_samples, settings))
     if result.state != State.FINISHED or (result.underruns, result.lost_packets) != (0, 0):
@@ -43,7 +43,7 @@ def read_back(samples: NDArray[np.int16] | None) -> NDArray[np.int16]:
 def computed(probe: Probe, stream: Stream, **options: int | float | bool) -> tuple[NDArray[np.int16], LimitCounts]:
     """Return the DAC codes of a stream, and what the limits changed; skip the test for an actuator not known here."""
     actuator = known_actuator(probe.description.actuator)
-    delay_samples = stream.decoder().delay_samples
+    delay_samples = stream.delay_samples
     return render(stream.header, decoded(stream), delay_samples, actuator, **options)  # type: ignore[arg-type]
 
 
@@ -76,7 +76,7 @@ def test_single_packets_count_like_those_of_stream_data(probe: Probe) -> None:
     """The controller plays packets of SinglePacket as those of StreamData, and drops those of other streams."""
     stream = stream_for(probe.description)
     status = probe.configure(stream)
-    if status.credit_until < len(stream.packets) * stream.decoder().packet_samples:
+    if status.credit_until < len(stream.packets) * stream.packet_samples:
         pytest.skip("the controller's buffer does not hold the stream")
     for number in (next_number(status.stream), status.stream):
         for packet in stream.packets:
@@ -87,7 +87,7 @@ def test_single_packets_count_like_those_of_stream_data(probe: Probe) -> None:
     probe.expect(Start(), Status)
     finished = probe.wait_for_state(State.FINISHED, ANSWER_S + 2 * stream.seconds)
     assert finished.lost_packets == finished.underruns == 0, describe(finished)
-    assert finished.position == len(stream.packets) * stream.decoder().packet_samples, describe(finished)
+    assert finished.position == len(stream.packets) * stream.packet_samples, describe(finished)
 
 
 @section("Playing: Positions")

@@ -161,11 +161,11 @@ def describe_packets(stream: Stream, given: Stream) -> str:
 
     `given`: the stream before its packets were split for the controller.
     """
-    packet_samples = stream.decoder().packet_samples
+    packet_samples = stream.packet_samples
     packet_s = packet_samples / stream.header.rate_hz
     alone = [number for number, packet in enumerate(stream.packets) if packet_sequence(packet)[1]]
     often = f"one in {packet_s * (alone[1] - alone[0]):.2f} s" if len(alone) > 1 else "only the first"
-    longer = given.decoder().packet_samples / packet_samples
+    longer = given.packet_samples / packet_samples
     split = f", split from {1000 * packet_s * longer:.1f} ms for this controller" if longer > 1 else ""
     return f"{1000 * packet_s:.1f} ms each, {often} can be decoded alone{split}"
 

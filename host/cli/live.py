@@ -11,7 +11,7 @@ import numpy as np
 from vibrocast import codec, models, progress, textures
 from vibrocast.codec import Signal
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, chosen_codec
-from vibrocast.codec.live_format import live_format
+from vibrocast.codec.source import live_format
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.errors import InputError
 from vibrocast.host import live as streaming

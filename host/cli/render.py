@@ -80,7 +80,7 @@ def render(file: Path, out: Path, drive: DriveOptions, quality: QualityOptions, 
     if isinstance(source, textures.Recording):
         source = encoded(source, quality, recording.unit, live=True).stream
     stream = source.with_gain(drive.gain_db)
-    delay_samples = stream.decoder().delay_samples
+    delay_samples = stream.delay_samples
     try:
         codes, limited = rendered_codes(stream.header, stream.decode_integers(), delay_samples, actuator, loops=1)
     except (ValueError, OverflowError) as error:

@@ -191,7 +191,7 @@ def test_encode_live_codes_as_play_does(tmp_path: Path) -> None:
     out = tmp_path / "oak.vct"
     succeeds("encode", OAK, out, "--live")
     live = read_stream(out)
-    assert live.decoder().packet_samples == 128
+    assert live.packet_samples == 128
     assert answer("play", OAK)["stream_bytes"] == live.size_bytes
 
 

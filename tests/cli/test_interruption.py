@@ -11,7 +11,6 @@ import pytest
 from tests.command import started
 from vibrocast import models, textures
 from vibrocast.codec import Framing
-from vibrocast.codec.encoding import encoder_model
 from vibrocast.codec.eva import IDENTIFIER, EvaEncoder
 from vibrocast.codec.eva_image import EvaImage
 from vibrocast.codec.graphs import HOP, MAX_PACKET_COLUMNS
@@ -33,9 +32,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     textures.save(folder / "hour.wav", noise)
     model = models.find(WIDEST)
-    described = encoder_model(model)
-    assert described is not None
-    encoder = EvaEncoder([0.3], Framing(PACKET_SAMPLES, 1), described)
+    encoder = EvaEncoder([0.3], Framing(PACKET_SAMPLES, 1), model)
     packet = encoder.encode(noise.samples[: 2 * PACKET_SAMPLES])[0]
     image = ModelImage.unpack(model.image)
     graph = (model.path.parent / "synthesis.onnx").read_bytes()

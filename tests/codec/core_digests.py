@@ -3,6 +3,7 @@
 import hashlib
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,25 +32,18 @@ def coding_digests() -> dict[str, str]:
     """Return digests of packets and of their samples, by codec and signal, a quarter of the packets lost."""
     generator = np.random.default_rng(1)
     signals = {**edge_signals(), "two channels": texture(2000, 2), "noise": generator.uniform(-1, 1, (2800, 1))}
-    methods: dict[str, tuple[str, codec.Model | None]] = {
+    methods: dict[str, tuple[str, models.Model | None]] = {
         name: (name, None) for name in ("mdct", "dct", "slp", "parametric")
     }
     for name in ("eva-16-2", "eva-16-7"):
-        network = models.find(name)
-        methods[name] = name.split("-")[0], codec.Model(network.tables, network.analysis)
+        methods[name] = name.split("-")[0], models.find(name)
     digests = {}
     for method, (codec_name, model) in methods.items():
         for rate_point_set in codec.CODECS[codec_name].rate_point_sets.values():
             setting = rate_point_set[len(rate_point_set) // 2]
             for name, signal in signals.items():
                 coded = codec.encode(signal, RATE_HZ, setting, codec=codec_name, unit="um", live=True, model=model)
-                decoder = codec.decoder(
-                    codec.codec_by_name(codec_name).identifier,
-                    coded.configuration,
-                    coded.channels,
-                    None if model is None else model.tables,
-                    "core",
-                )
+                decoder = replace(coded, runtime="core").decoder()
                 lost = generator.random(len(coded.packets)) < 0.25
                 parts = [
                     decoder.conceal() if gone else decoder.decode(packet)

@@ -6,7 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from vibrocast import models
+from vibrocast.codec.eva import IDENTIFIER
 from vibrocast.codec.eva_image import DECISIONS, Convolution, EvaImage, IntegerNetwork, Normalisation, PriorKind
+from vibrocast.device_protocol.model_image import ModelImage
 
 FOLDER = Path(__file__).parent
 
@@ -16,6 +18,12 @@ def tiny_model() -> models.Model:
     analysis = (FOLDER / "tiny_eva_analysis.onnx").read_bytes()
     path = FOLDER / "tiny_eva.vcmi"
     return models.Model("tiny", path, path.read_bytes(), analysis)
+
+
+def model_with(tables: bytes, analysis: bytes = b"", codec_identifier: int = IDENTIFIER) -> models.Model:
+    """Return a model with these tables."""
+    image = ModelImage(codec_identifier, "model", "1", "", tables).pack()
+    return models.Model("model", Path("model.vcmi"), image, analysis)
 
 
 def random_network(generator: np.random.Generator, width: int, latents: int) -> IntegerNetwork:

@@ -81,7 +81,7 @@ def test_each_coefficient_takes_the_level_of_the_papers_equations(rule: str, lev
     setting, by_equations = PAPER_RULES[rule]
     whole: Setting = {**setting, "levels": levels, "block": "whole", "dc": "drop"}
     stream = codec.encode(heights_um(material)[:, None], RATE_HZ, whole, codec="dct", unit="um")
-    decided = dct.WholeDecoder(stream.configuration, 1).coefficients(stream.packets[0])[0]
+    decided = dct.WholeDecoder(stream.header.configuration, 1).coefficients(stream.packets[0])[0]
     wanted_um = by_equations(amplitudes_um(material), levels)
-    same = np.isclose(decided * stream.gains[0] / UNIT, wanted_um, rtol=0.005, atol=1e-3)
+    same = np.isclose(decided * stream.header.gains[0] / UNIT, wanted_um, rtol=0.005, atol=1e-3)
     assert np.mean(same) >= 0.98

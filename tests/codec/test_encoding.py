@@ -26,7 +26,7 @@ NOISE = texture(noise(0.5), "m/s^2")
 def test_packets_have_the_duration_that_you_choose(codec_name: str) -> None:
     encoding = encode_recording(texture(noise(4), "m/s^2"), codec_name=codec_name, snr_db=12, packet_s=0.2)
     stream = encoding.stream
-    packet_samples = stream.decoder().packet_samples
+    packet_samples = stream.packet_samples
     assert 560 <= packet_samples < 560 + 512  # whole blocks
     refreshes = [packet[0] & 1 for packet in stream.packets]
     assert refreshes[0] and sum(refreshes) >= 2
@@ -88,7 +88,7 @@ def test_damage_anywhere_is_found(tmp_path: Path) -> None:
 )
 def test_more_or_fewer_packets_than_the_samples_take_are_rejected(samples: int, flaw: str | None) -> None:
     stream = encode_recording(texture(noise(0.5, 2), "m/s^2"), live=True).stream
-    assert len(stream.packets) * stream.decoder().packet_samples == 1504 + stream.decoder().delay_samples
+    assert len(stream.packets) * stream.packet_samples == 1504 + stream.delay_samples
     with pytest.raises(StreamError, match=flaw) if flaw else nullcontext():
         assert len(replace(stream, header=replace(stream.header, samples=samples)).decode()) == samples
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tests.codec.eva_models import random_image, tiny_model, with_extreme_weights
+from tests.codec.eva_models import model_with, random_image, tiny_model, with_extreme_weights
 from tests.codec.eva_reference_decoder import EvaReferenceDecoder
 from tests.codec.signals import RATE_HZ, in_turn, played, texture
 from vibrocast import codec
@@ -21,7 +21,7 @@ from vibrocast.codec.graphs import LATENTS, SIGNAL, transform
 from vibrocast.codec.mdct import STEP_CODES
 from vibrocast.firmware.native_core import Structure, ffi, library
 
-TINY = Model(tiny_model().tables, tiny_model().analysis)
+TINY = tiny_model()
 
 
 def coded(signal: codec.Signal, rate_control: RateControl | None = None) -> tuple[bytes, list[bytes]]:
@@ -111,9 +111,7 @@ def test_a_constant_quantiser_offset_of_0_is_the_step_of_1_and_costs_at_most_a_b
 def snrs_db(signal: codec.Signal, setting: codec.Setting) -> tuple[float, float]:
     """SNR decoded by the core and by ONNX Runtime."""
     stream = codec.encode(signal, RATE_HZ, setting, codec="eva", model=TINY)
-    ratios = [
-        codec.snr_db(signal, codec.decode(stream, with_runtime(TINY.tables, runtime))) for runtime in ("core", "onnx")
-    ]
+    ratios = [codec.snr_db(signal, replace(stream, runtime=runtime).decode()) for runtime in ("core", "onnx")]
     assert ratios[0] is not None and ratios[1] is not None
     return ratios[0], ratios[1]
 
@@ -163,13 +161,12 @@ def test_the_core_reads_the_models_that_python_reads(damage: dict[int, int], tai
 def test_a_model_without_integers_is_decoded_by_onnx_runtime_alone() -> None:
     payload = replace(EvaImage.unpack(TINY.tables), network=None, runtime="onnx").pack()
     signal = texture(2000)
-    stream = codec.encode(signal, RATE_HZ, {}, codec="eva", model=Model(payload, TINY.analysis))
-    np.testing.assert_array_equal(
-        codec.decode_integers(stream, payload), codec.decode_integers(stream, with_runtime(TINY.tables, "onnx"))
-    )
+    stream = codec.encode(signal, RATE_HZ, {}, codec="eva", model=model_with(payload, TINY.analysis))
+    onnx = replace(stream, runtime="onnx")
+    np.testing.assert_array_equal(stream.decode_integers(), onnx.decode_integers())
     with pytest.raises(CodecError, match="no integer network"):
-        codec.decoder(eva.IDENTIFIER, stream.configuration, 1, payload, "core")
-    core = eva.EvaDecoder(stream.configuration, 1, payload)
+        codec.decoder(eva.IDENTIFIER, stream.header.configuration, 1, payload, "core")
+    core = eva.EvaDecoder(stream.header.configuration, 1, payload)
     with pytest.raises(CodecError):
         core.decode(stream.packets[0])
 
@@ -187,17 +184,17 @@ def test_foreign_graphs_are_rejected() -> None:
     image = EvaImage.unpack(TINY.tables)
     signal = texture(300)
 
-    def encoded(model: Model) -> codec.CodedSignal:
+    def encoded(model: Model) -> codec.Stream:
         return codec.encode(signal, RATE_HZ, {}, codec="eva", model=model)
 
     with pytest.raises(CodecError, match="brings no analysis"):
-        encoded(Model(TINY.tables))
+        encoded(model_with(TINY.tables))
     with pytest.raises(CodecError, match="ONNX graph"):
-        encoded(Model(TINY.tables, b"not a graph"))
+        encoded(model_with(TINY.tables, b"not a graph"))
     with pytest.raises(CodecError, match="ONNX graph"):
-        encoded(Model(TINY.tables, image.graph))
+        encoded(model_with(TINY.tables, image.graph))
     with pytest.raises(CodecError, match="export it again"):
-        encoded(Model(random_image(1).pack(), TINY.analysis))
+        encoded(model_with(random_image(1).pack(), TINY.analysis))
     for graph in (b"not a graph", TINY.analysis):
         with pytest.raises(CodecError, match="ONNX graph"):
             codec.check_tables(eva.IDENTIFIER, replace(image, graph=graph, runtime="onnx").pack())
@@ -215,15 +212,13 @@ def test_far_levels_saturate_without_wrapping(level: float) -> None:
     """Far too hot or too quiet for the integers, the signal loses quality but keeps its sign."""
     signal = texture(2000)
     stream = codec.encode(signal, RATE_HZ, {"level": level}, codec="eva", model=TINY)
-    result = codec.decode(stream, TINY.tables)
+    result = stream.decode()
     assert np.max(np.abs(result)) <= 1.0
     assert float(np.sum(signal * result)) >= 0
 
 
 def test_dc_is_kept_as_far_as_the_model_knows_it_and_silence_is_silent() -> None:
-    assert not np.any(
-        codec.decode(codec.encode(np.zeros((2000, 1)), RATE_HZ, {}, codec="eva", model=TINY), TINY.tables)
-    )
+    assert not np.any(codec.encode(np.zeros((2000, 1)), RATE_HZ, {}, codec="eva", model=TINY).decode())
     core_db, onnx_db = snrs_db(np.full((2800, 1), 0.5), {})
     assert core_db > onnx_db - 0.3
     assert core_db > 10
@@ -232,12 +227,9 @@ def test_dc_is_kept_as_far_as_the_model_knows_it_and_silence_is_silent() -> None
 def test_an_snr_is_met_in_every_channel_and_a_rate_in_all() -> None:
     signal = np.hstack([texture(2800), 0.1 * texture(2800, seed=4)])
     stream = codec.encode_to_snr(codec.Source(signal, RATE_HZ, codec="eva", model=TINY), 20.0)
-    for ratio_db in codec.channel_snrs_db(signal, codec.decode(stream, TINY.tables)):
+    for ratio_db in codec.channel_snrs_db(signal, stream.decode()):
         assert ratio_db == pytest.approx(20.0, abs=codec.SNR_TOLERANCE_DB)
 
-    def size_bytes(coded_signal: codec.CodedSignal) -> int:
-        return sum(map(len, coded_signal.packets))
-
     for wanted in (16_000, 20_000):
-        at_rate = codec.encode_to_rate(codec.Source(signal, RATE_HZ, codec="eva", model=TINY), wanted, size_bytes)
-        assert size_bytes(at_rate) * 8 == pytest.approx(wanted, rel=codec.RATE_TOLERANCE)
+        at_rate = codec.encode_to_rate(codec.Source(signal, RATE_HZ, codec="eva", model=TINY), wanted)
+        assert at_rate.bits_per_second == pytest.approx(wanted, rel=codec.RATE_TOLERANCE)

@@ -10,15 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.codec.eva_models import tiny_model
+from tests.codec.eva_models import model_with, tiny_model
 from tests.codec.signals import RATE_HZ, edge_signals, in_turn, played, texture
 from vibrocast import codec, textures
 from vibrocast.codec import CodecError, Decoder, Framing, Signal
 from vibrocast.codec.core import CoreDecoder
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.interface import Choice, Encoder, RateControl, Trial
-from vibrocast.codec.registry import Source
 from vibrocast.codec.rotation import COMMON, OWN, Rotation
+from vibrocast.codec.source import Source
 from vibrocast.host import playback, uploader
 from vibrocast.host.controller import Controller
 from vibrocast.host.session import session_with
@@ -36,14 +36,8 @@ RATE_POINTS = {rate_point_set: name for name, known in codec.CODECS.items() for 
 MODELS = {"eva": tiny_model()}
 
 
-def model_of(name: str) -> codec.Model | None:
-    model = MODELS.get(name)
-    return None if model is None else codec.Model(model.tables, model.analysis)
-
-
 def tables_of(name: str) -> bytes | None:
-    model = model_of(name)
-    return None if model is None else model.tables
+    return MODELS[name].tables if name in MODELS else None
 
 
 def middle_setting(name: str) -> codec.Setting:
@@ -51,22 +45,9 @@ def middle_setting(name: str) -> codec.Setting:
     return rate_point_set[len(rate_point_set) // 2]
 
 
-def coded(name: str, signal: Signal, live: bool = False, setting: codec.Setting | None = None) -> codec.CodedSignal:
+def coded(name: str, signal: Signal, live: bool = False, setting: codec.Setting | None = None) -> codec.Stream:
     chosen = setting or middle_setting(name)
-    return codec.encode(signal, RATE_HZ, chosen, codec=name, unit="um", live=live, model=model_of(name))
-
-
-def decode(stream: codec.CodedSignal) -> Signal:
-    return codec.decode(stream, tables_of(stream.codec))
-
-
-def decode_integers(stream: codec.CodedSignal) -> codec.Decoded:
-    return codec.decode_integers(stream, tables_of(stream.codec))
-
-
-def decoder_of(stream: codec.CodedSignal) -> Decoder:
-    identifier = codec.codec_by_name(stream.codec).identifier
-    return codec.decoder(identifier, stream.configuration, stream.channels, tables_of(stream.codec))
+    return codec.encode(signal, RATE_HZ, chosen, codec=name, unit="um", live=live, model=MODELS.get(name))
 
 
 FRAMING = Framing(128, 5)
@@ -82,7 +63,7 @@ def encoder_of(
     rms = tuple(float(np.sqrt(np.mean(channel**2))) or 1.0 for channel in signal.T)
     signal_format = codec.SignalFormat(RATE_HZ, "full scale", (1.0,) * signal.shape[1], rms)
     complete = codec.CODECS[name].complete({**middle_setting(name), **(setting or {})})
-    return codec.CODECS[name].make_encoder(complete, signal_format, framing, model_of(name), rate_control)
+    return codec.CODECS[name].make_encoder(complete, signal_format, framing, MODELS.get(name), rate_control)
 
 
 @dataclass(frozen=True)
@@ -153,7 +134,7 @@ def test_the_top_of_a_rate_point_set_is_better_than_its_bottom_and_takes_more(ra
     sizes = [sum(map(len, stream.packets)) for stream in streams]
     assert len(rate_points) == 1 or sizes[1] > sizes[0]
     if known.keeps_waveform and len(rate_points) > 1:
-        worst_db, best_db = (codec.snr_db(signal, decode(stream)) or 0.0 for stream in streams)
+        worst_db, best_db = (codec.snr_db(signal, stream.decode()) or 0.0 for stream in streams)
         assert best_db > worst_db
 
 
@@ -163,9 +144,9 @@ def test_the_top_of_a_rate_point_set_is_better_than_its_bottom_and_takes_more(ra
 def test_edge_inputs_are_decoded(name: str, live: bool, signal_name: str) -> None:
     signal = edge_signals()[signal_name]
     stream = coded(name, signal, live)
-    decoder = decoder_of(stream)
+    decoder = stream.decoder()
     assert len(stream.packets) == -(-(len(signal) + decoder.delay_samples) // decoder.packet_samples)
-    decoded = decode(stream)
+    decoded = stream.decode()
     assert decoded.shape == signal.shape
     assert np.all(np.isfinite(decoded))
     assert np.max(np.abs(decoded)) <= 2 * np.max(np.abs(signal)) + 1e-4  # where G.723.1 is never quite silent
@@ -174,7 +155,7 @@ def test_edge_inputs_are_decoded(name: str, live: bool, signal_name: str) -> Non
 @every_codec
 def test_channels_are_kept_apart(name: str) -> None:
     signal = np.hstack([texture(2800), np.zeros((2800, 1)), texture(2800, seed=5)])
-    decoded = decode(coded(name, signal))
+    decoded = coded(name, signal).decode()
     assert not np.any(np.abs(decoded[:, 1]) > 1e-3)
     if codec.CODECS[name].keeps_waveform:
         snrs_db = codec.channel_snrs_db(signal, decoded)
@@ -189,9 +170,9 @@ def test_any_length_has_just_the_packets_that_hold_it(
     name: str, samples: int, channels: int, seed: int, live: bool
 ) -> None:
     stream = coded(name, texture(samples, channels, seed), live)
-    decoder = decoder_of(stream)
+    decoder = stream.decoder()
     assert len(stream.packets) == -(-(samples + decoder.delay_samples) // decoder.packet_samples)
-    assert decode(stream).shape == (samples, channels)
+    assert stream.decode().shape == (samples, channels)
 
 
 @pytest.mark.parametrize("steered", [False, True])
@@ -275,7 +256,7 @@ def test_a_packet_that_does_not_fit_is_rejected(name: str, setting: codec.Settin
 @settings(max_examples=20)
 def test_damaged_packets_decode_safely(name: str, data: st.DataObject) -> None:
     stream = coded(name, texture(1500), live=True)
-    decoder = decoder_of(stream)
+    decoder = stream.decoder()
     for packet in stream.packets:
         damaged = bytearray(packet)
         for _ in range(data.draw(st.integers(0, 3))):
@@ -294,7 +275,7 @@ def test_damaged_packets_decode_safely(name: str, data: st.DataObject) -> None:
 def test_any_bytes_decode_safely(name: str, packets: list[bytes], channels: int) -> None:
     """At the coarsest steps, where they are the loudest."""
     coarsest = next(iter(codec.CODECS[name].rate_point_sets.values()))[0]
-    decoder = decoder_of(coded(name, np.sign(texture(300, channels)), live=True, setting=coarsest))
+    decoder = coded(name, np.sign(texture(300, channels)), live=True, setting=coarsest).decoder()
     for packet in [b"\x01", *packets, *(b"\x01" + packet for packet in packets)]:
         try:
             check_decoded(decoder.decode(packet), decoder)
@@ -320,8 +301,8 @@ def test_a_gap_fades_and_a_refresh_ends_it(name: str) -> None:
     """Loss is heard as a fade to silence and a rise, never as a step beyond those of the signal."""
     signal = texture(14_000)
     stream = coded(name, signal, live=True)
-    clean = decode_integers(stream).astype(int)
-    decoder = decoder_of(stream)
+    clean = stream.decode_integers().astype(int)
+    decoder = stream.decoder()
     count = len(stream.packets)
     lost = {count // 3, count // 3 + 1}
     heard = np.concatenate(
@@ -345,7 +326,9 @@ def test_a_gap_fades_and_a_refresh_ends_it(name: str) -> None:
 def test_a_copied_decoder_goes_on_by_itself(name: str, runtime: str) -> None:
     stream = coded(name, texture(3000, 2), live=True)
     identifier = codec.codec_by_name(name).identifier
-    untouched, copied = (codec.decoder(identifier, stream.configuration, 2, tables_of(name), runtime) for _ in range(2))
+    untouched, copied = (
+        codec.decoder(identifier, stream.header.configuration, 2, tables_of(name), runtime) for _ in range(2)
+    )
     assert isinstance(copied, CoreDecoder)
     for packet in stream.packets[:7]:
         np.testing.assert_array_equal(copied.decode(packet), untouched.decode(packet))
@@ -362,24 +345,24 @@ def test_bad_signals_and_settings_are_rejected(name: str) -> None:
         *(np.full((100, 1), number) for number in (math.nan, math.inf)),
     ):
         with pytest.raises(CodecError):
-            codec.encode(signal, RATE_HZ, middle_setting(name), codec=name, model=model_of(name))
+            codec.encode(signal, RATE_HZ, middle_setting(name), codec=name, model=MODELS.get(name))
     with pytest.raises(CodecError, match="no parameter softness"):
-        codec.encode(texture(100), RATE_HZ, {"softness": 1.0}, codec=name, model=model_of(name))
+        codec.encode(texture(100), RATE_HZ, {"softness": 1.0}, codec=name, model=MODELS.get(name))
     for parameter, described in codec.CODECS[name].parameters.items():
         assert described.checked(parameter, described.default) == described.default
         numbers = (math.nan, math.inf, described.low - 1) if described.fractional else ()
         for value in ("\x00 nothing of the kind", *numbers):
             with pytest.raises(CodecError, match=parameter):
-                codec.encode(texture(100), RATE_HZ, {parameter: value}, codec=name, model=model_of(name))
+                codec.encode(texture(100), RATE_HZ, {parameter: value}, codec=name, model=MODELS.get(name))
         if not described.per_channel:
             with pytest.raises(CodecError, match=parameter):
-                codec.encode(texture(100, 2), RATE_HZ, {parameter: (14, 16)}, codec=name, model=model_of(name))
+                codec.encode(texture(100, 2), RATE_HZ, {parameter: (14, 16)}, codec=name, model=MODELS.get(name))
 
 
 @every_codec
 def test_tables_are_rejected_where_none_are_taken(name: str) -> None:
     with pytest.raises(CodecError, match=r"image|tables"):
-        codec.encode(texture(100), RATE_HZ, middle_setting(name), codec=name, model=codec.Model(bytes(10)))
+        codec.encode(texture(100), RATE_HZ, middle_setting(name), codec=name, model=model_with(bytes(10)))
 
 
 @every_codec
@@ -429,13 +412,13 @@ def test_a_search_finds_the_best_rate_point_without_trying_all(
     signal = texture(1400)
     rate_points = next(iter(codec.CODECS[name].rate_point_sets.values()))
     coded_by_rate_point = [
-        codec.encode(signal, RATE_HZ, rate_point, codec=name, model=model_of(name)) for rate_point in rate_points
+        codec.encode(signal, RATE_HZ, rate_point, codec=name, model=MODELS.get(name)) for rate_point in rate_points
     ]
-    snrs_db = [codec.snr_db(signal, decode(each)) or 0.0 for each in coded_by_rate_point]
+    snrs_db = [codec.snr_db(signal, each.decode()) or 0.0 for each in coded_by_rate_point]
     trials: list[codec.Setting] = []
     encode = Source.encode
 
-    def counted(source: Source, setting: codec.Setting) -> codec.CodedSignal:
+    def counted(source: Source, setting: codec.Setting) -> codec.Stream:
         trials.append(setting)
         return encode(source, setting)
 
@@ -443,9 +426,9 @@ def test_a_search_finds_the_best_rate_point_without_trying_all(
     enough = [snr_db for snr_db in snrs_db if snr_db >= target_db - codec.SNR_TOLERANCE_DB]
     if not enough:
         with pytest.raises(CodecError, match=f"reaches {max(snrs_db):.1f} dB"):
-            codec.encode_to_snr(codec.Source(signal, RATE_HZ, codec=name, model=model_of(name)), target_db)
+            codec.encode_to_snr(codec.Source(signal, RATE_HZ, codec=name, model=MODELS.get(name)), target_db)
         return
-    found = codec.encode_to_snr(codec.Source(signal, RATE_HZ, codec=name, model=model_of(name)), target_db)
+    found = codec.encode_to_snr(codec.Source(signal, RATE_HZ, codec=name, model=MODELS.get(name)), target_db)
     nearest = min(
         range(len(rate_points)),
         key=lambda rate_point: (snrs_db[rate_point] not in enough, abs(snrs_db[rate_point] - target_db)),

@@ -142,12 +142,14 @@ def test_a_file_takes_the_hop_that_suits_it_and_a_live_stream_the_short_one() ->
     clicks = np.zeros((5600, 1))
     clicks[50::400] = 1.0
     hops = {
-        name: codec.decoder(1, codec.encode(signal, RATE_HZ, {"step": 0.1}, live=live).configuration, 1).delay_samples
+        name: codec.decoder(
+            1, codec.encode(signal, RATE_HZ, {"step": 0.1}, live=live).header.configuration, 1
+        ).delay_samples
         for name, signal, live in (("tone", tone, False), ("clicks", clicks, False), ("live", tone, True))
     }
     assert hops == {"tone": 128, "clicks": 16, "live": 32}
     asked = codec.encode(clicks, RATE_HZ, {"step": 0.1, "hop": "64"}, live=True)
-    assert codec.decoder(1, asked.configuration, 1).delay_samples == 64
+    assert codec.decoder(1, asked.header.configuration, 1).delay_samples == 64
 
 
 @given(st.floats(2.0**-17, 2.0**10))

@@ -202,17 +202,15 @@ def test_every_codec_that_controls_rate_holds_its_rate_whatever_comes(
         assert f"{rate} bit/s cannot be held" in str(rejected)
         assert "longer packets" in str(rejected)
         return
-    packet_samples = codec.decoder(codec.codec_by_name(name).identifier, coded.configuration, channels).packet_samples
     sizes = [len(packet) + FRAME_BYTES for packet in coded.packets]
-    assert worst_deviation(sizes, rate, packet_samples / RATE_HZ) < 0.01
-    assert codec.decode(coded).shape == samples.shape
+    assert worst_deviation(sizes, rate, coded.packet_samples / RATE_HZ) < 0.01
+    assert coded.decode().shape == samples.shape
 
 
-def packet_snrs_db(samples: Signal, coded: codec.CodedSignal) -> NDArray[np.float64]:
-    decoder = codec.decoder(codec.codec_by_name(coded.codec).identifier, coded.configuration, coded.channels)
-    size, delay = decoder.packet_samples, decoder.delay_samples
-    late = np.concatenate([np.zeros((delay, coded.channels)), samples])
-    decoded = codec.decode_integers(coded) * np.array(coded.gains) / 32768
+def packet_snrs_db(samples: Signal, coded: codec.Stream) -> NDArray[np.float64]:
+    size, delay = coded.packet_samples, coded.delay_samples
+    late = np.concatenate([np.zeros((delay, coded.header.channels)), samples])
+    decoded = coded.decode_integers() * np.array(coded.header.gains) / 32768
     count = len(late) // size
     power, error = (
         np.mean(np.square(each[: count * size].reshape(count, -1)), axis=1)
@@ -234,7 +232,7 @@ def test_every_packet_has_the_quality_where_the_rate_suffices_and_no_more_bytes_
     ratios = packet_snrs_db(samples, roomy)[2:]
     assert np.min(ratios) >= 14.99
     assert np.percentile(ratios, 90) < 16
-    packet_samples = codec.decoder(codec.codec_by_name(name).identifier, tight.configuration, 1).packet_samples
+    packet_samples = codec.decoder(codec.codec_by_name(name).identifier, tight.header.configuration, 1).packet_samples
     assert max(map(len, tight.packets)) <= 1500 * (packet_samples / RATE_HZ + 0.018) / 8
     assert np.mean(packet_snrs_db(samples, tight)) < 14
 
@@ -259,9 +257,7 @@ def test_equal_error_gives_bits_to_the_louder_channel() -> None:
     setting = codec.equal_error(codec.codec_by_name("mdct"), SignalFormat(RATE_HZ, "um", (1.0, 1.0), tuple(rms)))
     framing = Framing(350, 8)
     equal_snr, equal_error = (
-        codec.decode(
-            codec.Source(samples, RATE_HZ, live=True).encode_rate_controlled(given, ConstantRate(4000), framing)
-        )
+        codec.Source(samples, RATE_HZ, live=True).encode_rate_controlled(given, ConstantRate(4000), framing).decode()
         - samples
         for given in ({}, setting)
     )

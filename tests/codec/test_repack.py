@@ -71,7 +71,7 @@ def file_of(codec_name: str, rate_hz: int = 8000, **setting: str) -> Stream:
 def test_a_file_keeps_its_length_and_its_signal_but_for_noise() -> None:
     stream = file_of("mdct")
     short = stream.repacked(1000)
-    assert short.decoder().packet_samples <= 1000 < stream.decoder().packet_samples
+    assert short.packet_samples <= 1000 < stream.packet_samples
     assert (short.samples, short.image) == (stream.samples, stream.image)
     assert short.size_bytes < stream.size_bytes + 12 * len(short.packets)
     signal, difference = stream.decode(), short.decode() - stream.decode()
@@ -89,7 +89,7 @@ def test_packets_of_too_many_bytes_are_split() -> None:
 
 def test_a_stream_of_short_packets_stays_as_it_is() -> None:
     stream = file_of("mdct", 2800)
-    assert stream.repacked(stream.decoder().packet_samples) is stream
+    assert stream.repacked(stream.packet_samples) is stream
 
 
 def test_a_live_stream_of_unknown_length_is_split() -> None:

@@ -138,7 +138,7 @@ def test_dct_streams_with_losses_damage_and_noise(
     setting: Setting = {"entropy": entropy, "quantiser": quantiser, "levels": levels, "block": block}
     for channels in (1, 16):
         stream = encode(texture(3000, channels), RATE_HZ, setting, codec="dct", live=True)
-        records = record(channels, stream.configuration)
+        records = record(channels, stream.header.configuration)
         for packet in stream.packets:
             records += record(int(generator.random() < 0.2), packet)
             damaged = bytearray(packet)

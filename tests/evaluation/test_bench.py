@@ -81,7 +81,7 @@ def test_points_are_of_whole_files_in_a_fixed_order(folder: Path, results: Path,
     assert fine.bytes_total == (results / "wood.vct").stat().st_size
     quality = asdict(metrics.measure(recording.samples, stream.decode(), 2800, recording.unit))
     assert {name: getattr(fine, name) for name in quality} == pytest.approx(quality, abs=1e-6)
-    assert fine.delay_ms == pytest.approx(1000 * 2 * stream.decoder().delay_samples / 2800, abs=1e-6)
+    assert fine.delay_ms == pytest.approx(1000 * 2 * stream.delay_samples / 2800, abs=1e-6)
     timed = run(folder, results, chosen=METHODS[:1], repeats=1)
     timings = [each.timing for each in timed if isinstance(each, Measured) and each.timing]
     assert [(each.trace, each.setting) for each in timings][:2] == [("rough", "step=1"), ("rough", "step=0.25")]

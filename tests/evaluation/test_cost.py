@@ -10,7 +10,7 @@ import pytest
 from tests.codec.eva_models import tiny_model
 from vibrocast import codec
 from vibrocast.codec import Framing, SignalFormat, timing
-from vibrocast.evaluation import cost, trained
+from vibrocast.evaluation import cost
 from vibrocast.models import Model
 
 MODELS = {"eva": tiny_model()}
@@ -42,9 +42,7 @@ def test_delay_is_the_longest_that_a_sample_waits(name: str) -> None:
     plug_in = codec.CODECS[name]
     model = MODELS.get(name)
     signal_format = SignalFormat(rate_hz, "full scale", (1.0,), (0.3,))
-    encoder = plug_in.make_encoder(
-        plug_in.complete({}), signal_format, Framing(1, 1), trained.for_encoder(model) if model else None, None
-    )
+    encoder = plug_in.make_encoder(plug_in.complete({}), signal_format, Framing(1, 1), model, None)
     packets = longest = 0
     for fed, value in enumerate(np.random.default_rng(0).normal(0, 0.3, 6 * encoder.packet_samples), 1):
         longest = max(longest, fed - packets * encoder.packet_samples + encoder.delay_samples)

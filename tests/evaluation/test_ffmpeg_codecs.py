@@ -10,8 +10,7 @@ import pytest
 
 from tests.codec.signals import RATE_HZ, edge_signals, texture
 from vibrocast import codec
-from vibrocast.codec import PEERS, CodecError, CodedSignal, Setting, Signal
-from vibrocast.codec.stream import as_stream
+from vibrocast.codec import PEERS, CodecError, Setting, Signal, Stream
 from vibrocast.evaluation.peers import measured_codecs
 
 HERE = Path(__file__).parent
@@ -35,22 +34,18 @@ every_setting = pytest.mark.parametrize(("name", "setting"), SETTINGS)
 NAMES = list(dict(SETTINGS))
 
 
-def encode(name: str, signal: Signal, setting: Setting | None = None) -> CodedSignal:
+def encode(name: str, signal: Signal, setting: Setting | None = None) -> Stream:
     return codec.encode(signal, RATE_HZ, setting or {}, codec=name)
-
-
-def decoder_of(stream: CodedSignal) -> codec.Decoder:
-    return codec.decoder(PEERS[stream.codec].identifier, stream.configuration, stream.channels)
 
 
 @every_setting
 def test_decoded_signal_lags_by_the_stated_delay(name: str, setting: Setting) -> None:
     signal = texture(6000)
     stream = encode(name, signal, setting)
-    decoded = codec.decode_integers(stream)[:, 0]
+    decoded = stream.decode_integers()[:, 0]
     lags = range(200)
     fits = [float(np.dot(signal[:5000, 0], decoded[lag : lag + 5000])) for lag in lags]
-    assert lags[int(np.argmax(fits))] == decoder_of(stream).delay_samples
+    assert lags[int(np.argmax(fits))] == stream.delay_samples
 
 
 @pytest.mark.parametrize("samples", [1, 2800, 9000])
@@ -76,9 +71,9 @@ def test_lossless_means_the_sixteen_bits_of_full_scale() -> None:
     signal = texture(5000)
     for name, setting in (("flac", {}), ("wavpack", {"bits_per_sample": 16})):
         stream = encode(name, signal, setting)
-        expected = np.clip(np.rint(signal / stream.gains[0] * 32_768), -32_768, 32_767)
-        np.testing.assert_array_equal(codec.decode_integers(stream)[:5000], expected)
-    rounded = codec.decode_integers(encode("wavpack", signal, {"bits_per_sample": 5}))
+        expected = np.clip(np.rint(signal / stream.header.gains[0] * 32_768), -32_768, 32_767)
+        np.testing.assert_array_equal(stream.decode_integers()[:5000], expected)
+    rounded = encode("wavpack", signal, {"bits_per_sample": 5}).decode_integers()
     assert not np.any(rounded % 2**11)
     assert len(np.unique(rounded)) > 16
 
@@ -87,7 +82,7 @@ def test_lossless_means_the_sixteen_bits_of_full_scale() -> None:
 @pytest.mark.parametrize("signal_name", edge_signals())
 def test_edge_inputs_are_decoded(name: str, signal_name: str) -> None:
     signal = edge_signals()[signal_name]
-    decoded = codec.decode(encode(name, signal))
+    decoded = encode(name, signal).decode()
     assert decoded.shape == signal.shape
     assert np.max(np.abs(decoded)) <= 2 * np.max(np.abs(signal)) + 1e-4  # where G.723.1 is never quite silent
 
@@ -115,7 +110,7 @@ def test_av_is_loaded_at_first_need_and_missed_by_name(monkeypatch: pytest.Monke
     stream = encode("g726", texture(100))
     monkeypatch.setitem(sys.modules, "av", None)
     with pytest.raises(CodecError, match=r"needs av; install the extra \[peers\]: "):
-        decoder_of(stream)
+        stream.decoder()
     with pytest.raises(CodecError, match=r"needs av; install the extra \[peers\]: "):
         encode("g726", texture(100))
 
@@ -133,7 +128,7 @@ def test_figures_are_those_of_the_codecs_own_programs(name: str) -> None:
     theirs_bits = [float(row["bits_per_sample"]) for row in rows]
     theirs_db = [min(float(row["snr_db"]), 90.0) for row in rows]
     for rate_point in PEERS[name].rate_point_sets[name]:
-        stream = as_stream(codec.encode(samples, rate_hz, rate_point, codec=name), "m/s^2")
+        stream = codec.encode(samples, rate_hz, rate_point, codec=name, unit="m/s^2")
         bits = 8 * stream.size_bytes / len(samples)
         reached_db = codec.snr_db(samples, stream.decode())
         assert reached_db == pytest.approx(np.interp(bits, theirs_bits, theirs_db), abs=2.0 if name == "flac" else 0.6)

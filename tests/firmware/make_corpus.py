@@ -249,14 +249,14 @@ def timed(*parts: Message | bytes | int) -> bytes:
 def controllers() -> list[bytes]:
     """Return what hosts do with a controller: play, read back, play live with losses, flash, follow a hand."""
     made = codec.encode(texture(1000, 2), RATE_HZ, {"step": 0.1}, live=True)
-    header = StreamHeader(1, RATE_HZ, 1000, "um", (20.0, 10.0), made.configuration)
+    header = StreamHeader(1, RATE_HZ, 1000, "um", (20.0, 10.0), made.header.configuration)
     all_packets = StreamData(7, 0, made.packets)
     recording = Configure(7, header.pack(), 280, len(made.packets), loops=2)
-    live = Configure(7, StreamHeader(1, RATE_HZ, None, "m/s^2", header.gains, made.configuration).pack(), 100)
+    live = Configure(7, StreamHeader(1, RATE_HZ, None, "m/s^2", header.gains, made.header.configuration).pack(), 100)
     some = [packet for number, packet in enumerate(made.packets) if number not in (1, 3, 4)]
     with_holes = StreamData(7, 0, tuple(some))
     surface = codec.encode(5 * texture(700, 2), 100_000, {"step": 0.1}, live=True)
-    heights = StreamHeader(1, 100_000, 700, PROFILE_UNIT, surface.gains, surface.configuration)
+    heights = StreamHeader(1, 100_000, 700, PROFILE_UNIT, surface.header.gains, surface.header.configuration)
     profile = Configure(9, heights.pack(), 0, len(surface.packets))
     hand: list[Message | int] = []
     for turn in range(10):

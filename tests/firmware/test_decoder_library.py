@@ -44,7 +44,7 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def expected(stream: Stream) -> NDArray[np.int16]:
-    start = stream.decoder().delay_samples
+    start = stream.delay_samples
     return stream.decode_integers()[start : start + stream.samples]
 
 
@@ -116,7 +116,7 @@ def test_facts_of_a_stream_and_memory_that_is_too_small() -> None:
     assert ffi.string(stream.codec) == b"slp"
     header = source.header
     assert (stream.rate_hz, stream.channels, stream.samples) == (header.rate_hz, header.channels, header.samples)
-    assert stream.packet_samples == source.decoder().packet_samples
+    assert stream.packet_samples == source.packet_samples
     assert stream.needed_bytes == native.vc_slp_decoder_size()
     little, status, _ = opened(bytes(source), stream.needed_bytes - 8)
     assert status == native.VC_TOO_SMALL and little.needed_bytes == stream.needed_bytes

@@ -93,4 +93,4 @@ def test_the_longest_default_packets_below_5600_hz_fit_the_smallest_board() -> N
     packet_samples = TARGETS["stm32f405"].defines["VC_PACKET_SAMPLES"]
     assert isinstance(packet_samples, int)
     assert len(stream.packets) > 1
-    assert stream.decoder().packet_samples <= packet_samples < stream.decoder().packet_samples + 384
+    assert stream.packet_samples <= packet_samples < stream.packet_samples + 384

@@ -46,4 +46,4 @@ def test_a_stream_with_default_settings_plays(codec_name: str, rate_hz: int, cha
     assert cycles * rate_hz <= 1000 * limits.decoding_kilocycles_per_s
     if stream.image is None:
         # The board itself answers: it knows its memory.
-        board.run(configure_steps(board, sent.header, sent.decoder().packet_samples, packets=len(sent.packets)))
+        board.run(configure_steps(board, sent.header, sent.packet_samples, packets=len(sent.packets)))

@@ -43,14 +43,14 @@ def play_on(
         settings = player.PlaybackSettings(
             buffer_s=buffer_s, reconnect_s=0.5, capture=True, progress=lambda now: fail(name, now)
         )
-        packet_samples = stream.decoder().packet_samples
+        packet_samples = stream.packet_samples
         return player.play_steps(controllers[name], stream.header, stream.packets, packet_samples, settings)
 
     return run_all({name: (controller, steps(name)) for name, controller in controllers.items()})
 
 
 def check_played(result: object, stream: Stream) -> None:
-    expected, _ = render(stream.header, stream.decode_integers(), stream.decoder().delay_samples, PIEZO_STACK)
+    expected, _ = render(stream.header, stream.decode_integers(), stream.delay_samples, PIEZO_STACK)
     assert isinstance(result, player.PlaybackResult), result
     assert result.underruns == result.lost_packets == 0
     np.testing.assert_array_equal(result.dac_codes, expected)

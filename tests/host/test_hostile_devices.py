@@ -197,7 +197,7 @@ def test_a_hand_whose_controller_keeps_no_time_ends(rate: float, profile: Stream
     scripted = ScriptedController()
     limits = replace(scripted.description.limits, profile_samples=1 << 20, max_payload_bytes=4096)
     scripted.description = replace(scripted.description, limits=limits)
-    samples = len(profile.packets) * profile.decoder().packet_samples
+    samples = len(profile.packets) * profile.packet_samples
 
     def slow(message: Message) -> Message | None:
         if not isinstance(message, (Start, StatusRequest)):
@@ -216,13 +216,12 @@ def test_loading_a_profile_ends_though_the_controller_creeps(profile: Stream) ->
     scripted = ScriptedController()
     limits = replace(scripted.description.limits, profile_samples=1 << 20, max_payload_bytes=4096)
     scripted.description = replace(scripted.description, limits=limits)
-    decoder = profile.decoder()
 
     def creep(message: Message) -> Message | None:
         scripted.now_s += 1.0
         if not isinstance(message, StatusRequest):
             return None
-        return replace(scripted.status(), position=int(scripted.now_s / 4.9) * decoder.packet_samples, credit_until=0)
+        return replace(scripted.status(), position=int(scripted.now_s / 4.9) * profile.packet_samples, credit_until=0)
 
     scripted.answer = creep
     with pytest.raises(ControllerError, match="does not get through"):

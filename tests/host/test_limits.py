@@ -38,9 +38,9 @@ def file_of(codec_name: str, rate_hz: int = 8000) -> Stream:
 
 def test_packets_that_are_too_long_are_split_and_play_as_computed() -> None:
     stream = file_of("mdct")
-    assert stream.decoder().packet_samples > BUFFER_SAMPLES
+    assert stream.packet_samples > BUFFER_SAMPLES
     outcome = playback.play(session_with(controller(), "sim"), "rough", stream, loops=2)
-    assert outcome.stream is not None and outcome.stream.decoder().packet_samples <= BUFFER_SAMPLES // 2
+    assert outcome.stream is not None and outcome.stream.packet_samples <= BUFFER_SAMPLES // 2
     assert outcome.report.stream_bytes == outcome.stream.size_bytes
     assert outcome.report.underruns == outcome.report.lost_packets == 0
     assert outcome.report.decoded_equals_offline is outcome.report.dac_equals_offline is True

@@ -8,7 +8,7 @@ import pytest
 from tests.conftest import linked, noise, session
 from vibrocast import codec
 from vibrocast.codec import CodecError, Signal
-from vibrocast.codec.live_format import live_format
+from vibrocast.codec.source import live_format
 from vibrocast.device_protocol.coded_stream import StreamError, packet_sequence
 from vibrocast.device_protocol.messages import Start, State, Tap
 from vibrocast.device_protocol.transports import TransportError

@@ -8,8 +8,8 @@ import pytest
 from tests.conftest import RATE_HZ, linked, noise
 from vibrocast import codec
 from vibrocast.codec import rate_controlled
-from vibrocast.codec.live_format import live_format
 from vibrocast.codec.rate_controlled import added_bytes
+from vibrocast.codec.source import live_format
 from vibrocast.host import live
 from vibrocast.host.live import LiveCoding, LiveResult, LiveStream
 from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire

@@ -77,8 +77,8 @@ def test_loops_of_short_recordings_keep_up_though_positions_run_ahead_of_time(
     samples: int, loops: int, live: bool, sim: Controller
 ) -> None:
     coded = codec.encode(np.sin(np.arange(samples) + 1.0)[:, None], 2800, {"step": 0.01}, live=live)
-    decoder = codec.decoder(1, coded.configuration, 1)
-    header = StreamHeader(1, 2800, samples, "um", coded.gains, coded.configuration)
+    decoder = codec.decoder(1, coded.header.configuration, 1)
+    header = StreamHeader(1, 2800, samples, "um", coded.header.gains, coded.header.configuration)
     seen: list[Progress] = []
     result = play(
         sim,
@@ -94,15 +94,15 @@ def test_loops_of_short_recordings_keep_up_though_positions_run_ahead_of_time(
     assert result.underruns == result.lost_packets == 0
     assert result.buffered_s < 0.1 + 3 * samples / 2800
     assert seen[-1].position_s == seen[-1].duration_s == pytest.approx(loops * samples / 2800)
-    decoded = codec.decode_integers(coded)
+    decoded = coded.decode_integers()
     assert result.decoded is not None
     np.testing.assert_array_equal(result.decoded, np.tile(decoded, (loops, 1)))
 
 
 def test_loop_too_short_for_the_controller_is_rejected_with_its_reason(sim: Controller) -> None:
     coded = codec.encode(np.ones((1, 1)), 2800, {"step": 0.01})
-    header = StreamHeader(1, 2800, 1, "um", coded.gains, coded.configuration)
-    packet_samples = codec.decoder(1, coded.configuration, 1).packet_samples
+    header = StreamHeader(1, 2800, 1, "um", coded.header.gains, coded.header.configuration)
+    packet_samples = codec.decoder(1, coded.header.configuration, 1).packet_samples
     with pytest.raises(ControllerError, match="rejects the request: an iteration"):
         play(sim, header, coded.packets, packet_samples, loops=50)
 

@@ -8,7 +8,7 @@ import pytest
 from tests.conftest import linked
 from vibrocast import models, textures
 from vibrocast.codec.encoding import encode_recording
-from vibrocast.codec.live_format import live_format
+from vibrocast.codec.source import live_format
 from vibrocast.device_protocol.messages import State
 from vibrocast.host import live, playback, uploader
 from vibrocast.host.controller import Controller

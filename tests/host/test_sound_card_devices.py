@@ -30,7 +30,7 @@ def short_stream(seconds: float = 0.12) -> vibrocast.Stream:
 
 def rendered(stream: vibrocast.Stream, actuator: Actuator, rate_hz: int, volts: float) -> Codes:
     driven = devices.on_sound_card(actuator, rate_hz, volts)
-    codes, _ = render(stream.header, stream.decode_integers(), stream.decoder().delay_samples, driven)
+    codes, _ = render(stream.header, stream.decode_integers(), stream.delay_samples, driven)
     return codes
 
 

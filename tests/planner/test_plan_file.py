@@ -98,8 +98,7 @@ def test_a_plan_finds_its_files_from_its_folder_and_a_threshold_by_its_name(tmp_
 def test_a_texture_is_coded_as_planned(tmp_path: Path) -> None:
     (texture,) = plan(tmp_path).textures
     encoding = texture.encode()
-    decoder = encoding.stream.decoder()
-    assert encoding.stream.header.rate_hz == 1600 and decoder.packet_samples == 64
+    assert encoding.stream.header.rate_hz == 1600 and encoding.stream.packet_samples == 64
     assert encoding.stream.facts()["random_access_packets"] == -(-len(encoding.stream.packets) // 5)
     assert encoding.quality.snr_db is not None and encoding.quality.snr_db > 3
 

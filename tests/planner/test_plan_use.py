@@ -46,7 +46,7 @@ def test_a_texture_of_a_plan_is_played_and_coded_as_planned(plan: Path, tmp_path
     (played,) = json.loads((tmp_path / "forecast.json").read_text())
     assert played["texture"] == "wood" and "on the wire" in result.stdout
     stream = read_stream(plan.parent / "wood.vct")
-    seconds = len(stream.packets) * stream.decoder().packet_samples / stream.header.rate_hz
+    seconds = len(stream.packets) * stream.packet_samples / stream.header.rate_hz
     assert 8 * sum(map(len, stream.packets)) / seconds == pytest.approx(played["measured"]["payload_bps"])
 
 

@@ -54,9 +54,9 @@ def stream(seconds: float = 1.0, channels: int = 1, unit: str = "um") -> Stream:
     noise = np.random.default_rng(5).standard_normal((samples, channels))
     signal = 6.0 * np.sin(2 * np.pi * 150 * time_s + np.arange(channels)) + 2.0 * noise
     coded = codec.encode(signal, RATE_HZ, {"step": 0.4}, live=True)
-    header = StreamHeader(1, RATE_HZ, samples, unit, coded.gains, coded.configuration)
-    decoder = codec.decoder(1, coded.configuration, channels)
-    return Stream(header, coded.packets, codec.decode_integers(coded), decoder.packet_samples, decoder.delay_samples)
+    header = StreamHeader(1, RATE_HZ, samples, unit, coded.header.gains, coded.header.configuration)
+    decoder = codec.decoder(1, coded.header.configuration, channels)
+    return Stream(header, coded.packets, coded.decode_integers(), decoder.packet_samples, decoder.delay_samples)
 
 
 @dataclass

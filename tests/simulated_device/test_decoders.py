@@ -32,9 +32,9 @@ def coarse(monkeypatch: pytest.MonkeyPatch) -> Stream:
     registry.CODECS.add(codec.as_codec(Coarse()))
     signal = np.random.default_rng(2).uniform(-1, 1, (1000, 2))
     coded = codec.encode(signal, RATE_HZ, {"quality": 1}, codec="coarse", live=True)
-    header = StreamHeader(plugins.IDENTIFIER, RATE_HZ, 1000, "um", coded.gains, coded.configuration)
-    decoder = codec.decoder(plugins.IDENTIFIER, coded.configuration, 2)
-    return Stream(header, coded.packets, codec.decode_integers(coded), decoder.packet_samples, decoder.delay_samples)
+    header = StreamHeader(plugins.IDENTIFIER, RATE_HZ, 1000, "um", coded.header.gains, coded.header.configuration)
+    decoder = codec.decoder(plugins.IDENTIFIER, coded.header.configuration, 2)
+    return Stream(header, coded.packets, coded.decode_integers(), decoder.packet_samples, decoder.delay_samples)
 
 
 def test_codec_of_another_package_plays_and_conceals_what_is_lost(coarse: Stream) -> None:

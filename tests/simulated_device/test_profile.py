@@ -212,9 +212,9 @@ def coded(channels: int = 1) -> Stream:
     """A profile coded in several packets."""
     columns = np.stack([np.roll(heights(), 100 * channel) for channel in range(channels)], axis=1) / 4000
     made = codec.encode(columns, SAMPLES_PER_METRE, {"step": 0.05}, live=True)
-    header = StreamHeader(1, SAMPLES_PER_METRE, SAMPLES, PROFILE_UNIT, made.gains, made.configuration)
-    decoder = codec.decoder(1, made.configuration, channels)
-    decoded = codec.decode_integers(made)
+    header = StreamHeader(1, SAMPLES_PER_METRE, SAMPLES, PROFILE_UNIT, made.header.gains, made.header.configuration)
+    decoder = codec.decoder(1, made.header.configuration, channels)
+    decoded = made.decode_integers()
     return Stream(header, made.packets, decoded, decoder.packet_samples, decoder.delay_samples)
 
 

@@ -107,7 +107,7 @@ def test_what_the_card_takes_is_what_is_rendered(rate_hz: int, channels: int) ->
         outcome = playback.play(Session(controller, "card", actuator, actuator), "wood", coded)
         assert outcome.report.dac_equals_offline
     link.sleep(0.1)
-    codes, _ = render(coded.header, coded.decode_integers(), coded.decoder().delay_samples, actuator)
+    codes, _ = render(coded.header, coded.decode_integers(), coded.delay_samples, actuator)
     expected = np.pad(codes, ((0, 0), (0, 2 - channels)))
     out = np.concatenate(card.out)
     peak = int(np.argmax(np.abs(expected[:, 0].astype(int))))

@@ -170,8 +170,7 @@ def assert_decodes(page: Page, stream: Stream) -> None:
         [encoded(bytes(stream)), encoded(stream.image or b"")],
     )
     assert np.array_equal(decoded["integers"], stream.decode_integers().ravel())
-    decoder = stream.decoder()
-    assert (decoded["packetSamples"], decoded["delaySamples"]) == (decoder.packet_samples, decoder.delay_samples)
+    assert (decoded["packetSamples"], decoded["delaySamples"]) == (stream.packet_samples, stream.delay_samples)
     assert decoded["samples"] == stream.samples
     assert bytes(decoded["header"]) == stream.header.pack()
     assert tuple(map(bytes, decoded["packets"])) == stream.packets

@@ -15,12 +15,12 @@ from studies import emulated_core, firmware, small_parts, worst_case
 from studies.emulated_core import CORES, Core, EmulatedCore, compile_core
 from studies.small_parts import PROCESSORS, Cost
 from studies.worst_case import Turn
-from tests.codec.eva_models import random_image, with_extreme_weights
-from vibrocast import codec, textures
-from vibrocast.codec import CodedSignal, eva
+from tests.codec.eva_models import model_with, random_image, with_extreme_weights
+from vibrocast import textures
+from vibrocast.codec import Stream, eva
 from vibrocast.codec.encoding import encode_recording
-from vibrocast.device_protocol.coded_stream import unpack_file
-from vibrocast.device_protocol.model_image import ModelImage
+from vibrocast.codec.stream import image_hash, read_stream
+from vibrocast.device_protocol.coded_stream import StreamHeader
 from vibrocast.evaluation import points
 from vibrocast.harness.boards.cycles import block_cycles
 
@@ -67,16 +67,9 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> Programs:
     return Programs(tmp_path_factory.mktemp("programs"))
 
 
-def golden(name: str) -> CodedSignal:
-    header, packets = unpack_file((STREAMS / f"golden_{name}.vct").read_bytes())
-    codec_name = codec.codec_by_identifier(header.codec_identifier).name
-    return CodedSignal(
-        codec_name, header.rate_hz, header.samples or 0, header.gains, header.configuration, tuple(packets)
-    )
-
-
-def image(name: str) -> bytes:
-    return ModelImage.unpack((STREAMS / f"golden_{name.removesuffix('_steered')}.vcmi").read_bytes()).payload
+def golden(name: str) -> Stream:
+    image = STREAMS / f"golden_{name.removesuffix('_steered')}.vcmi"
+    return read_stream(STREAMS / f"golden_{name}.vct", image.read_bytes() if image.exists() else None)
 
 
 @pytest.mark.parametrize("build", BUILDS, ids=str)
@@ -85,9 +78,8 @@ def image(name: str) -> bytes:
 )
 def test_golden_streams_decode_to_the_hosts_samples(name: str, build: tuple[str, int], programs: Programs) -> None:
     coded = golden(name)
-    tables = image(name) if codec.CODECS[coded.codec].needs_model else None
-    run = emulated_core.decode(programs[build], CORES[build[0]], coded, tables)
-    np.testing.assert_array_equal(run.decoded, codec.decode_integers(coded, tables))
+    run = emulated_core.decode(programs[build], CORES[build[0]], coded)
+    np.testing.assert_array_equal(run.decoded, coded.decode_integers())
     assert np.any(run.decoded) and run.cycles > run.instructions > 100
     assert 100 < run.stack_bytes < 4096, "what eva.h says"
 
@@ -105,9 +97,13 @@ def test_models_of_any_width_decode_to_the_hosts_samples(
     tables = (with_extreme_weights(model, seed) if extreme else model).pack()
     random = np.random.default_rng(seed)
     packets = tuple(b"\x01" + random.bytes(200) for _ in range(3))
-    coded = CodedSignal("eva", 2800, 240, (1.0,), eva.configuration(5, [1000]), packets)
-    run = emulated_core.decode(programs[build], CORES[build[0]], coded, tables)
-    np.testing.assert_array_equal(run.decoded, codec.decode_integers(coded, tables))
+    image = model_with(tables).image
+    header = StreamHeader(
+        eva.IDENTIFIER, 2800, None, "full scale", (1.0,), eva.configuration(5, [1000]), image_hash(image)
+    )
+    coded = Stream(header, packets, image)
+    run = emulated_core.decode(programs[build], CORES[build[0]], coded)
+    np.testing.assert_array_equal(run.decoded, coded.decode_integers())
 
 
 def int16s(values: NDArray[np.int64]) -> bytes:
@@ -286,6 +282,6 @@ def test_each_processor_decodes_to_the_same_bits_in_the_memory_that_is_stated(tm
     assert row.flash == pytest.approx(core.flash_bytes, 0.02)
     assert row.per_sample is not None and per_sample < row.per_sample
     assert core.stack_bytes <= max(row.stack for row in rows) <= 4096  # as vibrocast/decoder.h says
-    last = stream.decode_integers()[-stream.decoder().packet_samples :]
+    last = stream.decode_integers()[-stream.packet_samples :]
     samples = np.frombuffer(core.read(small_parts._SAMPLES, 2 * last.size), "<i2")
     np.testing.assert_array_equal(samples, last.ravel())

@@ -29,7 +29,7 @@ def test_each_texture_is_coded_under_each_condition(method: str, folder: Path) -
     assert len(made) == len(study.textures) * len(study.conditions)
     stream = made[0].stream
     codes, counts = render(
-        stream.header, stream.decode_integers(), stream.decoder().delay_samples, PIEZO_STACK, loops=made[0].loops
+        stream.header, stream.decode_integers(), stream.delay_samples, PIEZO_STACK, loops=made[0].loops
     )
     assert made[0].facts["limited"] == stimuli.limited_part(counts, codes)
     assert made[0].facts["level_db"] == skin_level_db(codes, PIEZO_STACK)

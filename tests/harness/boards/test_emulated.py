@@ -125,7 +125,7 @@ def played_by_board(
     stalls[:] = [*(stall_ms or []), 0]
     meanwhile(host, link)
     link.sleep(1.0)
-    expected, _ = render(stream.header, stream.decode_integers(), stream.decoder().delay_samples, PIEZO_12_BITS)
+    expected, _ = render(stream.header, stream.decode_integers(), stream.delay_samples, PIEZO_12_BITS)
     pieces, end = [b""], 1
     while (offset := sum(map(len, pieces)) // 4) < end:
         captured = host.request(messages.CaptureRead(messages.Tap.DAC, offset, 500), messages.CaptureData)

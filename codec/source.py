@@ -1,0 +1,339 @@
+"""A signal ready to be coded: its format, how its packets are cut, and the stream that a setting makes of it."""
+
+import copy
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import TypeAlias
+
+import numpy as np
+
+from vibrocast import textures
+from vibrocast.codec import mdct, shaping
+from vibrocast.codec.interface import (
+    AUTO,
+    Codec,
+    CodecError,
+    Encoder,
+    Estimate,
+    Framing,
+    MeasuringEncoder,
+    Setting,
+    Signal,
+    SignalFormat,
+)
+from vibrocast.codec.rate_control import RatePolicy, rate_controlled_encoder
+from vibrocast.codec.registry import DEFAULT_CODEC, check_model, codec_by_name
+from vibrocast.codec.stream import MAX_GAIN, Stream, gain_for, image_hash
+from vibrocast.codec.threshold import PHYSICAL_UNITS
+from vibrocast.device_protocol.coded_stream import PROFILE_UNIT, StreamHeader
+from vibrocast.models import Model
+
+LIVE_PACKET_BLOCKS = 4
+LIVE_REFRESH_S = 0.25
+_FILE_PACKET_BLOCKS = 128
+_FILE_PACKET_SAMPLES = 4096
+"""Samples over all channels of a packet that no host can split: each board in firmware/build.py takes it."""
+_WHOLE_FILE_BLOCKS = 1024
+"""Blocks over all channels of a recording that becomes one packet, if hosts can split it for a controller."""
+# Every packet fits into one frame of the wire protocol, so a file can be played as it is.
+_MAX_PACKET_BYTES = 4000
+_PART_SAMPLES = 1 << 20
+_ROUNDING_ERROR = 1 / 12 / 32_768**2
+"""Squared error of rounding a sample to 16 bits, relative to full scale."""
+EXPECTED_RMS = 0.2
+"""Assumed RMS value of a source, relative to its full scale, if nothing is known of it."""
+
+Progress: TypeAlias = Callable[[float], None]
+
+
+def live_framing(rate_hz: int) -> Framing:
+    """Return the framing for streaming: packets of 4 blocks, a refresh at least every 0.25 s."""
+    packet_samples = LIVE_PACKET_BLOCKS * mdct.hop_samples(rate_hz)
+    return Framing(packet_samples, max(1, math.floor(LIVE_REFRESH_S * rate_hz / packet_samples)))
+
+
+def file_framing(codec: Codec, samples: int, rate_hz: int, channels: int) -> Framing:
+    """Return the framing for a file: one refresh at the start, packets of at most 128 blocks over all channels.
+
+    If the codec can split packets later, a short recording is one packet; if not, a packet has at most 4096 samples
+    over all channels, so that it plays on every board.
+    """
+    hop = mdct.hop_samples(rate_hz)
+    needed = -(-samples // hop) + 1
+    most = _FILE_PACKET_BLOCKS
+    if codec.repack is None:
+        most = min(most, _FILE_PACKET_SAMPLES // hop)
+    elif needed * channels <= _WHOLE_FILE_BLOCKS:
+        most = needed * channels
+    return Framing(min(needed, max(1, most // channels)) * hop, 0)
+
+
+def encode(
+    samples: Signal,
+    rate_hz: int,
+    setting: Setting,
+    *,
+    codec: str = DEFAULT_CODEC,
+    unit: str = "full scale",
+    live: bool = False,
+    model: Model | None = None,
+    progress: Progress | None = None,
+    framing: Framing | None = None,
+) -> Stream:
+    """Code samples (n, channels) in a physical unit with a codec's setting; missing parameters have their defaults.
+
+    `live`: in short packets with regular refreshes, for streaming; otherwise in the fewest bytes, for a file.
+    `framing`: how the packets of a live stream are cut; None = as `live_framing`. `progress` is called with the
+    finished part, from 0 to 1. Raises CodecError for an empty signal, NaN, infinity, an invalid setting, or a channel
+    count, level or unit that cannot be coded.
+    """
+    return Source(samples, rate_hz, codec, unit, live, model, progress, framing).encode(setting)
+
+
+def live_format(
+    rate_hz: int, unit: str, full_scales: Sequence[float], rms: Sequence[float] | None = None
+) -> SignalFormat:
+    """Return the format of a live source before its samples come.
+
+    `full_scales`: the largest expected magnitude of each channel, in `unit`. `rms`: RMS values in `unit`; None =
+    EXPECTED_RMS of full scale. Raises CodecError for a full scale that cannot be coded.
+    """
+    gains = tuple(gain_for(full_scale) for full_scale in full_scales)
+    if rms is None:
+        return SignalFormat(rate_hz, unit, gains, (EXPECTED_RMS,) * len(gains))
+    relative = tuple(value / gain or 1.0 for value, gain in zip(rms, gains, strict=True))
+    return SignalFormat(rate_hz, unit, gains, relative)
+
+
+def recording_format(recording: textures.Recording) -> SignalFormat:
+    """Return the format of a recording that is played live. Raises CodecError if it cannot be coded."""
+    samples = recording.samples
+    peaks = np.max(np.abs(samples), axis=0, initial=0.0)
+    rms = np.sqrt(np.mean(np.square(samples), axis=0))
+    return live_format(round(recording.rate_hz), recording.unit, peaks.tolist(), rms.tolist())
+
+
+def parts(samples: int) -> Iterator[slice]:
+    """Yield slices that cover a long signal, so that work on it needs no copy of the whole."""
+    for start in range(0, samples, _PART_SAMPLES):
+        yield slice(start, start + _PART_SAMPLES)
+
+
+def peak_of(channel: Signal) -> float:
+    """Return the largest magnitude of a channel (n,); 0 for no samples."""
+    return max(float(np.max(channel, initial=0.0)), -float(np.min(channel, initial=0.0)))
+
+
+def shape_setting(
+    codec: Codec, touch: float | None, rate_hz: float, unit: str, setting: Setting | None = None
+) -> Setting:
+    """Return the part of a codec's setting that serves touch, with a strength from 0, flat, to 1.
+
+    `touch`: None = the default where the codec has shapes and the unit is physical, else 0. `setting`: what else is
+    given; a shape in it stands before the default. Raises CodecError as `shaping.touch_shape`, where both a strength
+    and a shape are given, and for a strength above 0 of a codec without shapes.
+    """
+    has_shapes = codec.shape_parameter is not None
+    given = has_shapes and codec.shape_parameter in (setting or {})
+    if touch is None:
+        touch = shaping.DEFAULT_TOUCH if has_shapes and not given and unit in PHYSICAL_UNITS else 0.0
+    elif given:
+        raise CodecError("a strength of touch and a shape are both given; give one of them")
+    if touch == 0 or codec.shape_parameter is None:
+        if touch != 0:
+            raise CodecError(f"{codec.name} cannot shape its error for touch; choose {DEFAULT_CODEC}, or a touch of 0")
+        return {}
+    return {codec.shape_parameter: shaping.shape_text(shaping.touch_shape(touch, rate_hz, unit))}
+
+
+_EXCERPT = 8
+"""A signal this many times as long as an excerpt has one."""
+_EXCERPT_PIECE = 1024
+
+
+class Source:
+    """A signal ready to be coded at any setting, as a file or as a live stream.
+
+    `format`: its properties for the encoder. `silent`: whether every channel is.
+    """
+
+    def __init__(
+        self,
+        samples: Signal,
+        rate_hz: int,
+        codec: str = DEFAULT_CODEC,
+        unit: str = "full scale",
+        live: bool = False,
+        model: Model | None = None,
+        progress: Progress | None = None,
+        framing: Framing | None = None,
+        shape: Setting | None = None,
+    ) -> None:
+        """Take samples (n, channels) in a physical unit; the parameters are as in `encode`. Raises CodecError.
+
+        `shape`: part of every setting that does not state it, as from `shape_setting`; None = the codec's default.
+        """
+        if samples.ndim != 2 or samples.shape[1] < 1:
+            raise CodecError(f"samples of shape {samples.shape} do not fit; give (n, channels)")
+        if len(samples) == 0:
+            raise CodecError("the signal is empty; give at least one sample")
+        if not all(np.all(np.isfinite(samples[part])) for part in parts(len(samples))):
+            raise CodecError("the signal holds NaN or infinity; repair the recording first")
+        self.codec = codec_by_name(codec)
+        check_model(self.codec, model is not None)
+        self.codec.forget()
+        self.samples = samples
+        self.model = model
+        self._progress = progress or (lambda part: None)
+        self._live = live
+        if framing is None:
+            framing = (
+                live_framing(rate_hz) if live else file_framing(self.codec, len(samples), rate_hz, samples.shape[1])
+            )
+        self._framing = framing
+        gains = tuple(gain_for(peak_of(channel)) for channel in samples.T)
+        energies = sum(np.sum(np.square(samples[part] / np.array(gains)), axis=0) for part in parts(len(samples)))
+        rms = tuple(math.sqrt(energy / len(samples)) or 1.0 for energy in np.atleast_1d(energies))
+        # A height profile is loaded whole, however short its packets are.
+        length = None if live and unit != PROFILE_UNIT else len(samples)
+        self.format = SignalFormat(rate_hz, unit, gains, rms, length)
+        self.silent = not np.any(energies)
+        self._shape = shape or {}
+        self._trials = 0
+        self._whole = self
+        self._choices: dict[tuple[tuple[str, str], ...], Setting] = {}
+
+    def encode(self, setting: Setting) -> Stream:
+        """Code with a setting; shorten packets that grow too long. Raises CodecError as `codec.encode`.
+
+        Few levels may raise the peak. A stream that only hosts decode gets a full scale that clips nothing of it.
+        """
+        setting = self.resolved(setting)
+        framing = self._framing
+        tried_samples = 0
+        while True:
+            encoder = self.codec.make_encoder(setting, self.format, framing, self.model, None)
+            packets = self._packets(encoder)
+            as_short_as_can_be = encoder.packet_samples in (1, tried_samples)
+            if max(map(len, packets)) <= _MAX_PACKET_BYTES or as_short_as_can_be:
+                coded = self._coded(encoder, packets)
+                return self._doubled().encode(setting) if self._clips(coded) else coded
+            tried_samples = encoder.packet_samples
+            framing = Framing(-(-framing.packet_samples // 2), 2 * framing.refresh_packets)
+
+    def excerpt(self, samples: int) -> "Source | None":
+        """Return pieces from all over a long signal, about this many samples per channel, to be coded as parts of it.
+
+        They keep its `format`, so that a setting means the same. None for a signal that is not _EXCERPT times as long.
+        """
+        pieces = samples // _EXCERPT_PIECE
+        if len(self.samples) < _EXCERPT * samples or pieces < 1:
+            return None
+        starts = np.linspace(0, len(self.samples) - _EXCERPT_PIECE, pieces).astype(int)
+        excerpt = copy.copy(self)  # its `_whole` makes the codec's choices
+        excerpt.samples = np.concatenate([self.samples[start : start + _EXCERPT_PIECE] for start in starts])
+        excerpt.format = replace(self.format, samples=None if self.format.samples is None else len(excerpt.samples))
+        excerpt._progress = lambda part: None
+        return excerpt
+
+    def encode_rate_controlled(self, setting: Setting, policy: RatePolicy, framing: Framing) -> Stream:
+        """Code in one pass, like a live stream, with a policy that controls the rate.
+
+        Raises CodecError as `encode`, and for packets longer than 4000 bytes; TargetUnreachable as
+        `rate_controlled_encoder`.
+        """
+        encoder = rate_controlled_encoder(self.codec, self.resolved(setting), self.format, framing, self.model, policy)
+        packets = self._packets(encoder)
+        if max(map(len, packets)) > _MAX_PACKET_BYTES:
+            raise CodecError(
+                f"a packet of {max(map(len, packets))} bytes, and a controller need not take more than "
+                f"{_MAX_PACKET_BYTES}; choose shorter packets, or a lower rate or quality"
+            )
+        return self._coded(encoder, packets)
+
+    def _clips(self, coded: Stream) -> bool:
+        """Return whether the peak of a stream that only hosts decode reaches full scale, which can be raised."""
+        if not self.codec.only_hosts_decode(coded.header.configuration) or 2 * max(coded.header.gains) > MAX_GAIN:
+            return False
+        decoded = coded.decode_integers()
+        return max(int(decoded.max()), -int(decoded.min())) >= 32_767
+
+    def _doubled(self) -> "Source":
+        """Return the same signal with twice the full scale."""
+        doubled = copy.copy(self)
+        gains, rms = (
+            tuple(factor * each for each in part) for factor, part in ((2, self.format.gains), (0.5, self.format.rms))
+        )
+        doubled.format = replace(self.format, gains=gains, rms=rms)
+        return doubled
+
+    def takes(self, setting: Setting) -> bool:
+        """Return whether the codec accepts this setting with this model."""
+        try:
+            complete = self.codec.complete({**self._shape, **setting})
+            self.codec.make_encoder(complete, self.format, self._framing, self.model, None)
+        except CodecError:
+            return False
+        return True
+
+    def resolved(self, setting: Setting) -> Setting:
+        """Return the complete setting that `encode` uses, with the codec's own choices. Raises CodecError."""
+        setting = self.codec.complete({**self._shape, **setting})
+        if self._live or self.codec.resolve is None or AUTO not in setting.values():
+            return setting
+        words = tuple(sorted((name, value) for name, value in setting.items() if isinstance(value, str)))
+        choice = self._whole._choice(words)
+        return {name: choice[name] if value == AUTO else value for name, value in setting.items()}
+
+    def estimate(self) -> Estimate | None:
+        """Return an estimate of coding with default parameters, by the step; None where the codec has none."""
+        if self.codec.estimate is None:
+            return None
+        setting, count = self.resolved({}), len(self.samples)
+        estimates = [
+            (len(self.samples[part]) / count, self.codec.estimate(self.samples[part], self.format, setting, self.model))
+            for part in parts(count)
+        ]
+
+        def mean(step: float) -> tuple[float, Signal]:
+            each = [(share, *estimate(step)) for share, estimate in estimates]
+            errors: Signal = np.sum([share * error for share, _, error in each], axis=0)
+            return sum(share * bits for share, bits, _ in each), errors
+
+        return mean
+
+    def _choice(self, words: tuple[tuple[str, str], ...]) -> Setting:
+        """Return the codec's choices for this signal: the same at every number, so that a search meets no jump."""
+        assert self.codec.resolve is not None, f"{self.codec.name} has parameters that may be {AUTO}"
+        if words not in self._choices:
+            self._choices[words] = self.codec.resolve(self.samples, self.format, self.model, dict(words))
+        return self._choices[words]
+
+    def _coded(self, encoder: Encoder, packets: list[bytes]) -> Stream:
+        errors = None
+        if isinstance(encoder, MeasuringEncoder) and (measured := encoder.squared_errors) is not None:
+            samples = len(self.samples)
+            within = samples / (samples + encoder.delay_samples)  # the first and the last window reach beyond the ends
+            errors = tuple(within * error + samples * _ROUNDING_ERROR for error in measured)
+        image = None if self.model is None else self.model.image
+        header = StreamHeader(
+            self.codec.identifier,
+            self.format.rate_hz,
+            len(self.samples),
+            self.format.unit,
+            self.format.gains,
+            encoder.configuration,
+            b"" if image is None else image_hash(image),
+        )
+        return Stream(header, tuple(packets), image, squared_errors=errors)
+
+    def _packets(self, encoder: Encoder) -> list[bytes]:
+        packets: list[bytes] = []
+        for part in parts(len(self.samples)):
+            packets += encoder.encode(self.samples[part] / np.array(self.format.gains))
+            # The number of a search's trials is not known before: each gets half of the rest of the progress bar.
+            within = min(part.stop, len(self.samples)) / len(self.samples)
+            self._progress(1 - 0.5**self._trials * (1 - within / 2))
+        self._trials += 1
+        return packets + encoder.finish()
