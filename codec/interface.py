@@ -170,29 +170,30 @@ class Framing:
     refresh_packets: int
 
 
-class Trial(Protocol):
+@dataclass(frozen=True)
+class Trial:
     """A packet whose quality is still open. The encoder has all of its input, and no later input.
 
     `samples`: the input that the packet's decoded samples stand for, float64 (packet_samples, channels), full scale =
     1. It is delayed as the codec's output is. `quantiser_offsets`: the offsets to choose from, the finest first. 0 is
     the stream's own setting; a larger one is coarser and usually takes fewer bytes. `previous`: the offset of the
-    packet before, which takes the fewest bytes to state, except in a refresh.
+    packet before, which takes the fewest bytes to state, except in a refresh. `code`: codes the packet at an offset,
+    and leaves the encoder as it was.
     """
 
-    @property
-    def samples(self) -> Signal:
-        """The samples of the packet, float64 (packet_samples, channels)."""
-
-    @property
-    def quantiser_offsets(self) -> range:
-        """The offsets to choose from, the finest first."""
-
-    @property
-    def previous(self) -> int:
-        """The offset of the packet before."""
+    samples: Signal
+    quantiser_offsets: range
+    previous: int
+    code: Callable[[int], bytes]
 
     def packet(self, quantiser_offset: int) -> bytes:
-        """Return the packet at one of the quantiser offsets; calls do not affect each other. Raises CodecError."""
+        """Return the packet at one of the offsets. Raises CodecError for others, and if it would be too long."""
+        if quantiser_offset not in self.quantiser_offsets:
+            raise CodecError(
+                f"a quantiser offset of {quantiser_offset}; "
+                f"choose {self.quantiser_offsets[0]} to {self.quantiser_offsets[-1]}"
+            )
+        return self.code(quantiser_offset)
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,10 @@ from vibrocast.codec.interface import (
     Framing,
     RateControl,
     Signal,
+    Trial,
     check_channels,
     checked_parts,
 )
-from vibrocast.codec.trial import PacketTrial
 from vibrocast.device_protocol.coded_stream import MAX_PACKET_BYTES
 
 _CHUNK_SAMPLES = 1 << 16
@@ -83,7 +83,7 @@ class PacketwiseEncoder(ABC):
         if self._rate_control is None:
             return code(0)
         offsets = self._quantiser_offsets
-        choice = self._rate_control(PacketTrial(samples, offsets, self._quantiser_offset, attempt or code))
+        choice = self._rate_control(Trial(samples, offsets, self._quantiser_offset, attempt or code))
         if choice.quantiser_offset not in offsets or choice.min_bytes > MAX_PACKET_BYTES:
             raise CodecError(
                 f"the rate control chose a quantiser offset of {choice.quantiser_offset} in {choice.min_bytes} bytes; "

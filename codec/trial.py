@@ -1,33 +1,13 @@
-"""Packets coded at several quantiser offsets before one is chosen: encoders offer them, policies compare them."""
+"""Packets coded at several quantiser offsets before one is chosen, and their quality at the far end."""
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Protocol, Self, cast
 
-from vibrocast.codec.interface import CodecError, Decoder, Signal, Trial
+from vibrocast.codec.interface import CodecError, Decoder, Trial
 from vibrocast.codec.quality_meters import QualityMeter
 
 _FIRST_STRIDE = 2
-
-
-@dataclass(frozen=True)
-class PacketTrial:
-    """A codec.interface.Trial. `code` codes the packet at a quantiser offset and leaves the encoder as it was."""
-
-    samples: Signal
-    quantiser_offsets: range
-    previous: int
-    code: Callable[[int], bytes]
-
-    def packet(self, quantiser_offset: int) -> bytes:
-        """Return the packet at one of the quantiser offsets. Raises CodecError for others, and if it is too long."""
-        if quantiser_offset not in self.quantiser_offsets:
-            raise CodecError(
-                f"a quantiser offset of {quantiser_offset}; "
-                f"choose {self.quantiser_offsets[0]} to {self.quantiser_offsets[-1]}"
-            )
-        return self.code(quantiser_offset)
 
 
 class CopyableDecoder(Decoder, Protocol):

@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -30,30 +30,20 @@ FRAME_BYTES = 6
 RATE_CONTROLLED = sorted(name for name, known in codec.CODECS.items() if known.controls_rate and not known.needs_model)
 
 
-@dataclass(frozen=True)
-class FakeTrial:
-    """A packet of the sizes given, from quantiser offset -3 on; None where it cannot be coded."""
+def fake_trial(sizes: tuple[int | None, ...], previous: int = 0) -> Trial:
+    """Return a packet of the sizes given, from quantiser offset -3 on; None where it cannot be coded."""
 
-    sizes: tuple[int | None, ...]
-    previous: int = 0
-
-    @property
-    def samples(self) -> Signal:
-        return np.ones((round(SECONDS * RATE_HZ), 1))
-
-    @property
-    def quantiser_offsets(self) -> range:
-        return range(-3, -3 + len(self.sizes))
-
-    def packet(self, quantiser_offset: int) -> bytes:
-        size = self.sizes[quantiser_offset + 3]
+    def code(quantiser_offset: int) -> bytes:
+        size = sizes[quantiser_offset + 3]
         if size is None:
             raise CodecError("too long")
         return bytes((quantiser_offset & 0xFF,)) + bytes(size)
 
+    return Trial(np.ones((round(SECONDS * RATE_HZ), 1)), range(-3, -3 + len(sizes)), previous, code)
+
 
 class FakeDecoder:
-    """Decodes what a FakeTrial coded: the coarser, the less of the samples."""
+    """Decodes what a fake trial coded: the coarser, the less of the samples."""
 
     channels, packet_samples, delay_samples = 1, round(SECONDS * RATE_HZ), 0
 
@@ -73,7 +63,7 @@ def begun(policy: codec.RatePolicy, min_bytes: int = 0) -> codec.RatePolicy:
     return policy
 
 
-def sent_bytes(trial: FakeTrial, choice: Choice) -> int:
+def sent_bytes(trial: Trial, choice: Choice) -> int:
     return max(len(trial.packet(choice.quantiser_offset)), choice.min_bytes) + FRAME_BYTES
 
 
@@ -84,7 +74,7 @@ def ahead_of_rate(sizes: list[int], rate: float) -> NDArray[np.float64]:
 
 # The coarsest fits into every rate here; the others are as they come.
 packets = st.lists(
-    st.lists(st.none() | st.integers(0, 400), max_size=40).map(lambda sizes: FakeTrial((*sizes, 1))),
+    st.lists(st.none() | st.integers(0, 400), max_size=40).map(lambda sizes: fake_trial((*sizes, 1))),
     min_size=1,
     max_size=30,
 )
@@ -94,7 +84,7 @@ rate_buffers_s = st.floats(0.001, 2)
 
 @given(packets, rates, rate_buffers_s, st.booleans())
 def test_over_any_run_a_constant_rate_has_its_bytes(
-    trials: list[FakeTrial], rate: float, rate_buffer_s: float, judged: bool
+    trials: list[Trial], rate: float, rate_buffer_s: float, judged: bool
 ) -> None:
     policy = begun(ConstantRate(rate, FRAME_BYTES, rate_buffer_s, SnrMeter(RATE_HZ) if judged else None))
     sizes = [sent_bytes(trial, policy(trial)) for trial in trials]
@@ -103,7 +93,7 @@ def test_over_any_run_a_constant_rate_has_its_bytes(
 
 @given(packets, rates, rate_buffers_s, st.floats(0, 60))
 def test_over_any_run_a_capped_rate_is_not_exceeded(
-    trials: list[FakeTrial], rate: float, rate_buffer_s: float, quality_db: float
+    trials: list[Trial], rate: float, rate_buffer_s: float, quality_db: float
 ) -> None:
     policy = begun(CappedRate(quality_db, SnrMeter(RATE_HZ), rate, FRAME_BYTES, rate_buffer_s))
     ahead = ahead_of_rate([sent_bytes(trial, policy(trial)) for trial in trials], rate)
@@ -113,14 +103,14 @@ def test_over_any_run_a_capped_rate_is_not_exceeded(
 
 @given(packets, rates, rates)
 def test_a_rate_that_changes_counts_again_when_the_rate_buffer_has_drained(
-    trials: list[FakeTrial], before: float, after: float
+    trials: list[Trial], before: float, after: float
 ) -> None:
     policy = ConstantRate(before, FRAME_BYTES)
     begun(policy)
     for trial in trials:
         policy(trial)
     policy.bits_per_second = after
-    empty = FakeTrial((1,))
+    empty = fake_trial((1,))
     while policy.rate_buffer.full > 1:
         policy(empty)
     sizes = [sent_bytes(trial, policy(trial)) for trial in trials]
@@ -130,12 +120,13 @@ def test_a_rate_that_changes_counts_again_when_the_rate_buffer_has_drained(
 def test_the_finest_that_fits_is_found_in_few_trials() -> None:
     tried = []
 
-    class Counting(FakeTrial):
-        def packet(self, quantiser_offset: int) -> bytes:
-            tried.append(quantiser_offset)
-            return super().packet(quantiser_offset)
+    whole = fake_trial(tuple(range(500, 0, -1)), previous=100)
 
-    trial = Counting(tuple(range(500, 0, -1)), previous=100)
+    def counted(quantiser_offset: int) -> bytes:
+        tried.append(quantiser_offset)
+        return whole.code(quantiser_offset)
+
+    trial = replace(whole, code=counted)
     choice = begun(ConstantRate(20_000))(trial)
     assert abs(len(trial.packet(choice.quantiser_offset)) - 250) <= 1
     assert choice.min_bytes == len(trial.packet(choice.quantiser_offset))
@@ -153,7 +144,7 @@ def test_a_rate_below_the_coarsest_packets_is_rejected_with_the_least() -> None:
         policy.bits_per_second = 799
     policy.bits_per_second = 801
     with pytest.raises(TargetUnreachable, match=r"packets of 100\.0 ms .* at least 4080 bit/s"):
-        policy(FakeTrial((60, 50)))
+        policy(fake_trial((60, 50)))
 
 
 @pytest.mark.parametrize("rate", [0, -1, math.nan, math.inf])

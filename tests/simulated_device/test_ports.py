@@ -177,7 +177,9 @@ def test_stream_plays_through_stalls_and_busy_endpoints(usb_port: UsbPort) -> No
             faults.pop()()
 
     with Host(UsbTransport(VENDOR_ID, PRODUCT_ID, usb_port)) as host:
-        result = play(host, played.header, played.packets, played.packet_samples, buffer_s=0.8, capture=True, progress=disturb)
+        result = play(
+            host, played.header, played.packets, played.packet_samples, buffer_s=0.8, capture=True, progress=disturb
+        )
     assert not faults
     assert (result.state, result.underruns, result.lost_packets) == (State.FINISHED, 0, 0)
     assert result.decoded is not None
