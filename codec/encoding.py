@@ -1,22 +1,26 @@
 """Encodes recordings: resamples, removes the lowest band, searches for the rate or the SNR, measures the result."""
 
 import bisect
+import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Generic, TypeVar
+from typing import Generic, TypeVar, overload
 
 import numpy as np
 
 from vibrocast import codec, models, textures
 from vibrocast.codec.stream import CodingQuality, Stream, check_length
 from vibrocast.codec.threshold import PHYSICAL_UNITS, felt_error, read_threshold, skin_snr_db
+from vibrocast.device_protocol.coded_stream import StreamHeader
 
 Made = TypeVar("Made")
 DEFAULT_SNR_DB = 14.8
 """With the default shape for touch, as many bytes as a flat error at 15 dB on average of the development recordings."""
 DEFAULT_STREAM_RATE_HZ = 2800
+BEGINNING_SAMPLES = 4096
+"""In as many samples per channel, from all over a recording, the setting of a stream is found that plays at once."""
 
 
 @dataclass(frozen=True)
@@ -66,67 +70,198 @@ def encode_recording(  # noqa: PLR0913 - the options of the public `encode`, whi
 
     Raises CodecError (also when the target rate or SNR cannot be met), ModelError, StreamError or TextureError.
     """
-    if rate_bps is not None and snr_db is not None:
-        raise codec.CodecError(
-            "`rate_bps` and `snr_db` are both given", action="give one of them", parameter=("rate_bps", "snr_db")
-        )
-    passed = textures.highpass(recording, highpass_hz)
-    resampled = textures.resample(passed.recording, stream_rate_hz)
-    check_length(resampled.samples.size)
-    chosen = chosen_codec(codec_name, model)
-    given = chosen.checked(setting or {})
-    by_default = rate_bps is None and snr_db is None
-    if not chosen.leaves_open(given):
-        if not by_default:
+    task = _Task.of(
+        recording,
+        stream_rate_hz,
+        codec_name,
+        rate_bps,
+        snr_db,
+        setting,
+        model,
+        live,
+        unit,
+        highpass_hz,
+        touch,
+        packet_s,
+    )
+    encoding = first_reachable(task.chosen, model, task.code, progress, task.choice)
+    return replace(encoding, stream=replace(encoding.stream, runtime=runtime))
+
+
+@dataclass(frozen=True)
+class _Task:
+    """A recording to be coded, and its target; the fields are as in `encode_recording`.
+
+    `passed`: the recording after the high-pass; `resampled`: then at the stream's rate. `given`: the checked part of
+    the setting. `by_default`: whether the SNR is DEFAULT_SNR_DB because no target was given.
+    """
+
+    passed: textures.HighPassed
+    resampled: textures.Recording
+    chosen: codec.Codec
+    given: codec.Setting
+    rate_bps: float | None
+    snr_db: float | None
+    by_default: bool
+    unit: str
+    live: bool
+    shape: codec.Setting
+    framing: codec.Framing | None
+
+    @classmethod
+    def of(  # noqa: PLR0913 - the options of `encode_recording`
+        cls,
+        recording: textures.Recording,
+        stream_rate_hz: int,
+        codec_name: str | None,
+        rate_bps: float | None,
+        snr_db: float | None,
+        setting: codec.Setting | None,
+        model: models.Model | None,
+        live: bool,
+        unit: str | None,
+        highpass_hz: float | None,
+        touch: float | None,
+        packet_s: float | None,
+    ) -> "_Task":
+        """Filter and resample the recording, and check the choices. Raises as `encode_recording`."""
+        if rate_bps is not None and snr_db is not None:
             raise codec.CodecError(
-                "the setting fixes the quality; leave out the rate or SNR, or that part of the setting"
+                "`rate_bps` and `snr_db` are both given", action="give one of them", parameter=("rate_bps", "snr_db")
             )
-    elif by_default and chosen.keeps_waveform and not (model and chosen.one_rate_a_model):
-        snr_db = DEFAULT_SNR_DB
+        passed = textures.highpass(recording, highpass_hz)
+        resampled = textures.resample(passed.recording, stream_rate_hz)
+        check_length(resampled.samples.size)
+        chosen = chosen_codec(codec_name, model)
+        given = chosen.checked(setting or {})
+        by_default = rate_bps is None and snr_db is None
+        if not chosen.leaves_open(given):
+            if not by_default:
+                raise codec.CodecError(
+                    "the setting fixes the quality; leave out the rate or SNR, or that part of the setting"
+                )
+        elif by_default and chosen.keeps_waveform and not (model and chosen.one_rate_a_model):
+            snr_db = DEFAULT_SNR_DB
+        unit = unit or resampled.unit
+        shape = codec.shape_setting(chosen, touch, stream_rate_hz, unit, given)
+        framing = None if packet_s is None else codec.timed_framing(packet_s, stream_rate_hz)
+        return cls(passed, resampled, chosen, given, rate_bps, snr_db, by_default, unit, live, shape, framing)
 
-    samples, coded_unit = resampled.samples, unit or resampled.unit
-    shape = codec.shape_setting(chosen, touch, stream_rate_hz, coded_unit, given)
-
-    def source(candidate: models.Model | None, tell: codec.Progress | None = None) -> codec.Source:
+    def source(self, model: models.Model | None, tell: codec.Progress | None = None) -> codec.Source:
+        """Return the signal, to be coded with a model."""
+        samples, rate_hz = self.resampled.samples, round(self.resampled.rate_hz)
         return codec.Source(
-            samples,
-            stream_rate_hz,
-            chosen.name,
-            coded_unit,
-            live,
-            candidate,
-            progress=tell,
-            framing=None if packet_s is None else codec.timed_framing(packet_s, stream_rate_hz),
-            shape=shape,
+            samples, rate_hz, self.chosen.name, self.unit, self.live, model, tell, self.framing, self.shape
         )
 
-    def code(candidate: models.Model | None, tell: codec.Progress | None) -> Encoding:
-        signal, note = source(candidate, tell), None
-        if rate_bps is not None:
-            stream = codec.encode_to_rate(signal, rate_bps, given)
-        elif snr_db is not None:
+    def searched(self, signal: codec.Source) -> tuple[Stream, str | None]:
+        """Return a signal coded to the target, and why the target was given up, if it was. Raises CodecError."""
+        if self.rate_bps is not None:
+            return codec.encode_to_rate(signal, self.rate_bps, self.given), None
+        if self.snr_db is not None:
             try:
-                stream = codec.encode_to_snr(signal, snr_db, given)
+                return codec.encode_to_snr(signal, self.snr_db, self.given), None
             except codec.TargetUnreachable as error:
-                if not (by_default and given) or chosen.needs_model:
+                if not (self.by_default and self.given) or self.chosen.needs_model:
                     raise
-                stream, note = signal.encode(given), f"{error}; the rest of the setting has its defaults"
-        else:
-            stream = signal.encode(given)
-        encoding = measure_encoding(resampled, replace(stream, runtime=runtime), rate_bps, snr_db, passed)
+                return signal.encode(self.given), f"{error}; the rest of the setting has its defaults"
+        return signal.encode(self.given), None
+
+    def code(self, model: models.Model | None, tell: codec.Progress | None) -> Encoding:
+        """Return the recording coded with a model, and measured. Raises CodecError."""
+        stream, note = self.searched(self.source(model, tell))
+        return self.measured(stream, note)
+
+    def measured(self, stream: Stream, note: str | None = None) -> Encoding:
+        """Return the measured encoding; `note`: why the target was given up. Raises CodecError."""
+        encoding = measure_encoding(self.resampled, stream, self.rate_bps, self.snr_db, self.passed)
         if note is None:
             return encoding
         return replace(encoding, stream=replace(encoding.stream, quality=replace(encoding.quality, note=note)))
 
-    def excess(candidate: models.Model) -> float:
-        return unsearched_excess(source(candidate), given, rate_bps, snr_db)
+    @property
+    def choice(self) -> "FamilyChoice[Encoding] | None":
+        """How a member of a family of models is chosen; None without a target."""
+        if self.rate_bps is None and self.snr_db is None:
+            return None
 
-    def cost(encoding: Encoding) -> float:
-        ratio_db = encoding.quality.snr_db
-        return -ratio_db if rate_bps is not None and ratio_db is not None else encoding.stream.size_bytes
+        def cost(encoding: Encoding) -> float:
+            ratio_db = encoding.quality.snr_db
+            return -ratio_db if self.rate_bps is not None and ratio_db is not None else encoding.stream.size_bytes
 
-    targeted = rate_bps is not None or snr_db is not None
-    return first_reachable(chosen, model, code, progress, FamilyChoice(excess, cost) if targeted else None)
+        return FamilyChoice(
+            lambda model: unsearched_excess(self.source(model), self.given, self.rate_bps, self.snr_db), cost
+        )
+
+
+class GrowingPackets(Sequence[bytes]):
+    """The packets of a stream of known length, coded as they are asked for."""
+
+    def __init__(self, count: int, coded: Iterator[bytes]) -> None:
+        """`coded`: yields the packets, at least `count`."""
+        self._count, self._coded = count, coded
+        self._packets: list[bytes] = []
+
+    def __len__(self) -> int:
+        return self._count
+
+    @overload
+    def __getitem__(self, index: int) -> bytes: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> list[bytes]: ...
+
+    def __getitem__(self, index: int | slice) -> bytes | list[bytes]:
+        wanted = range(self._count)[index]
+        last = max(wanted, default=-1) if isinstance(wanted, range) else wanted
+        self._packets += itertools.islice(self._coded, max(0, last + 1 - len(self._packets)))
+        return self._packets[index]
+
+
+@dataclass(frozen=True)
+class GrowingStream:
+    """A recording that is coded while it plays.
+
+    `header`, `image`: as of the Stream that it becomes. `packet_samples`: samples per channel of each packet.
+    """
+
+    header: StreamHeader
+    packets: Sequence[bytes]
+    packet_samples: int
+    image: bytes | None
+    _task: _Task
+
+    def finished(self) -> Encoding:
+        """Return the whole, coded to its end. Raises CodecError."""
+        return self._task.measured(Stream(self.header, tuple(self.packets), self.image))
+
+
+def begin_encoding(
+    recording: textures.Recording,
+    stream_rate_hz: int = DEFAULT_STREAM_RATE_HZ,
+    codec_name: str | None = None,
+    setting: codec.Setting | None = None,
+    model: models.Model | None = None,
+    unit: str | None = None,
+    highpass_hz: float | None = textures.HIGHPASS_HZ,
+    touch: float | None = None,
+) -> GrowingStream:
+    """Begin to code a recording as a live stream near DEFAULT_SNR_DB, so that it can play at once.
+
+    The setting that meets the SNR is found in an excerpt of BEGINNING_SAMPLES, so the whole may miss it by some tenths
+    of a dB. The parameters are those of `encode_recording`, and so are the errors. A codec without built-in tables
+    needs a model.
+    """
+    task = _Task.of(
+        recording, stream_rate_hz, codec_name, None, None, setting, model, True, unit, highpass_hz, touch, None
+    )
+    source = task.source(model)
+    stream, _ = task.searched(source.excerpt(BEGINNING_SAMPLES) or source)
+    assert stream.setting is not None, "it has just been coded"
+    header, packets = source.begin(stream.setting)
+    samples = len(task.resampled.samples)
+    count = -(-(samples + stream.delay_samples) // stream.packet_samples)
+    return GrowingStream(header, GrowingPackets(count, packets), stream.packet_samples, stream.image, task)
 
 
 @dataclass(frozen=True)

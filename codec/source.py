@@ -39,6 +39,8 @@ _WHOLE_FILE_BLOCKS = 1024
 # Every packet fits into one frame of the wire protocol, so a file can be played as it is.
 _MAX_PACKET_BYTES = 4000
 _PART_SAMPLES = 1 << 20
+_BEGUN_SAMPLES = 1 << 9
+"""Samples per channel that are coded at a time while a stream plays."""
 _ROUNDING_ERROR = 1 / 12 / 32_768**2
 """Squared error of rounding a sample to 16 bits, relative to full scale."""
 EXPECTED_RMS = 0.2
@@ -217,7 +219,7 @@ class Source:
             packets = self._packets(encoder)
             as_short_as_can_be = encoder.packet_samples in (1, tried_samples)
             if max(map(len, packets)) <= _MAX_PACKET_BYTES or as_short_as_can_be:
-                coded = self._coded(encoder, packets)
+                coded = self._coded(setting, encoder, packets)
                 return self._doubled().encode(setting) if self._clips(coded) else coded
             tried_samples = encoder.packet_samples
             framing = Framing(-(-framing.packet_samples // 2), 2 * framing.refresh_packets)
@@ -250,7 +252,18 @@ class Source:
                 f"a packet of {max(map(len, packets))} bytes, and a controller need not take more than "
                 f"{_MAX_PACKET_BYTES}; choose shorter packets, or a lower rate or quality"
             )
-        return self._coded(encoder, packets)
+        return self._coded(setting, encoder, packets)
+
+    def begin(self, setting: Setting) -> tuple[StreamHeader, Iterator[bytes]]:
+        """Return the header, and the packets as they are asked for. Raises CodecError as `codec.encode`."""
+        encoder = self.codec.make_encoder(self.resolved(setting), self.format, self._framing, self.model, None)
+
+        def packets() -> Iterator[bytes]:
+            for start in range(0, len(self.samples), _BEGUN_SAMPLES):
+                yield from encoder.encode(self.samples[start : start + _BEGUN_SAMPLES] / np.array(self.format.gains))
+            yield from encoder.finish()
+
+        return self._header(encoder), packets()
 
     def _clips(self, coded: Stream) -> bool:
         """Return whether the peak of a stream that only hosts decode reaches full scale, which can be raised."""
@@ -310,23 +323,25 @@ class Source:
             self._choices[words] = self.codec.resolve(self.samples, self.format, self.model, dict(words))
         return self._choices[words]
 
-    def _coded(self, encoder: Encoder, packets: list[bytes]) -> Stream:
+    def _coded(self, setting: Setting, encoder: Encoder, packets: list[bytes]) -> Stream:
         errors = None
         if isinstance(encoder, MeasuringEncoder) and (measured := encoder.squared_errors) is not None:
             samples = len(self.samples)
             within = samples / (samples + encoder.delay_samples)  # the first and the last window reach beyond the ends
             errors = tuple(within * error + samples * _ROUNDING_ERROR for error in measured)
         image = None if self.model is None else self.model.image
-        header = StreamHeader(
+        return Stream(self._header(encoder), tuple(packets), image, setting=setting, squared_errors=errors)
+
+    def _header(self, encoder: Encoder) -> StreamHeader:
+        return StreamHeader(
             self.codec.identifier,
             self.format.rate_hz,
             len(self.samples),
             self.format.unit,
             self.format.gains,
             encoder.configuration,
-            b"" if image is None else image_hash(image),
+            b"" if self.model is None else image_hash(self.model.image),
         )
-        return Stream(header, tuple(packets), image, squared_errors=errors)
 
     def _packets(self, encoder: Encoder) -> list[bytes]:
         packets: list[bytes] = []

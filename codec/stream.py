@@ -10,7 +10,7 @@ from typing import Any, Self
 import numpy as np
 
 from vibrocast import models, textures
-from vibrocast.codec.interface import Codec, CodecError, Decoded, Decoder, Signal
+from vibrocast.codec.interface import Codec, CodecError, Decoded, Decoder, Setting, Signal
 from vibrocast.codec.registry import codec_by_identifier, decoder
 from vibrocast.codec.threshold import FeltError
 from vibrocast.device_protocol import coded_stream
@@ -69,6 +69,7 @@ class Stream:
         image: The packed model image; None without one.
         runtime: "core" or "onnx": the decoder, where the model leaves the choice. None: as the image says.
         quality: The quality of a stream just encoded; a file does not store it.
+        setting: The complete setting by which it was just coded; None in a file.
         squared_errors: The squared error of each channel relative to full scale, by the encoder; None where it cannot
             tell, and in a file.
 
@@ -82,6 +83,7 @@ class Stream:
     image: bytes | None = None
     runtime: str | None = None
     quality: CodingQuality | None = field(default=None, compare=False, repr=False)
+    setting: Setting | None = field(default=None, compare=False, repr=False)
     squared_errors: tuple[float, ...] | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:

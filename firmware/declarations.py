@@ -16,4 +16,5 @@ def cffi_declarations(folder: Path) -> str:
         for name, text in texts.items()
     }
     text = "\n".join(texts[name] for name in TopologicalSorter(included).static_order())
-    return "\n".join(re.findall(r"/\* cffi: begin \*/(.*?)/\* cffi: end \*/", text, re.DOTALL))
+    declared = "\n".join(re.findall(r"/\* cffi: begin \*/(.*?)/\* cffi: end \*/", text, re.DOTALL))
+    return declared.replace("extern const ", "extern ")  # cffi reads no constant from a loaded library

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from vibrocast.device_protocol.coded_stream import UNITS, StreamHeader
 from vibrocast.firmware.native_core import Structure, ffi, library
 from vibrocast.output.actuator import Actuator, Codes, Filter
-from vibrocast.output.actuator_constants import constants, float_bits
+from vibrocast.output.actuator_constants import SHIPPED, constants, float_bits
 
 DriveSamples: TypeAlias = NDArray[np.int32]
 
@@ -43,9 +43,12 @@ def displacement_filter(rate_hz: int) -> Filter:
 
 
 @lru_cache(maxsize=64)
-def _actuator_structure(actuator: Actuator) -> Any:
+def actuator_structure(actuator: Actuator) -> Any:
     """Return an actuator as the core's vc_actuator. Raises ValueError if its numbers do not fit."""
-    library()  # declares the structure
+    core = library()  # declares the structure
+    for name, shipped in SHIPPED.items():
+        if actuator == shipped:  # its constants are there, and to compute them takes the import of scipy.signal
+            return ffi.addressof(core, f"vc_{name}")
     return ffi.new("vc_actuator *", constants(actuator))
 
 
@@ -71,7 +74,7 @@ class Drive:
     ) -> None:
         self._channels = header.channels
         self._rate_hz, self._dac_rate_hz = header.rate_hz, actuator.dac_rate_hz
-        self._actuator = _actuator_structure(actuator)
+        self._actuator = actuator_structure(actuator)
         stream = _stream_structure(header)
         size = library().vc_drive_size(self._actuator, stream)
         if not size:
@@ -140,7 +143,7 @@ class Dac:
         self, header: StreamHeader, actuator: Actuator, gain: float, compensation: bool, hold_samples: int = 0
     ) -> None:
         self._channels = header.channels
-        self._actuator = _actuator_structure(actuator)
+        self._actuator = actuator_structure(actuator)
         self._dac = Structure(library().vc_dac_size(), "vc_dac *")
         stream = _stream_structure(header)
         library().vc_dac_init(self._dac.pointer, self._actuator, stream, float_bits(gain), compensation, hold_samples)

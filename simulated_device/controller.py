@@ -10,7 +10,7 @@ from vibrocast import extras
 from vibrocast.device_protocol.model_image import SIGNED_MESSAGE_BYTES
 from vibrocast.firmware import keys, native_core
 from vibrocast.output.actuator import PIEZO_STACK, Actuator, Codes
-from vibrocast.output.actuator_constants import constants
+from vibrocast.output.rendering import actuator_structure
 from vibrocast.simulated_device.callbacks import Callbacks
 from vibrocast.simulated_device.decoders import PythonDecoders
 from vibrocast.simulated_device.flash import FlashMemory, FlashPort
@@ -125,7 +125,7 @@ class Controller:
         fields = {
             "build": ffi.new("char[]", BUILD.encode()),
             "hardware": ffi.new("char[]", settings.hardware.encode()),
-            "actuator": ffi.new("vc_actuator *", constants(settings.actuator)),
+            "actuator": actuator_structure(settings.actuator),
             "watchdog_ms": settings.watchdog_ms,
             "profile": ffi.cast("vc_profile *", self._profile.ctypes.data),
             "sizes": ffi.new("vc_sizes *", limits),
