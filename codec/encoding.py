@@ -170,10 +170,6 @@ class _Task:
     def code(self, model: models.Model | None, tell: codec.Progress | None) -> Encoding:
         """Return the recording coded with a model, and measured. Raises CodecError."""
         stream, note = self.searched(self.source(model, tell))
-        return self.measured(stream, note)
-
-    def measured(self, stream: Stream, note: str | None = None) -> Encoding:
-        """Return the measured encoding; `note`: why the target was given up. Raises CodecError."""
         encoding = measure_encoding(self.resampled, stream, self.rate_bps, self.snr_db, self.passed)
         if note is None:
             return encoding
@@ -231,32 +227,39 @@ class GrowingStream:
     image: bytes | None
     _task: _Task
 
+    @property
+    def recording(self) -> textures.Recording:
+        """What is coded, at the stream's rate."""
+        return self._task.resampled
+
     def finished(self) -> Encoding:
         """Return the whole, coded to its end. Raises CodecError."""
-        return self._task.measured(Stream(self.header, tuple(self.packets), self.image))
+        stream = Stream(self.header, tuple(self.packets), self.image)
+        return measure_encoding(self.recording, stream, passed=self._task.passed)
 
 
 def begin_encoding(
     recording: textures.Recording,
     stream_rate_hz: int = DEFAULT_STREAM_RATE_HZ,
     codec_name: str | None = None,
+    snr_db: float | None = None,
     setting: codec.Setting | None = None,
     model: models.Model | None = None,
-    unit: str | None = None,
     highpass_hz: float | None = textures.HIGHPASS_HZ,
     touch: float | None = None,
 ) -> GrowingStream:
-    """Begin to code a recording as a live stream near DEFAULT_SNR_DB, so that it can play at once.
+    """Begin to code a recording as a live stream, so that it can play at once.
 
-    The setting that meets the SNR is found in an excerpt of BEGINNING_SAMPLES, so the whole may miss it by some tenths
-    of a dB. The parameters are those of `encode_recording`, and so are the errors. A codec without built-in tables
-    needs a model.
+    Without `snr_db`, the setting for DEFAULT_SNR_DB is found in an excerpt of BEGINNING_SAMPLES, so the whole may miss
+    it by some tenths of a dB. The parameters are those of `encode_recording`, and so are the errors. A codec without
+    built-in tables needs a model.
     """
     task = _Task.of(
-        recording, stream_rate_hz, codec_name, None, None, setting, model, True, unit, highpass_hz, touch, None
+        recording, stream_rate_hz, codec_name, None, snr_db, setting, model, True, None, highpass_hz, touch, None
     )
     source = task.source(model)
-    stream, _ = task.searched(source.excerpt(BEGINNING_SAMPLES) or source)
+    excerpt = source.excerpt(BEGINNING_SAMPLES) if snr_db is None else None
+    stream, _ = task.searched(excerpt or source)
     assert stream.setting is not None, "it has just been coded"
     header, packets = source.begin(stream.setting)
     samples = len(task.resampled.samples)

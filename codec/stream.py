@@ -282,19 +282,7 @@ class Stream:
         Raises:
             CodecError: No stream has that level.
         """
-        if gain_db == 0:
-            return self
-        beyond = CodecError(
-            f"`gain_db`={gain_db:g}", "beyond any level of a stream", "give a number nearer to 0", parameter="gain_db"
-        )
-        if not abs(gain_db) <= MAX_GAIN_DB:
-            raise beyond
-        factor = 10 ** (gain_db / 20)
-        try:
-            gains = tuple(nearest_gain(gain * factor) for gain in self.header.gains)
-        except CodecError as error:
-            raise beyond from error
-        return replace(self, header=replace(self.header, gains=gains))
+        return replace(self, header=with_gain(self.header, gain_db))
 
     def repacked(self, packet_samples: int, packet_bytes: int = coded_stream.MAX_PACKET_BYTES) -> "Stream":
         """Return the stream in shorter packets, without quantising it again.
@@ -385,6 +373,22 @@ def nearest_gain(gain: float) -> float:
     """Return the number of 8 significant bits that is nearest. Raises CodecError as `gain_for`."""
     mantissa, exponent = math.frexp(gain)
     return gain_for(math.ldexp(round(mantissa * 256), exponent - 8))
+
+
+def with_gain(header: StreamHeader, gain_db: float) -> StreamHeader:
+    """Return the header of a stream at another level, as `Stream.with_gain` says. Raises CodecError."""
+    if gain_db == 0:
+        return header
+    beyond = CodecError(
+        f"`gain_db`={gain_db:g}", "beyond any level of a stream", "give a number nearer to 0", parameter="gain_db"
+    )
+    if not abs(gain_db) <= MAX_GAIN_DB:
+        raise beyond
+    factor = 10 ** (gain_db / 20)
+    try:
+        return replace(header, gains=tuple(nearest_gain(gain * factor) for gain in header.gains))
+    except CodecError as error:
+        raise beyond from error
 
 
 def _decoder_of(header: StreamHeader, tables: bytes | None, runtime: str | None = None) -> Decoder:

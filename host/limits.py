@@ -44,6 +44,20 @@ def check_limits(controller: Controller, channels: int, rate_hz: int) -> None:
         )
 
 
+def check_unit(stream_unit: str, unit: str | None) -> None:
+    """Raise CodecError where nobody said how far a signal in this unit moves an actuator.
+
+    `unit`: what the user says of it: "drive" for a signal in "full scale" that is the actuator's drive signal.
+    """
+    if stream_unit == "full scale" and unit != "drive":
+        raise codec.CodecError(
+            "the signal does not state its unit, so how far it moves the actuator is unknown",
+            action="encode it with its unit and full scale, or pass `unit` drive to play it as the actuator's drive "
+            "signal",
+            parameter="unit",
+        )
+
+
 def check_packet(controller: Controller, packet_samples: int) -> None:
     """Raise ControllerError if the controller does not take a packet of this many samples."""
     limit = packet_limit(controller.description.limits)

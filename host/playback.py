@@ -9,8 +9,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.codec import CodecError
-from vibrocast.codec.encoding import Encoding
+from vibrocast.codec.encoding import Encoding, GrowingStream
 from vibrocast.codec.stream import Stream
 from vibrocast.codec.threshold import PHYSICAL_UNITS, felt_error, over_threshold_db, read_threshold
 from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader
@@ -24,6 +23,7 @@ from vibrocast.host.picture import Trace
 from vibrocast.host.report import ActuatorUse, DeviceDescription, Latency, Provenance, Report, Touch
 from vibrocast.host.session import Session
 from vibrocast.host.skin_quality import compare_channels, limit_note
+from vibrocast.host.tracks import Track
 from vibrocast.output.actuator import SKIN_OVERSAMPLING, Actuator, Codes, followed_band_hz, octave_gains_db
 from vibrocast.output.rendering import Drive, displacement_filter, render
 from vibrocast.textures import Recording
@@ -140,6 +140,24 @@ def play_together(
             provenance or Provenance(),
         )
     return {key: played[key] for key in sessions}
+
+
+def compared_track(
+    session: Session,
+    track: Track,
+    result: player.PlaybackResult,
+    loops: int,
+    card_underruns_before: int,
+    provenance: Provenance,
+) -> Playback:
+    """Return what a controller did with a track, compared with the same computed here. Raises CodecError."""
+    stream, encoding = track.stream, None
+    if isinstance(stream, GrowingStream):
+        encoding = stream.finished()
+        stream = encoding.stream
+    stream = stream.with_gain(track.gain_db)
+    offline = stream.decode_integers()
+    return _compared(session, track.name, stream, encoding, loops, offline, result, card_underruns_before, provenance)
 
 
 def _compared(
@@ -388,20 +406,6 @@ def touch_of(actuator: Actuator, codes: Codes) -> Touch:
     frequencies_hz, levels_db = over_threshold_db(moved_um, rate_hz, read_threshold())
     loudest = int(np.argmax(levels_db))
     return Touch(float(levels_db[loudest]), float(frequencies_hz[loudest]))
-
-
-def check_unit(stream_unit: str, unit: str | None) -> None:
-    """Raise CodecError where nobody said how far a signal in this unit moves an actuator.
-
-    `unit`: what the user says of it: "drive" for a signal in "full scale" that is the actuator's drive signal.
-    """
-    if stream_unit == "full scale" and unit != "drive":
-        raise CodecError(
-            "the signal does not state its unit, so how far it moves the actuator is unknown",
-            action="encode it with its unit and full scale, or pass `unit` drive to play it as the actuator's drive "
-            "signal",
-            parameter="unit",
-        )
 
 
 def displacement_um(values: NDArray[np.float64], unit: str, rate_hz: float, actuator: Actuator) -> NDArray[np.float64]:

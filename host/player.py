@@ -1,6 +1,5 @@
 """Plays coded packets on one controller or on many: fed under credit, watched, resumed after a pulled cable."""
 
-import bisect
 import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -8,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from vibrocast.codec.encoding import GrowingPackets
 from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader, packet_sequence
 from vibrocast.device_protocol.messages import CaptureData, State, Status, StatusRequest, Tap
 from vibrocast.device_protocol.transports import TransportError
@@ -32,6 +32,7 @@ RECONNECT_S = 10.0
 _MAX_FRAME_PACKETS = 8
 _MAX_STATUS_INTERVAL_S = 0.25
 _MIN_WAIT_S = 0.001
+_TURN_S = 0.02
 _SILENCE_S = 2.0  # a controller that says nothing for so long is lost
 # A playback lasts at most its duration, times 1 + 2 _SLOWNESS, and _STALL_S and _MAX_OUTAGES_S more.
 _STALL_S, _MAX_OUTAGES_S = 5.0, 60.0
@@ -86,6 +87,9 @@ class PlaybackSettings:
     """How to play, as in `play`.
 
     `compensation`: whether the controller compensates its actuator's response. `gain`: by which it multiplies.
+    `first_packet`: a random-access packet at which playing begins. `prebuffer_s`: how much the controller holds before
+    it begins; None = `buffer_s`. `start_steps`: return the device time of the begin, in us; None = at once. `turn`:
+    called in this thread at least every _TURN_S. It may do what `progress` may do, and raise, to end the playback.
     """
 
     loops: int = 1
@@ -95,6 +99,10 @@ class PlaybackSettings:
     progress: Callable[[Progress], None] | None = None
     compensation: bool = True
     gain: float = 1.0
+    first_packet: int = 0
+    prebuffer_s: float | None = None
+    start_steps: Callable[[Controller], Steps[int]] | None = None
+    turn: Callable[[], None] | None = None
 
 
 def play(
@@ -140,7 +148,7 @@ def play_steps(
     reconnects, came_back_at = 0, -1
     pace = _Pace(controller)
     try:
-        senders = [(yield from _begin_steps(controller, source, settings, 0, pace))]
+        senders = [(yield from _begin_steps(controller, source, settings, settings.first_packet, pace))]
         bad_before = senders[0].status.bad_frames
         while True:
             last = senders[-1]
@@ -209,10 +217,10 @@ class _Source:
         self.packet_s = packet_samples / header.rate_hz
         if loops != 1 and header.samples is not None:
             self.packet_s = min(self.packet_s, header.samples / len(packets) / header.rate_hz)
-        self._refreshes: list[int] = []
         max_bytes = controller.description.limits.sendable_packet_bytes
-        for number, packet in enumerate(packets):
-            sequence, refresh = packet_sequence(packet)
+        # Packets that are still to be coded are right.
+        for number, packet in enumerate(packets[:1] if isinstance(packets, GrowingPackets) else packets):
+            sequence, _ = packet_sequence(packet)
             if sequence != number:
                 raise StreamError(
                     f"packet {number} has the number {sequence}: packets are missing; copy the file again"
@@ -222,9 +230,7 @@ class _Source:
                     f"packet {number} has {len(packet)} bytes, and the controller takes {max_bytes}; encode at a lower "
                     "rate"
                 )
-            if refresh:
-                self._refreshes.append(number)
-        if self._refreshes[:1] != [0]:
+        if not packet_sequence(packets[0])[1]:
             raise StreamError(
                 "the stream cannot be decoded: it does not begin with a random-access packet; encode it again"
             )
@@ -235,11 +241,9 @@ class _Source:
 
     def next_refresh(self, packet: int) -> int | None:
         """Return the first refresh packet at or after `packet`, None if the stream ends before it."""
-        iteration, number = divmod(packet, len(self.packets))
-        at = bisect.bisect_left(self._refreshes, number)
-        refresh = (iteration + 1) * len(self.packets)
-        if at < len(self._refreshes):
-            refresh = iteration * len(self.packets) + self._refreshes[at]
+        refresh = packet
+        while not packet_sequence(self.packets[refresh % len(self.packets)])[1]:
+            refresh += 1
         return refresh if self.end is None or refresh < self.end else None
 
 
@@ -287,18 +291,21 @@ def _begin_steps(
     min_packets = 3 if source.packet_s < source.packet_samples / source.header.rate_hz else 2
     ahead_packets = max(min_packets, int(settings.buffer_s / source.packet_s))
     buffer_packets = min(ahead_packets, limits.buffer_samples // source.packet_samples)
+    prebuffer_s = settings.buffer_s if settings.prebuffer_s is None else settings.prebuffer_s
+    prebuffer_packets = max(min_packets, int(prebuffer_s / source.packet_s))
     iteration, first_packet = divmod(first, len(source.packets))
     session = yield from configure_steps(
         controller,
         source.header,
-        buffer_packets * source.packet_samples,
+        min(buffer_packets, prebuffer_packets) * source.packet_samples,
         packets=len(source.packets),
         first_packet=first_packet,
         loops=source.loops - iteration if source.loops else 0,
         compensation=settings.compensation,
         gain=settings.gain,
     )
-    yield from session.start_steps()
+    at_us = 0 if settings.start_steps is None else (yield from settings.start_steps(controller))
+    yield from session.start_steps(at_us)
     return _Sender(session, source, settings, first, ahead_packets, buffer_packets, pace)
 
 
@@ -354,6 +361,8 @@ class _Sender:
     def send_steps(self) -> Steps[None]:
         """Send as far as the credit reaches, and receive, until the playback has ended."""
         while self.status.state not in (State.FINISHED, State.STOPPED):
+            if self._settings.turn is not None:
+                self._settings.turn()
             now_s = self._controller.clock()
             if now_s - self.heard_s > _SILENCE_S:
                 raise ConnectionLost(f"the controller has not answered for {_SILENCE_S:g} s; check that it has power")
@@ -466,6 +475,8 @@ class _Sender:
             if self._credit_packets() >= packets:
                 playing = self._next - self._base + packets - self._ahead_packets
                 until_s = min(until_s, self._playing_at_s(playing))
+        if self._settings.turn is not None:
+            until_s = min(until_s, now_s + _TURN_S)
         return max(_MIN_WAIT_S, until_s - now_s)
 
     def _playing_at_s(self, packet: int) -> float:

@@ -121,11 +121,12 @@ class Controller:
     def _settings_fields(self, ffi: Any) -> dict[str, Any]:
         """Return the fields of vc_controller_settings, which point to memory that must be kept."""
         settings = self.settings
+        self._actuator = actuator_structure(settings.actuator)
         limits = settings.channels, settings.buffer_samples, settings.capture_samples, settings.profile_samples
         fields = {
             "build": ffi.new("char[]", BUILD.encode()),
             "hardware": ffi.new("char[]", settings.hardware.encode()),
-            "actuator": actuator_structure(settings.actuator),
+            "actuator": ffi.cast("vc_actuator *", int(native_core.ffi.cast("uintptr_t", self._actuator))),
             "watchdog_ms": settings.watchdog_ms,
             "profile": ffi.cast("vc_profile *", self._profile.ctypes.data),
             "sizes": ffi.new("vc_sizes *", limits),

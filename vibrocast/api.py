@@ -18,6 +18,7 @@ from vibrocast.codec.stream import read_stream
 from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.errors import VibrocastError as VibrocastError
 from vibrocast.host import devices, playback, player, session, uploader
+from vibrocast.host.limits import check_unit
 from vibrocast.host.report import Report as Report
 from vibrocast.host.session import Session
 from vibrocast.output import actuator_files
@@ -386,7 +387,7 @@ def _playable(data: bytes | str | Path | Stream, unit: str | None, gain_db: floa
         raise CodecError(
             f"the stream states its unit, {stream.header.unit}", action="leave out `unit`", parameter="unit"
         )
-    playback.check_unit(stream.header.unit, unit)
+    check_unit(stream.header.unit, unit)
     return stream.with_gain(arguments.number("gain_db", gain_db))
 
 

@@ -50,7 +50,7 @@ CORE = (
     Subcommand("decode", "Compress", f"{CLI}.decode:decode", "Decode a .vct file into a WAV, CSV, NPY or MAT file."),
     Subcommand("info", "Compress", f"{CLI}.decode:info", "Show the codec, rate and content of a .vct file."),
     Subcommand("codecs", "Compress", f"{CLI}.codecs:codecs", "List the codecs and their parameters."),
-    Subcommand("play", "Play", f"{CLI}.play:play", "Play a recording or a .vct file on one or several controllers."),
+    Subcommand("play", "Play", f"{CLI}.play:play", "Play recordings, .vct files, folders and .m3u lists of them."),
     Subcommand("live", "Play", f"{CLI}.live:live", "Stream a generated texture or standard input to a controller."),
     Subcommand("render", "Play", f"{CLI}.render:render", "Write the drive signal of a recording as a WAV file."),
     Subcommand(

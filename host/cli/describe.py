@@ -156,16 +156,16 @@ def describe_touch(touch: Touch) -> str:
     return f"nothing exceeds the detection threshold ({level})"
 
 
-def describe_packets(stream: Stream, given: Stream) -> str:
+def describe_packets(stream: Stream, given_samples: int) -> str:
     """Return how long the packets of a stream are, and how often one can be decoded alone, in words.
 
-    `given`: the stream before its packets were split for the controller.
+    `given_samples`: samples of a packet before it was split for the controller; 0 = none was.
     """
     packet_samples = stream.packet_samples
     packet_s = packet_samples / stream.header.rate_hz
     alone = [number for number, packet in enumerate(stream.packets) if packet_sequence(packet)[1]]
     often = f"one in {packet_s * (alone[1] - alone[0]):.2f} s" if len(alone) > 1 else "only the first"
-    longer = given.packet_samples / packet_samples
+    longer = given_samples / packet_samples
     split = f", split from {1000 * packet_s * longer:.1f} ms for this controller" if longer > 1 else ""
     return f"{1000 * packet_s:.1f} ms each, {often} can be decoded alone{split}"
 

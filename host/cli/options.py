@@ -293,9 +293,6 @@ runtime_option = click.option(
     type=click.Choice(codec.RUNTIMES),
     help="Decode by the integer core or by ONNX Runtime. Default: as the model specifies.",
 )
-loop_option = click.option(
-    "--loop", "loops", type=Whole("PASSES", 1, 65_535), default=1, show_default=True, help="Repeat the texture."
-)
 gain_option = click.option(
     "--gain-db",
     type=Number("dB", -MAX_GAIN_DB, MAX_GAIN_DB),

@@ -1,7 +1,6 @@
 """The subcommand `play`: plays a recording or a .vct file on a controller, and reports how it went."""
 
 import contextlib
-import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, field, replace
@@ -14,16 +13,17 @@ import click
 from vibrocast import extras, progress, textures
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ
 from vibrocast.codec.stream import Stream, read_stream
-from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.device_protocol.messages import MessageError
 from vibrocast.device_protocol.transports import TransportError
-from vibrocast.errors import FAILED, InputError
-from vibrocast.host import devices, player
-from vibrocast.host.cli.answers import answer, wants_json
+from vibrocast.errors import BAD_INPUT, FAILED, InputError
+from vibrocast.files import plain
+from vibrocast.host import devices
+from vibrocast.host.cli.answers import answer, tell, wants_json
+from vibrocast.host.cli.controls import Control, keys
 from vibrocast.host.cli.describe import ANSWERS, describe_packets, tell_report
 from vibrocast.host.cli.errors import CommandError, explained
 from vibrocast.host.cli.failure_trace import trace_failure
-from vibrocast.host.cli.option_types import INPUT, OutputFile, positive, reject_overwriting
+from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, positive, reject_overwriting
 from vibrocast.host.cli.options import (
     Chosen,
     QualityOptions,
@@ -34,7 +34,6 @@ from vibrocast.host.cli.options import (
     grouped,
     hand_speed_option,
     judge,
-    loop_option,
     model_option,
     opened,
     own_actuator,
@@ -44,19 +43,24 @@ from vibrocast.host.cli.options import (
 )
 from vibrocast.host.cli.sections import CODING, CONTROLLER, OUTPUT, PLAYBACK, SectionedCommand, section
 from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
-from vibrocast.host.cli.steps import encoded, encoded_profile, files_of, show
+from vibrocast.host.cli.steps import encoded_profile, files_of, show
 from vibrocast.host.controller import ControllerError
-from vibrocast.host.limits import check_limits, playable
+from vibrocast.host.player import RECONNECT_S
 from vibrocast.host.report import Provenance, UnfinishedReport, write_json
+from vibrocast.host.tracks import STREAM_SUFFIX, TrackOptions, tracks_of
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import ACTUATORS
+
+_DB_A_BLOCK, _BLOCKS = 4.0, 10
 
 if TYPE_CHECKING:
     from vibrocast.host import playback
     from vibrocast.host.bench_file import Bench
     from vibrocast.host.session import Session
+    from vibrocast.host.track_player import Event, PlayedList
 
-    Outcomes = tuple[dict[str, playback.Playback | Exception], Stream | None]
+    Outcomes = dict[str, playback.Playback | Exception]
+    Played = dict[str, PlayedList | Exception]
 
 
 def chosen_hand(ctx: click.Context, param: click.Parameter, value: str | None) -> float | Path | None:
@@ -72,12 +76,17 @@ def chosen_hand(ctx: click.Context, param: click.Parameter, value: str | None) -
 
 @dataclass(frozen=True)
 class PlaybackOptions:
-    """How a texture is played. `hand`: the length of its stroke in mm, or the file of its movement."""
+    """How tracks are played. `hand`: the length of its stroke in mm, or the file of its movement."""
 
     loops: int
     gain_db: float
     actuator_name: str | None
     hand: float | Path | None
+    from_s: float
+    to_s: float | None
+    shuffle: bool
+    control_path: Path | None
+    reconnect_s: float
 
 
 @dataclass(frozen=True)
@@ -89,7 +98,7 @@ class OutputOptions:
 
 
 @click.command(cls=SectionedCommand)
-@click.argument("file", type=INPUT)
+@click.argument("files", type=INPUT, nargs=-1, required=True)
 @section(INPUT_SECTION, grouped("recording", RecordingOptions, rate_hz_option, unit_option, hand_speed_option))
 @section(CODING, grouped("quality", QualityOptions, model_option, snr_db_option))
 @section(CONTROLLER, bench_option, devices_option)
@@ -107,8 +116,33 @@ class OutputOptions:
     ),
     section(
         PLAYBACK,
-        loop_option,
+        click.option(
+            "--loop",
+            "loops",
+            type=Whole("PASSES", 0, 65_535),
+            default=1,
+            show_default=True,
+            help="Repeat the track or the list; 0: without end.",
+        ),
         gain_option,
+        click.option("--from", "from_s", type=Number("S", 0), default=0.0, help="Begin each track later."),
+        click.option("--to", "to_s", type=positive("S"), help="End each track there."),
+        click.option("--shuffle", is_flag=True, help="Play the list in random order."),
+        click.option(
+            "--control",
+            "control_path",
+            type=OutputFile(),
+            metavar="SOCKET",
+            help="Take commands such as `seek -1` from a Unix socket, one a line.",
+        ),
+        click.option(
+            "--reconnect",
+            "reconnect_s",
+            type=Number("S", 0),
+            default=RECONNECT_S,
+            show_default=True,
+            help="Open a lost connection again for so long; 0: end.",
+        ),
         click.option(
             "--hand",
             callback=chosen_hand,
@@ -127,7 +161,7 @@ class OutputOptions:
     ),
 )
 def play(
-    file: Path,
+    files: tuple[Path, ...],
     bench: "Bench | None",
     chosen: tuple[Chosen, ...],
     options: PlaybackOptions,
@@ -135,12 +169,18 @@ def play(
     quality: QualityOptions,
     recording: RecordingOptions,
 ) -> None:
-    """Play a recording or a .vct file on one or several controllers.
+    """Play recordings, .vct files, folders and .m3u lists of them.
 
-    A recording is coded for a link that may lose packets: packets are short, and one in 0.25 s can be decoded alone.
-    At the same rate, `vibrocast encode` reaches a higher SNR, and it has more options. Its .vct file plays as it is.
+    A recording plays at once, and is coded meanwhile for a link that may lose packets: packets are short, and one in
+    0.25 s can be decoded alone. At the same rate, `vibrocast encode` reaches a higher SNR, and it has more options. Its
+    .vct file plays as it is.
 
-    With several --device, a controller that fails does not stop the others. The command prints a line for each.
+    In a terminal, space pauses, left and right move by 1 s, up and down change the level by 1 dB, n and p change the
+    track, l repeats the list, q ends. A track that cannot be played is named, and the list goes on. The report compares
+    a single track with the same computed here.
+
+    With several --device, one track plays on all. A controller that fails does not stop the others. The command prints
+    a line for each.
 
     A height profile is played over time if you give --hand-speed-mm-s alone. It is played by the position of a hand if
     you give --hand: the length of its stroke, --loop times, or a file of its movement. --hand-speed-mm-s is the highest
@@ -151,20 +191,143 @@ def play(
     """
     if outputs.plot_path is not None:
         extras.require("plot")
-    reject_overwriting([outputs.report_path, outputs.plot_path], [file, *files_of(quality.model)])
+    tracks = tracks_of(files)
+    reject_overwriting(
+        [outputs.report_path, outputs.plot_path, options.control_path], [*tracks, *files_of(quality.model)]
+    )
     names = dict(zip(devices.unique_names([each.address for each in chosen]), chosen, strict=True))
     if len(names) > 1 and (options.hand or outputs.plot_path):
         raise click.UsageError("--hand and --plot are for one controller; give one --device")
-    run = Run(file.name, names, bench, options, outputs)
-    play_it = play_over_time if options.hand is None else play_under_hand
-    outcomes, given = play_it(run, file, quality, recording)
-    (report_each if len(outcomes) > 1 else report_one)(run, outcomes, given)
+    if len(tracks) > 1 and (options.hand or outputs.plot_path or outputs.report_path):
+        raise click.UsageError("--hand, --plot and --report are for one track; give one file")
+    run = Run(tracks[0].name, names, bench, options, outputs)
+    if options.hand is not None:
+        report(run, play_under_hand(run, tracks[0], quality, recording), 0)
+    elif len(tracks) == 1:
+        report_track(run, play_over_time(run, tracks, quality, recording))
+    else:
+        report_list(play_over_time(run, tracks, quality, recording))
+
+
+def play_over_time(run: "Run", tracks: list[Path], quality: QualityOptions, recording: RecordingOptions) -> "Played":
+    """Play tracks on all controllers; return by name what each did, or its error."""
+    from vibrocast.host.track_player import Remote, play_list
+
+    options = run.options
+    if len(tracks) == 1 and tracks[0].suffix.lower() == STREAM_SUFFIX:
+        reject_coding_options(tracks[0], quality, recording)
+    opening = TrackOptions(
+        facts=recording.facts(),
+        arguments={key: value for key, value in quality.arguments(recording.unit).items() if key != "rate_bps"},
+        model=quality.model,
+        from_s=options.from_s,
+        to_s=options.to_s,
+        gain_db=options.gain_db,
+        loops=options.loops,
+        shuffle=options.shuffle,
+        reconnect_s=options.reconnect_s,
+    )
+    remote = Remote()
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(run.reported_where_cut())
+        opened_sessions = devices.open_all({name: run.session(name) for name in run.names})
+        sessions, failures = stack.enter_context(opened_sessions)
+        control = Control(options.control_path, remote) if options.control_path else None
+        if control is not None:
+            stack.enter_context(contextlib.closing(control))
+        stack.enter_context(keys(remote))
+        played = play_list(
+            sessions,
+            tracks,
+            opening,
+            remote=remote,
+            tell=telling(run.latest, stack.enter_context(progress.bar("playing")), control),
+            provenance=run.provenance,
+        )
+    return {name: (played | failures)[name] for name in run.names}
+
+
+def telling(
+    latest: "dict[str, Event]", update: progress.Update, control: Control | None
+) -> "Callable[[str, Event], None]":
+    """Return what shows where players are, tells the clients of a socket, and notes it for a report.
+
+    With several controllers it shows the one that told last, the least buffer, and the losses of all.
+    """
+
+    def tell(name: str, event: "Event") -> None:
+        latest[name] = event
+        if control is not None:
+            control.tell(event)
+        if event.kind == "failed" and event.tracks > 1:
+            click.echo(f"{event.error}; the list goes on", err=True)
+        level = "" if event.level_db is None else f"  {event.level_db:+.0f} dB {event.level_of} {meter(event.level_db)}"
+        every = latest.values()
+        update(
+            event.position_s / event.seconds if event.seconds else None,
+            f"[{event.number}/{event.tracks}] {plain(event.track)}  {event.position_s:.1f} of {event.seconds:.1f} s"
+            f"{level}  buffer {1000 * min(each.buffered_s for each in every):.0f} ms  "
+            f"lost {sum(each.lost_packets for each in every)}  underruns {sum(each.underruns for each in every)}",
+        )
+
+    return tell
+
+
+def meter(level_db: float) -> str:
+    """Return a bar for a level from 0 to 40 dB."""
+    blocks = round(min(max(level_db / _DB_A_BLOCK, 0.0), _BLOCKS))
+    return "#" * blocks + "." * (_BLOCKS - blocks)
+
+
+def report_track(run: "Run", played: "Played") -> None:
+    """Report how controllers played a track. Raises the error of one, and CommandError."""
+    outcomes: Outcomes = {}
+    given_samples = 0
+    for name, each in played.items():
+        if isinstance(each, Exception):
+            outcomes[name] = each
+        elif each.playback is not None:
+            outcomes[name] = each.playback
+            given_samples = each.played[0].track.given_samples
+    if outcomes:
+        report(run, outcomes, given_samples)
+    else:
+        tell("stopped before its end")
+
+
+def report_list(played: "Played") -> None:
+    """Print how controllers played a list. Raises CommandError where a controller or a track failed."""
+    lines: dict[str, str] = {}
+    failed: list[str] = []
+    for name, each in played.items():
+        if isinstance(each, Exception):
+            lines[name] = f"FAILED: {each}"
+            failed.append(f"{name}: {each}")
+            continue
+        results = [result for _, result in each.played]
+        lines[name] = (
+            f"played {len(results)} track(s), underruns {sum(each.underruns for each in results)}, "
+            f"lost packets {sum(each.lost_packets for each in results)}, "
+            f"reconnects {sum(each.reconnects for each in results)}"
+        )
+        failed += [str(error) for error in each.failures.values()]
+    show(lines)
+    if failed:
+        raise CommandError(f"not all was played: {'; '.join(dict.fromkeys(failed))}", BAD_INPUT)
+
+
+def report(run: "Run", outcomes: "Outcomes", given_samples: int) -> None:
+    """Print and write how controllers played a texture, and judge it. Raises the error of one, and CommandError."""
+    if len(outcomes) > 1:
+        report_each(run, outcomes)
+    else:
+        report_one(run, outcomes, given_samples)
     played = [each for each in outcomes.values() if not isinstance(each, Exception)]
-    judge(bench, [figure for each in played for figure in each.report.judged()])
+    judge(run.bench, [figure for each in played for figure in each.report.judged()])
 
 
 def play_under_hand(run: "Run", file: Path, quality: QualityOptions, recording: RecordingOptions) -> "Outcomes":
-    """Play a height profile by the position of a hand on one controller; return what it did, and the stream."""
+    """Play a height profile by the position of a hand on one controller; return what it did."""
     from vibrocast.host import hand_playback
 
     options = run.options
@@ -177,43 +340,7 @@ def play_under_hand(run: "Run", file: Path, quality: QualityOptions, recording: 
     stream, texture = spatial_stream(file, quality, replace(recording, hand_speed_mm_s=None))
     with run.reported_where_cut(), run.session(name) as session, progress.bar("playing") as update:
         played = hand_playback.play_and_compare(session, file.name, stream, movement, texture, update, run.provenance)
-    return {name: played}, stream
-
-
-def play_over_time(run: "Run", file: Path, quality: QualityOptions, recording: RecordingOptions) -> "Outcomes":
-    """Play a recording or a stream on all controllers; return by name what each did, or its error, and the stream."""
-    from vibrocast.host import playback
-
-    source = read_source(file, quality, recording)
-    channels, rate_hz = (
-        (source.header.channels, source.header.rate_hz)
-        if isinstance(source, Stream)
-        else (source.channels, quality.stream_rate_hz)
-    )
-    stream = encoding = None
-    outcomes: dict[str, playback.Playback | Exception] = {}
-    with (
-        run.reported_where_cut(),
-        devices.open_all({name: run.session(name) for name in run.names}) as (sessions, failures),
-    ):
-        for name, session in sessions.items():
-            try:
-                # A stream that the controller cannot play need not be encoded first.
-                check_limits(session.controller, channels, rate_hz)
-            except StreamError as error:
-                failures[name] = error
-        able = {name: session for name, session in sessions.items() if name not in failures}
-        if able:
-            if not isinstance(source, Stream):
-                encoding = encoded(source, quality, recording.unit, live=True)
-                source = encoding.stream
-            stream = source.with_gain(run.options.gain_db)
-            with progress.bar("playing") as update:
-                tell = playing(update, stream.bits_per_second, run.latest)
-                outcomes = playback.play_together(
-                    able, file.name, stream, encoding, run.options.loops, tell, run.provenance
-                )
-    return {name: (outcomes | failures)[name] for name in run.names}, stream
+    return {name: played}
 
 
 @dataclass(frozen=True)
@@ -228,7 +355,7 @@ class Run:
     bench: "Bench | None"
     options: PlaybackOptions
     outputs: OutputOptions
-    latest: dict[str, player.Progress] = field(default_factory=dict)
+    latest: "dict[str, Event]" = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         report_path = self.outputs.report_path
@@ -252,8 +379,8 @@ class Run:
             file=self.file,
             device={"address": self.names[name].address},
             played_s=None if now is None else now.position_s,
-            underruns=None if now is None else now.status.underruns,
-            lost_packets=None if now is None else now.status.lost_packets,
+            underruns=None if now is None else now.underruns,
+            lost_packets=None if now is None else now.lost_packets,
             error=str(error) or "interrupted",
         )
 
@@ -279,8 +406,8 @@ class Run:
         answer(document)
 
 
-def report_one(run: Run, outcomes: "Mapping[str, playback.Playback | Exception]", given: Stream | None) -> None:
-    """Print what one controller played, write it and draw it; `given`: the stream before it was fitted.
+def report_one(run: Run, outcomes: "Outcomes", given_samples: int) -> None:
+    """Print what one controller played, write it and draw it; `given_samples`: as in `Track`.
 
     Raises the error that it met, and ControllerError if it played something else than was sent.
     """
@@ -294,33 +421,12 @@ def report_one(run: Run, outcomes: "Mapping[str, playback.Playback | Exception]"
     if run.outputs.plot_path:
         picture.draw(run.outputs.plot_path, f"{report.file} on {report.device.address}", played.caption, played.traces)
     packets = None
-    if played.stream is not None and given is not None and report.position is None:
-        packets = describe_packets(played.stream, given)
+    if played.stream is not None and report.position is None:
+        packets = describe_packets(played.stream, given_samples)
     tell_report(report, packets)
 
 
-def read_source(file: Path, quality: QualityOptions, recording: RecordingOptions) -> Stream | textures.Recording:
-    """Return a .vct file, or a recording that is to be coded. Raises InputError, CodecError and TextureError."""
-    from vibrocast.host import playback
-
-    source: Stream | textures.Recording
-    if file.suffix.lower() == ".vct":
-        coded = coded_already(file, quality, replace(recording, unit=None) if recording.unit == "drive" else recording)
-        if coded.header.spatial:
-            raise InputError(f"{file}: coded over position; give --hand, and --hand-speed-mm-s for a stroke")
-        source = playable(coded)
-    else:
-        source = textures.load(file, **recording.facts())
-        if source.axes:
-            raise InputError(
-                f"{file}: three axes of one texture; encode it with --axis x, y or z, dft321 or norm, or none for one "
-                "actuator for each axis; then play the .vct file"
-            )
-    playback.check_unit(source.header.unit if isinstance(source, Stream) else source.unit, recording.unit)
-    return source
-
-
-def report_each(run: Run, outcomes: "Mapping[str, playback.Playback | Exception]", given: Stream | None) -> None:
+def report_each(run: Run, outcomes: "Outcomes") -> None:
     """Print a line for each of several controllers, and tell their reports.
 
     If one failed, or played something else than was sent, raises CommandError, with the exit code of all
@@ -371,31 +477,15 @@ def spatial_stream(
 
 def coded_already(file: Path, quality: QualityOptions, recording: RecordingOptions) -> Stream:
     """Read a .vct file to play, to which no option of the two groups applies but the model."""
-    values = vars(replace(quality, model=None)) | vars(recording)
+    reject_coding_options(file, quality, recording)
+    return read_stream(file, quality.model.image if quality.model else None)
+
+
+def reject_coding_options(file: Path, quality: QualityOptions, recording: RecordingOptions) -> None:
+    """Raise click.UsageError for an option that does not apply to a .vct file."""
+    facts = replace(recording, unit=None) if recording.unit == "drive" else recording
+    values = vars(replace(quality, model=None)) | vars(facts)
     given = [name for name, value in values.items() if value not in (None, {}, False, DEFAULT_STREAM_RATE_HZ)]
     if given:
         option = given[0].removesuffix("_name").replace("_", "-")
         raise click.UsageError(f"{file} is coded already; drop --{option}")
-    return read_stream(file, quality.model.image if quality.model else None)
-
-
-def playing(
-    update: progress.Update, bits_per_second: float, latest: dict[str, player.Progress]
-) -> Callable[[str, player.Progress], None]:
-    """Return what tells `update` of a playback on named controllers: mean position, rate, least buffer, underruns.
-
-    `latest`: is filled with the progress of each.
-    """
-
-    def tell(name: str, now: player.Progress) -> None:
-        latest[name] = now
-        position_s = sum(each.position_s for each in latest.values()) / len(latest)
-        duration_s = now.duration_s or math.inf
-        details = (
-            f"{position_s:.1f} of {duration_s:.1f} s  {bits_per_second / 1000:.2f} kbit/s  "
-            f"buffer {1000 * min(each.buffered_s for each in latest.values()):.0f} ms  "
-            f"underruns {sum(each.status.underruns for each in latest.values())}"
-        )
-        update(position_s / duration_s, details)
-
-    return tell

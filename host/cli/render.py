@@ -20,8 +20,9 @@ from vibrocast.host.cli.options import (
     model_option,
     unit_option,
 )
-from vibrocast.host.cli.play import read_source
+from vibrocast.host.cli.play import reject_coding_options
 from vibrocast.host.cli.steps import encoded, files_of
+from vibrocast.host.tracks import STREAM_SUFFIX, TrackOptions, read_source
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import ACTUATORS, MAX_FULL_SCALE_VOLTS, MIN_FULL_SCALE_VOLTS
 from vibrocast.output.rendering import render as rendered_codes
@@ -76,7 +77,9 @@ def render(file: Path, out: Path, drive: DriveOptions, quality: QualityOptions, 
     actuator = devices.on_sound_card(
         actuator_files.find(drive.actuator_name), drive.dac_rate_hz, drive.full_scale_volts
     )
-    source = read_source(file, quality, recording)
+    if file.suffix.lower() == STREAM_SUFFIX:
+        reject_coding_options(file, quality, recording)
+    source = read_source(file, TrackOptions(facts=recording.facts(), model=quality.model))
     if isinstance(source, textures.Recording):
         source = encoded(source, quality, recording.unit, live=True).stream
     stream = source.with_gain(drive.gain_db)

@@ -9,7 +9,7 @@ import pytest
 
 from tests.command import OAK, failure, run
 from vibrocast.device_protocol.transports import TransportError
-from vibrocast.host import devices, playback
+from vibrocast.host import devices, event_loop
 from vibrocast.host.report import SCHEMA
 from vibrocast.output.actuator import Actuator
 
@@ -35,15 +35,15 @@ def test_several_controllers_end_with_the_exit_code_that_failures_share(
 def test_a_playback_that_is_cut_leaves_report_and_trace(
     cut: BaseException, exit_code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    play_together = playback.play_together
+    run_all = event_loop.run_all
 
-    def play_and_cut(*arguments: Any) -> Any:
-        outcomes = play_together(*arguments)
+    def play_and_cut(works: Any) -> Any:
+        outcomes = run_all(works)
         if isinstance(cut, Exception):
             return dict.fromkeys(outcomes, cut)
         raise cut
 
-    monkeypatch.setattr("vibrocast.host.playback.play_together", play_and_cut)
+    monkeypatch.setattr("vibrocast.host.event_loop.run_all", play_and_cut)
     report = tmp_path / "cut.json"
     answered = failure(exit_code, "play", OAK, "--report", report)
     told = json.loads(report.read_text())

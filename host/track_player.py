@@ -1,0 +1,458 @@
+"""Plays tracks one after another on a controller, and does meanwhile what a person or a program asks for."""
+
+import contextlib
+import queue
+import random
+import time
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Literal, NamedTuple, TypeVar
+
+from vibrocast.device_protocol.messages import Gain, Pause, Resume, State, Status, StatusRequest
+from vibrocast.errors import InputError
+from vibrocast.host import event_loop, playback, player, uploader
+from vibrocast.host.controller import Controller
+from vibrocast.host.event_loop import Steps
+from vibrocast.host.playback import Playback, output_delay_s
+from vibrocast.host.report import Provenance
+from vibrocast.host.session import Session
+from vibrocast.host.tracks import LEVEL_S, Source, Track, TrackOptions, name_of, open_track
+
+_Key = TypeVar("_Key", bound=Hashable)
+
+PREBUFFER_S = 0.05
+"""A controller begins to play with so much of a track; the buffer then grows to `player.BUFFER_S`, and after a gap
+to twice as much."""
+MAX_CHANGE_DB = 60.0
+"""Most that commands change the level, up or down."""
+_RESTART_S = 2.0
+"""Later in a track than this, "previous" goes to its beginning."""
+_IDLE_S = 0.02
+_SETTLED_S = 0.5
+# Players of a group wait for one another for so long; they begin so long after the last one is here, which measures its
+# controller's clock by so many requests. The soonest answer counts.
+_WAIT_S, _AHEAD_S, _TRIPS = 2.0, 0.15, 3
+
+WORDS = {
+    "pause": "stay where it is",
+    "resume": "go on",
+    "toggle": "pause or resume",
+    "seek": "move by so many seconds",
+    "gain": "change the level by so many dB",
+    "next": "play the next track",
+    "previous": "play the track before, or this one from its beginning",
+    "loop": "repeat the list without end, or no longer",
+    "stop": "end",
+}
+"""The commands, and what each does; "seek" and "gain" take a number."""
+_WITH_NUMBER = ("seek", "gain")
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command of WORDS, with its number if it takes one."""
+
+    word: str
+    number: float = 0.0
+
+
+def command_of(line: str) -> Command:
+    """Return the command in a line such as "seek -1". Raises InputError."""
+    word, _, rest = line.strip().partition(" ")
+    if word not in WORDS:
+        raise InputError(f"there is no command {word!r}; give one of {', '.join(WORDS)}")
+    try:
+        number = float(rest) if word in _WITH_NUMBER else 0.0
+        if (rest and word not in _WITH_NUMBER) or not abs(number) < float("inf"):
+            raise ValueError
+    except ValueError:
+        form = f"{word} NUMBER" if word in _WITH_NUMBER else word
+        raise InputError(f"{line.strip()!r} is no command; give {form}") from None
+    return Command(word, number)
+
+
+class Remote:
+    """Takes commands from any thread, for one player or several."""
+
+    def __init__(self) -> None:
+        self._queues: list[queue.SimpleQueue[Command]] = []
+
+    def receiver(self) -> Callable[[], Command | None]:
+        """Return what returns the next command to another player, None if there is none."""
+        commands: queue.SimpleQueue[Command] = queue.SimpleQueue()
+        self._queues.append(commands)
+
+        def take() -> Command | None:
+            with contextlib.suppress(queue.Empty):
+                return commands.get_nowait()
+            return None
+
+        return take
+
+    def send(self, command: Command) -> None:
+        """Give a command, which the players carry out within some 20 ms."""
+        for commands in self._queues:
+            commands.put(command)
+
+
+Kind = Literal["track", "position", "paused", "resumed", "gain", "loop", "failed", "ended"]
+
+
+@dataclass(frozen=True)
+class Event:
+    """What a player tells.
+
+    Attributes:
+        kind: "track": one has begun; "position": it goes on; "paused", "resumed", "gain", "loop": a command was carried
+            out; "failed": a track cannot be played; "ended": nothing more is played.
+        track: The name of the track.
+        number: Its number in the list, from 1.
+        tracks: How many there are.
+        position_s: Where it is, in s.
+        seconds: The duration of the track in s.
+        skin_s: When that is felt, as `time.time` counts.
+        gain_db: The change of level by commands, in dB.
+        level_db: The level now, None where it is not known yet.
+        level_of: What `level_db` is the level of, and relative to what.
+        buffered_s: How much the controller holds, in s.
+        lost_packets: Of this track.
+        underruns: Of this track.
+        error: Why the track cannot be played.
+    """
+
+    kind: Kind
+    track: str = ""
+    number: int = 0
+    tracks: int = 0
+    position_s: float = 0.0
+    seconds: float = 0.0
+    skin_s: float = 0.0
+    gain_db: float = 0.0
+    level_db: float | None = None
+    level_of: str = ""
+    buffered_s: float = 0.0
+    lost_packets: int = 0
+    underruns: int = 0
+    error: str | None = None
+
+
+class PlayedTrack(NamedTuple):
+    """A track, and how it was played to its end."""
+
+    track: Track
+    result: player.PlaybackResult
+
+
+class _Jump(Exception):
+    """Ends the track under way, to go on at another place of the list; `place`: None = nowhere."""
+
+    def __init__(self, place: int | None, position_s: float = 0.0) -> None:
+        self.place, self.position_s = place, position_s
+
+
+class Group:
+    """Players on several controllers that begin each track at one time, within the asymmetry of their links."""
+
+    def __init__(self, players: int) -> None:
+        self._players, self._arrived = players, 0
+        self._start_s: float | None = None
+
+    def leave(self) -> None:
+        """No longer wait for one of the players."""
+        self._players -= 1
+
+    def start_steps(self, controller: Controller) -> Steps[int]:
+        """Wait until all players are here, or for _WAIT_S; return the time of the controller to begin at, in us."""
+        trips = []
+        for _ in range(_TRIPS):
+            asked_s = controller.clock()
+            status = yield from controller.request_steps(StatusRequest(), Status)
+            took_s = controller.clock() - asked_s
+            trips.append((took_s, status.device_time_us - 1e6 * (asked_s + took_s / 2)))
+        if self._start_s is not None and self._start_s <= controller.clock():
+            self._start_s, self._arrived = None, 0  # of the track before
+        self._arrived += 1
+        self._begin_if_all_are_here(controller.clock())
+        until_s = controller.clock() + _WAIT_S
+        while self._start_s is None and controller.clock() < until_s:
+            yield event_loop.Pause(_IDLE_S / 10)
+            self._begin_if_all_are_here(controller.clock())  # one may have left
+        begins_s = self._start_s if self._start_s is not None else controller.clock()
+        return round(1e6 * begins_s + min(trips)[1])
+
+    def _begin_if_all_are_here(self, now_s: float) -> None:
+        if self._start_s is None and self._arrived >= self._players:
+            self._start_s = now_s + _AHEAD_S
+
+
+class TrackPlayer:
+    """Plays a list of tracks.
+
+    Attributes:
+        gain_db: The change of level by commands, in dB.
+        played: The tracks that were played to their end.
+        failures: By name, why tracks could not be played.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        sources: Sequence[Source],
+        options: TrackOptions,
+        *,
+        remote: Remote | None = None,
+        tell: Callable[[Event], None] | None = None,
+        capture: bool = False,
+        group: Group | None = None,
+    ) -> None:
+        """`tell`: called with each Event in the player's thread. `group`: with which it begins tracks.
+
+        `capture`: read back what the controller plays.
+        """
+        self.gain_db = 0.0
+        self.played: list[PlayedTrack] = []
+        self.failures: dict[str, Exception] = {}
+        self._session = session
+        self._sources = list(sources)
+        self._order = list(range(len(self._sources)))
+        self._options = options
+        # The controller itself repeats a single track, without a gap.
+        track_loops, list_loops = (options.loops, 1) if len(self._sources) == 1 else (1, options.loops)
+        self._passes_left = list_loops - 1 if list_loops else None
+        self._command = (remote or Remote()).receiver()
+        self._tell = tell or (lambda event: None)
+        self._settings = player.PlaybackSettings(
+            loops=track_loops,
+            capture=capture,
+            reconnect_s=options.reconnect_s,
+            prebuffer_s=PREBUFFER_S,
+            progress=self._progress,
+            turn=self._turn,
+            start_steps=None if group is None else group.start_steps,
+        )
+        self._group = group
+        self._place, self._position_s = 0, 0.0
+        self._track: Track | None = None
+        self._now: player.Progress | None = None
+        self._begun = False
+        self._paused = False
+        self._pool = ThreadPoolExecutor(1, "tracks")
+        self._opening: dict[int, Future[Track]] = {}
+        self._levels: Future[object] | None = None
+        if options.shuffle:
+            random.shuffle(self._order)
+
+    def steps(self) -> Steps[None]:
+        """Play all. Raises ControllerError and TransportError if the controller fails."""
+        place: int | None = 0
+        start_s, failed_in_turn = 0.0, 0
+        try:
+            while place is not None:
+                self._place, self._position_s, self._now, self._begun = place, start_s, None, False
+                try:
+                    yield from self._play_steps(self._opened(place), start_s)
+                    failed_in_turn, following = 0, self._following()
+                    place, start_s = following, 0.0
+                except _Jump as jump:
+                    place, start_s = jump.place, jump.position_s
+                except (InputError, OSError) as error:
+                    name = name_of(self._sources[self._order[self._place]])
+                    self.failures[name] = error
+                    self._tell(self._event("failed", error=str(error)))
+                    failed_in_turn += 1
+                    place, start_s = (self._following() if failed_in_turn < len(self._order) else None), 0.0
+        finally:
+            if self._group is not None:
+                self._group.leave()
+            self._pool.shutdown(wait=False, cancel_futures=True)
+        self._tell(self._event("ended"))
+
+    def _opened(self, place: int) -> Track:
+        """Return the track at a place of the list. Raises as `open_track`."""
+        opening = self._opening.pop(place, None) or self._open(place)
+        self._opening.clear()
+        self._levels = None
+        self._track = opening.result()
+        return self._track
+
+    def _open(self, place: int) -> Future[Track]:
+        source = self._sources[self._order[place]]
+        return self._pool.submit(open_track, source, self._session.controller, self._options)
+
+    def _play_steps(self, track: Track, start_s: float) -> Steps[None]:
+        """Play a track from a time on, to its end. Raises _Jump at a command, and as `player.play_steps`."""
+        while self._paused:
+            self._turn()
+            yield event_loop.Pause(_IDLE_S)
+        first = track.refresh_before(start_s)
+        if first is None and start_s > 0:
+            self._track = track = track.seekable()
+            first = track.refresh_before(start_s)
+        if track.stream.image is not None:
+            uploader.provide(self._session.controller, self._session.address, track.stream.image)
+        settings = replace(self._settings, first_packet=first or 0, gain=10 ** (self.gain_db / 20))
+        stream = track.stream
+        result = yield from player.play_steps(
+            self._session.controller, track.header, stream.packets, stream.packet_samples, settings
+        )
+        self.played.append(PlayedTrack(track, result))
+
+    def _following(self) -> int | None:
+        """Return the place behind this one; None at the end of the last pass."""
+        if self._place + 1 < len(self._order):
+            return self._place + 1
+        if self._passes_left == 0:
+            return None
+        if self._passes_left is not None:
+            self._passes_left -= 1
+        if self._options.shuffle:
+            random.shuffle(self._order)
+            self._opening.clear()
+        return 0
+
+    def _turn(self) -> None:
+        """Carry out commands. Raises _Jump, and as `Controller.request`."""
+        while (command := self._command()) is not None:
+            self._do(command)
+        controller = self._session.controller
+        state = controller.status.state if controller.status is not None and self._begun else None
+        if self._paused and state == State.PLAYING:
+            controller.request(Pause(), Status)
+            self._tell(self._event("paused"))
+        elif not self._paused and state == State.PAUSED:
+            controller.request(Resume(), Status)
+            self._tell(self._event("resumed"))
+
+    def _do(self, command: Command) -> None:
+        """Carry out a command. Raises as `_turn`."""
+        match command.word:
+            case "pause" | "resume" | "toggle":
+                self._paused = command.word == "pause" or (command.word == "toggle" and not self._paused)
+            case "gain":
+                self.gain_db = min(max(self.gain_db + command.number, -MAX_CHANGE_DB), MAX_CHANGE_DB)
+                if self._begun:
+                    self._session.controller.request(Gain(10 ** (self.gain_db / 20)), Status)
+                self._tell(self._event("gain"))
+            case "seek":
+                wanted_s = max(0.0, self._position_s + command.number)
+                if self._track is not None and wanted_s >= self._track.seconds:
+                    raise _Jump(self._following())
+                raise _Jump(self._place, wanted_s)
+            case "next":
+                raise _Jump(self._following())
+            case "previous":
+                raise _Jump(self._place if self._position_s > _RESTART_S else max(0, self._place - 1))
+            case "loop":
+                self._passes_left = 0 if self._passes_left is None else None
+                self._tell(self._event("loop"))
+            case "stop":
+                raise _Jump(None)
+
+    def _progress(self, now: player.Progress) -> None:
+        self._now = now
+        if now.status.state not in (State.PLAYING, State.PAUSED):
+            return
+        self._position_s = now.position_s
+        if self._track is not None:
+            loops = self._settings.loops != 1
+            self._position_s = min(
+                now.position_s % self._track.seconds if loops else now.position_s, self._track.seconds
+            )
+        if not self._begun:
+            self._begun = True
+            self._tell(self._event("track"))
+        if self._levels is None and self._track is not None and self._position_s > _SETTLED_S:
+            # Work beside the player only where a full buffer bridges it.
+            track, following = self._track, self._place + 1
+            self._levels = self._pool.submit(lambda: track.levels)
+            if following < len(self._order):
+                self._opening[following] = self._open(following)
+        self._tell(self._event("position"))
+
+    def _event(self, kind: Kind, error: str | None = None) -> Event:
+        """Return an event at the position that was last reported."""
+        track, now = self._track, self._now
+        level_db, level_of = None, ""
+        if track is not None and self._levels is not None and self._levels.done() and not self._levels.exception():
+            levels, level_of = track.levels
+            level_db = float(levels[min(int(self._position_s / LEVEL_S), len(levels) - 1)]) + self.gain_db
+        late_s = 0.0 if track is None else output_delay_s(track.header, self._session.driven)
+        return Event(
+            kind,
+            name_of(self._sources[self._order[self._place]]),
+            self._order[self._place] + 1,
+            len(self._sources),
+            self._position_s,
+            0.0 if track is None else track.seconds,
+            time.time() + late_s,
+            self.gain_db,
+            level_db,
+            level_of,
+            0.0 if now is None else now.buffered_s,
+            0 if now is None else now.status.lost_packets,
+            0 if now is None else now.status.underruns,
+            error,
+        )
+
+
+@dataclass(frozen=True)
+class PlayedList:
+    """How a controller played a list.
+
+    Attributes:
+        played: The tracks that were played to their end.
+        failures: By name, why tracks could not be played.
+        playback: Of a single track that was played to its end, compared with the same computed here; None otherwise.
+    """
+
+    played: list[PlayedTrack]
+    failures: Mapping[str, Exception]
+    playback: Playback | None
+
+
+def play_list(
+    sessions: Mapping[_Key, Session],
+    sources: Sequence[Source],
+    options: TrackOptions,
+    *,
+    remote: Remote | None = None,
+    tell: Callable[[_Key, Event], None] | None = None,
+    provenance: Provenance | None = None,
+) -> dict[_Key, PlayedList | Exception]:
+    """Play a list on all controllers, which begin each track at one time; return by key what each did, or its error.
+
+    The parameters are those of `TrackPlayer`. The error of a single track that cannot be played is that of the list.
+    """
+    group = Group(len(sessions)) if len(sessions) > 1 else None
+    players, underruns_before = {}, {}
+    for key, session in sessions.items():
+        card = session.controller.sound_card
+        underruns_before[key] = card.underruns if card else 0
+        players[key] = TrackPlayer(
+            session,
+            sources,
+            options,
+            remote=remote,
+            tell=tell and partial(tell, key),
+            capture=len(sources) == 1 and options.loops != 0,
+            group=group,
+        )
+    works = {key: (sessions[key].controller, each.steps()) for key, each in players.items()}
+    results: dict[_Key, PlayedList | Exception] = {}
+    for key, error in event_loop.run_all(works).items():
+        each, alone = players[key], len(sources) == 1
+        if isinstance(error, Exception):
+            results[key] = error
+        elif alone and each.failures:
+            results[key] = next(iter(each.failures.values()))
+        else:
+            compared = None
+            if alone and each.played:
+                ((track, result),) = each.played
+                compared = playback.compared_track(
+                    sessions[key], track, result, options.loops, underruns_before[key], provenance or Provenance()
+                )
+            results[key] = PlayedList(each.played, each.failures, compared)
+    return results
