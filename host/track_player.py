@@ -3,6 +3,7 @@
 import contextlib
 import queue
 import random
+import threading
 import time
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -238,8 +239,9 @@ class TrackPlayer:
         self._now: player.Progress | None = None
         self._begun = False
         self._paused = False
-        self._pool = ThreadPoolExecutor(1, "tracks")
-        self._opening: dict[int, Future[Track]] = {}
+        self._pool = ThreadPoolExecutor(2, "tracks")  # one opens tracks while the other computes levels
+        self._opening: dict[int, Future[Track]] = {}  # by the number of the source
+        self._playing = -1
         self._levels: Future[object] | None = None
         if options.shuffle:
             random.shuffle(self._order)
@@ -271,15 +273,16 @@ class TrackPlayer:
 
     def _opened(self, place: int) -> Track:
         """Return the track at a place of the list. Raises as `open_track`."""
-        opening = self._opening.pop(place, None) or self._open(place)
-        self._opening.clear()
-        self._levels = None
+        source = self._order[place]
+        opening = self._opening.get(source) or self._open(source)
+        if opening is not self._opening.get(self._playing):
+            self._levels = None
+        self._playing, self._opening = source, {source: opening}
         self._track = opening.result()
         return self._track
 
-    def _open(self, place: int) -> Future[Track]:
-        source = self._sources[self._order[place]]
-        return self._pool.submit(open_track, source, self._session.controller, self._options)
+    def _open(self, source: int) -> Future[Track]:
+        return self._pool.submit(open_track, self._sources[source], self._session.controller, self._options)
 
     def _play_steps(self, track: Track, start_s: float) -> Steps[None]:
         """Play a track from a time on, to its end. Raises _Jump at a command, and as `player.play_steps`."""
@@ -309,7 +312,6 @@ class TrackPlayer:
             self._passes_left -= 1
         if self._options.shuffle:
             random.shuffle(self._order)
-            self._opening.clear()
         return 0
 
     def _turn(self) -> None:
@@ -365,10 +367,11 @@ class TrackPlayer:
             self._tell(self._event("track"))
         if self._levels is None and self._track is not None and self._position_s > _SETTLED_S:
             # Work beside the player only where a full buffer bridges it.
-            track, following = self._track, self._place + 1
+            track = self._track
             self._levels = self._pool.submit(lambda: track.levels)
-            if following < len(self._order):
-                self._opening[following] = self._open(following)
+            if self._place + 1 < len(self._order):
+                following = self._order[self._place + 1]
+                self._opening.setdefault(following, self._open(following))
         self._tell(self._event("position"))
 
     def _event(self, kind: Kind, error: str | None = None) -> Event:
@@ -456,3 +459,35 @@ def play_list(
                 )
             results[key] = PlayedList(each.played, each.failures, compared)
     return results
+
+
+class BackgroundPlayer:
+    """A player in a thread of its own.
+
+    Attributes:
+        player: What plays.
+        remote: Takes commands.
+    """
+
+    def __init__(
+        self, session: Session, sources: Sequence[Source], options: TrackOptions, tell: Callable[[Event], None] | None
+    ) -> None:
+        """Begin to play; the parameters are those of TrackPlayer."""
+        self.remote = Remote()
+        self.player = TrackPlayer(session, sources, options, remote=self.remote, tell=tell)
+        self._controller = session.controller
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name="player", daemon=True)
+        self._thread.start()
+
+    def wait(self) -> None:
+        """Wait for the end. Raises what ended the player."""
+        self._thread.join()
+        if self._error is not None:
+            raise self._error
+
+    def _run(self) -> None:
+        try:
+            self._controller.run(self.player.steps())
+        except BaseException as error:  # told by `wait`
+            self._error = error

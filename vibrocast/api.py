@@ -3,7 +3,7 @@
 import contextlib
 import os
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, SupportsFloat
 
@@ -21,6 +21,8 @@ from vibrocast.host import devices, playback, player, session, uploader
 from vibrocast.host.limits import check_unit
 from vibrocast.host.report import Report as Report
 from vibrocast.host.session import Session
+from vibrocast.host.track_player import BackgroundPlayer, Command, Event
+from vibrocast.host.tracks import Source, TrackOptions, tracks_of
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import Actuator as Actuator
 from vibrocast.textures import HIGHPASS_HZ, TextureError, arguments
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
 _MAX_STREAM_RATE_HZ = 200_000
 _MAX_LOOPS = 1_000_000
 
+TrackSource = str | Path | Stream | Recording
 Progress = Callable[[float], None]
 """Called with the part of the work that is done, from 0 to 1."""
 
@@ -219,6 +222,7 @@ class Connection:
     def __init__(self, opened: Session) -> None:
         self.controller = opened.controller
         self._session = opened
+        self._playing: BackgroundPlayer | None = None
 
     def play(
         self,
@@ -282,9 +286,97 @@ class Connection:
             )
         uploader.flash(self.controller, chosen.image)
 
+    def start(
+        self,
+        tracks: TrackSource | Sequence[TrackSource],
+        *,
+        gain_db: float = 0.0,
+        unit: str | None = None,
+        loops: int = 1,
+        shuffle: bool = False,
+        on_event: Callable[[Event], None] | None = None,
+    ) -> None:
+        """Begin to play tracks one after another, and return at once; a list that plays before ends.
+
+        A recording is coded while it plays. A track that cannot be played is an Event, and the list goes on. Until
+        `wait` or `stop` returns, only `pause`, `resume`, `seek`, `next`, `previous` and `gain_db` may be called.
+
+        Args:
+            tracks: Streams, Recordings, and paths of files, folders and .m3u lists.
+            gain_db: Change of level in dB.
+            unit: "drive" for tracks in "full scale" that are the drive signal of an actuator.
+            loops: How often the list plays; 0: without end.
+            shuffle: Whether it plays in random order.
+            on_event: Function to call with each Event, in the player's thread.
+
+        Raises:
+            InputError: A list or a folder names no track.
+        """
+        self.stop()
+        several = [tracks] if isinstance(tracks, str | Path | Stream | Recording) else tracks
+        sources: list[Source] = []
+        for each in several:
+            sources += tracks_of([Path(each)]) if isinstance(each, str | Path) else [each]
+        options = TrackOptions(facts={"unit": unit}, gain_db=gain_db, loops=loops, shuffle=shuffle)
+        self._playing = BackgroundPlayer(self._session, sources, options, on_event)
+
+    def pause(self) -> None:
+        """Stay at the position; the output rests."""
+        self._command("pause")
+
+    def resume(self) -> None:
+        """Go on after `pause`."""
+        self._command("resume")
+
+    def seek(self, seconds: float) -> None:
+        """Move within the track by so many seconds."""
+        self._command("seek", arguments.number("seconds", seconds))
+
+    def next(self) -> None:
+        """Play the next track."""
+        self._command("next")
+
+    def previous(self) -> None:
+        """Play the track before, or this one from its beginning if more than 2 s of it have played."""
+        self._command("previous")
+
+    @property
+    def gain_db(self) -> float:
+        """The change of level since `start`, in dB; a new value is reached in a ramp."""
+        return 0.0 if self._playing is None else self._playing.player.gain_db
+
+    @gain_db.setter
+    def gain_db(self, gain_db: float) -> None:
+        self._command("gain", arguments.number("gain_db", gain_db) - self.gain_db)
+
+    @property
+    def plays(self) -> bool:
+        """Whether a list that `start` began still plays, or has ended and nobody has waited for it."""
+        return self._playing is not None
+
+    def wait(self) -> None:
+        """Wait until all tracks have been played.
+
+        Raises:
+            ControllerError: The controller rejected a request.
+            TransportError: The connection failed.
+        """
+        playing, self._playing = self._playing, None
+        if playing is not None:
+            playing.wait()
+
     def stop(self) -> None:
-        """Stop the playback and bring the output to rest."""
-        self.controller.stop()
+        """Stop the playback and bring the output to rest. Raises as `wait`."""
+        if self._playing is not None:
+            self._command("stop")
+            self.wait()
+        else:
+            self.controller.stop()
+
+    def _command(self, word: str, number: float = 0.0) -> None:
+        if self._playing is None:
+            raise VibrocastError("nothing plays", action="call `start` first")
+        self._playing.remote.send(Command(word, number))
 
 
 @contextlib.contextmanager
@@ -313,7 +405,12 @@ def connect(
         raise CodecError(f"`runtime` is {runtime!r}", action=f"pass one of {', '.join(RUNTIMES)}", parameter="runtime")
     chosen = None if actuator is None else _actuator(actuator)
     with session.connect(address, runtime, chosen) as opened:
-        yield Connection(opened)
+        connection = Connection(opened)
+        try:
+            yield connection
+        finally:
+            if connection.plays:
+                connection.stop()
 
 
 def codecs() -> Mapping[str, Codec]:
