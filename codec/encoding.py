@@ -247,17 +247,18 @@ def begin_encoding(
     model: models.Model | None = None,
     highpass_hz: float | None = textures.HIGHPASS_HZ,
     touch: float | None = None,
+    least_full_scale: float = 0.0,
 ) -> GrowingStream:
     """Begin to code a recording as a live stream, so that it can play at once.
 
     Without `snr_db`, the setting for DEFAULT_SNR_DB is found in an excerpt of BEGINNING_SAMPLES, so the whole may miss
-    it by some tenths of a dB. The parameters are those of `encode_recording`, and so are the errors. A codec without
-    built-in tables needs a model.
+    it by some tenths of a dB. `least_full_scale`: of each channel, in the recording's unit. The other parameters are
+    those of `encode_recording`, and so are the errors. A codec without built-in tables needs a model.
     """
     task = _Task.of(
         recording, stream_rate_hz, codec_name, None, snr_db, setting, model, True, None, highpass_hz, touch, None
     )
-    source = task.source(model)
+    source = task.source(model).with_full_scale(least_full_scale)
     excerpt = source.excerpt(BEGINNING_SAMPLES) if snr_db is None else None
     stream, _ = task.searched(excerpt or source)
     assert stream.setting is not None, "it has just been coded"

@@ -220,7 +220,8 @@ class Source:
             as_short_as_can_be = encoder.packet_samples in (1, tried_samples)
             if max(map(len, packets)) <= _MAX_PACKET_BYTES or as_short_as_can_be:
                 coded = self._coded(setting, encoder, packets)
-                return self._doubled().encode(setting) if self._clips(coded) else coded
+                doubled = tuple(2 * gain for gain in self.format.gains)
+                return self._with_gains(doubled).encode(setting) if self._clips(coded) else coded
             tried_samples = encoder.packet_samples
             framing = Framing(-(-framing.packet_samples // 2), 2 * framing.refresh_packets)
 
@@ -272,14 +273,15 @@ class Source:
         decoded = coded.decode_integers()
         return max(int(decoded.max()), -int(decoded.min())) >= 32_767
 
-    def _doubled(self) -> "Source":
-        """Return the same signal with twice the full scale."""
-        doubled = copy.copy(self)
-        gains, rms = (
-            tuple(factor * each for each in part) for factor, part in ((2, self.format.gains), (0.5, self.format.rms))
-        )
-        doubled.format = replace(self.format, gains=gains, rms=rms)
-        return doubled
+    def with_full_scale(self, least: float) -> "Source":
+        """Return the same signal with a full scale of each channel that is not below a value in the signal's unit."""
+        return self._with_gains(tuple(max(gain, gain_for(least)) if least else gain for gain in self.format.gains))
+
+    def _with_gains(self, gains: tuple[float, ...]) -> "Source":
+        scaled = copy.copy(self)
+        each = zip(self.format.rms, self.format.gains, gains, strict=True)
+        scaled.format = replace(self.format, gains=gains, rms=tuple(rms * own / gain for rms, own, gain in each))
+        return scaled
 
     def takes(self, setting: Setting) -> bool:
         """Return whether the codec accepts this setting with this model."""

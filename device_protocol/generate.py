@@ -28,9 +28,15 @@ NESTED = (
     messages.CodecDescription,
     messages.ImageDescription,
     messages.CodingDescription,
+    messages.QueuedStream,
 )
-_STRUCTS = {messages.Status: "vc_status_report", messages.Limits: "vc_controller_limits"}
-"""Structs whose usual name the core already has."""
+_STRUCTS = {
+    messages.Status: "vc_status_report",
+    messages.Limits: "vc_controller_limits",
+    messages.StreamSetup: "vc_configure",
+    messages.Queue: "vc_configure",
+}
+"""Structs whose usual name the core already has, or that another message shares."""
 
 
 def generated_files() -> dict[Path, str]:
@@ -46,6 +52,11 @@ def generated_files() -> dict[Path, str]:
 
 def _in_c_file(name: str) -> str:
     """Return a file of the firmware, from the template of the same name next to this module."""
+    with_body = tuple(message for message in FROM_HOST if wire_fields(message))
+    owners = (
+        messages.StreamSetup if issubclass(owner, messages.StreamSetup) else owner
+        for owner in (*with_body, *NESTED, *RESPONSES)
+    )
     return pages.render(
         Path(__file__).with_name(f"{name}.jinja"),
         coded_stream=coded_stream,
@@ -55,8 +66,9 @@ def _in_c_file(name: str) -> str:
         model_image=model_image,
         from_host=FROM_HOST,
         responses=RESPONSES,
-        with_body=tuple(message for message in FROM_HOST if wire_fields(message)),
+        with_body=with_body,
         nested=NESTED,
+        owners=tuple(dict.fromkeys(owners)),
         snake=snake,
         struct=_struct,
         structure=_structure,

@@ -1,6 +1,7 @@
 """Messages between host and controller, as dataclasses, from which C sources and docs/reference/protocol.md follow."""
 
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Annotated, ClassVar, NamedTuple, Self, TypeAlias
@@ -29,7 +30,7 @@ from vibrocast.device_protocol.layout import (
 from vibrocast.errors import VibrocastError
 
 PROTOCOL_MAJOR = 2
-PROTOCOL_MINOR = 1
+PROTOCOL_MINOR = 2
 
 NOTIFICATION = 0
 """The sequence number of a message that answers no request."""
@@ -124,13 +125,13 @@ class MessageError(VibrocastError, ValueError):
 
 
 class Message:
-    """A message. `ANSWER`: what a controller answers a host's message with.
+    """A message. `TYPE`: its number; 0: the class is none itself. `ANSWER`: what a controller answers it with.
 
     Values are checked where a message is packed or unpacked. The dataclasses are not frozen: that would make
     unpacking a Status twice as slow.
     """
 
-    TYPE: ClassVar[int]
+    TYPE: ClassVar[int] = 0
     ANSWER: ClassVar[str] = "Status"
     LAYOUT: ClassVar[Layout]
     FIXED: ClassVar[struct.Struct]
@@ -174,15 +175,13 @@ class StatusRequest(Message):
 
 
 @dataclass
-class Configure(Message):
-    """Stops the present stream and sets up another.
+class StreamSetup(Message):
+    """What a controller must know of a stream.
 
     `stream`: the host's number for it, 0-255. `packets`: in one iteration, 0 = unknown (live). `first_packet`: the
     refresh at which playing begins. `loops`: iterations, 0 = until stopped. `gain`: factor on the signal. `header`:
     the bytes of `coded_stream.StreamHeader`.
     """
-
-    TYPE = 0x03
 
     stream: U8
     compensation: FLAG = field(default=True, kw_only=True)
@@ -192,6 +191,23 @@ class Configure(Message):
     first_packet: U32 = 0
     loops: U16 = 1
     gain: FACTOR = 1.0
+
+
+@dataclass
+class Configure(StreamSetup):
+    """Stops the present stream and sets up another."""
+
+    TYPE = 0x03
+
+
+@dataclass
+class Queue(StreamSetup):
+    """Sets a stream up behind the one under way, which it follows without a gap; since version 2.2.
+
+    It has the rate, channels, unit and full scales of the stream before it, and its gain and compensation.
+    """
+
+    TYPE = 0x0C
 
 
 @dataclass
@@ -474,6 +490,14 @@ class CodingDescription:
 
 
 @dataclass
+class QueuedStream:
+    """The stream behind the one under way: its number, and up to where data of it may be sent, in its positions."""
+
+    stream: U8
+    credit_until: U64
+
+
+@dataclass
 class Status(Message):
     """State, position, credit and counts: the answer to most requests, and the notification that grants credit.
 
@@ -481,7 +505,8 @@ class Status(Message):
     that end at or before this position. `buffered_samples`: received and not yet played. `bad_frames` counts since the
     controller started, the fields after it since Configure. `output_gaps`: how often the DAC had no sample while it was
     away from rest; `late_samples`: for how many of its samples. `signed_images`: model images need a signature.
-    `coding`: in the answer to Configure alone, since version 2.1.
+    `coding`: in the answers to Configure and Queue alone, since version 2.1. `queued`: while a stream is set up behind
+    the one under way, since version 2.2.
     """
 
     TYPE = 0x81
@@ -502,7 +527,8 @@ class Status(Message):
     output_gaps: U32 = 0
     late_samples: U32 = 0
     signed_images: FLAG = False
-    coding: Annotated[CodingDescription | None, Tag(0x01, "coding, in the answer to Configure alone")] = None
+    coding: Annotated[CodingDescription | None, Tag(0x01, "coding, in the answers to Configure and Queue")] = None
+    queued: Annotated[QueuedStream | None, Tag(0x02, "queued, while a stream waits behind the one under way")] = None
 
 
 COUNTERS = (
@@ -563,7 +589,13 @@ class Error(Message):
     text: Annotated[str, Tag(0x01, "text")] = ""
 
 
-ALL: tuple[type[Message], ...] = tuple(Message.__subclasses__())
+def _kinds(owner: type[Message]) -> Iterator[type[Message]]:
+    """Yield the messages in the order of their declaration."""
+    for kind in owner.__subclasses__():
+        yield from _kinds(kind) if kind.__subclasses__() else (kind,)
+
+
+ALL: tuple[type[Message], ...] = tuple(_kinds(Message))
 REQUESTS = tuple(message for message in ALL if message.TYPE < FIRST_UNSEQUENCED)
 FROM_HOST = tuple(message for message in ALL if message.TYPE < FIRST_FROM_CONTROLLER)
 RESPONSES = tuple(message for message in ALL if message.TYPE >= FIRST_FROM_CONTROLLER)

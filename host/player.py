@@ -21,6 +21,7 @@ from vibrocast.host.stream_session import (
     CaptureOverwritten,
     StreamSession,
     configure_steps,
+    queue_steps,
 )
 
 # Longer than a busy computer keeps a program waiting, as a rule; all of it is delay between host and skin.
@@ -62,7 +63,8 @@ class PlaybackResult:
     `dac_codes` (int16, DAC rate), both (samples, channels), are the controller's capture; None if not required, or if
     the controller overwrote samples before they could be read.
     `captured_from`: its first packet, counted over all loops; 0 unless the controller started again after a loss.
-    `altered`: whether this host has paused or stopped it, or changed its gain, while it played.
+    `altered`: whether this host has paused or stopped it, or changed its gain, while it played. `following`: the
+    stream that the controller goes on with, for `PlaybackSettings.begun`; None = it came to rest.
     """
 
     state: State
@@ -80,6 +82,18 @@ class PlaybackResult:
     decoded: NDArray[np.int16] | None
     dac_codes: NDArray[np.int16] | None
     altered: bool
+    following: "Following | None" = None
+
+
+@dataclass
+class Following:
+    """A stream that waits behind another, and how many of its packets were sent."""
+
+    session: StreamSession
+    header: StreamHeader
+    packets: Sequence[bytes]
+    packet_samples: int
+    sent: int = 0
 
 
 @dataclass(frozen=True)
@@ -89,7 +103,9 @@ class PlaybackSettings:
     `compensation`: whether the controller compensates its actuator's response. `gain`: by which it multiplies.
     `first_packet`: a random-access packet at which playing begins. `prebuffer_s`: how much the controller holds before
     it begins; None = `buffer_s`. `start_steps`: return the device time of the begin, in us; None = at once. `turn`:
-    called in this thread at least every _TURN_S. It may do what `progress` may do, and raise, to end the playback.
+    called in this thread at least every _TURN_S. `next_stream`: returns header, packets and samples of a packet of the
+    stream that is to follow without a gap, None = none is known yet. `begun`: the stream waited behind another, and the
+    controller has gone on with it. It may do what `progress` may do, and raise, to end the playback.
     """
 
     loops: int = 1
@@ -103,6 +119,8 @@ class PlaybackSettings:
     prebuffer_s: float | None = None
     start_steps: Callable[[Controller], Steps[int]] | None = None
     turn: Callable[[], None] | None = None
+    next_stream: Callable[[], tuple[StreamHeader, Sequence[bytes], int] | None] | None = None
+    begun: Following | None = None
 
 
 def play(
@@ -148,7 +166,11 @@ def play_steps(
     reconnects, came_back_at = 0, -1
     pace = _Pace(controller)
     try:
-        senders = [(yield from _begin_steps(controller, source, settings, settings.first_packet, pace))]
+        if settings.begun is None:
+            senders = [(yield from _begin_steps(controller, source, settings, settings.first_packet, pace))]
+        else:
+            senders = [_Sender(settings.begun.session, source, settings, 0, pace, settings.begun.sent)]
+        counted = senders[0].status
         bad_before = senders[0].status.bad_frames
         while True:
             last = senders[-1]
@@ -161,6 +183,8 @@ def play_steps(
                 came_back_at, lost_s = last.position, last.heard_s
                 yield from controller.reconnect_steps(settings.reconnect_s)
                 reconnects += 1
+                if (yield from last.has_ended_steps()):
+                    break
                 if not (yield from last.goes_on_steps()):
                     first = last.refresh_to_go_on_from(cause)
                     senders.append((yield from _begin_steps(controller, source, settings, first, pace)))
@@ -175,15 +199,16 @@ def play_steps(
             yield from controller.stop_steps()
         raise
     reports = sum(sender.reports_playing for sender in senders)
+    counts_before = (counted.underruns, counted.lost_packets) if settings.begun else (0, 0)
     return PlaybackResult(
-        state=last.status.state,
+        state=State.FINISHED if last.following else last.status.state,
         status=last.status,
         seconds=controller.clock() - started_s,
         buffered_s=sum(sender.buffered_s_sum for sender in senders) / max(1, reports),
         wire_bytes_sent=controller.bytes_sent - sent_before,
         wire_bytes_received=controller.bytes_received - received_before,
-        underruns=sum(sender.status.underruns for sender in senders),
-        lost_packets=sum(sender.status.lost_packets for sender in senders),
+        underruns=sum(sender.status.underruns for sender in senders) - counts_before[0],
+        lost_packets=sum(sender.status.lost_packets for sender in senders) - counts_before[1],
         bad_frames=max(0, last.status.bad_frames - bad_before),  # a controller that has restarted counts from 0
         bad_frames_back=controller.bad_frames - bad_back_before,
         reconnects=reconnects,
@@ -191,6 +216,7 @@ def play_steps(
         decoded=last.captured(Tap.DECODED),
         dac_codes=last.captured(Tap.DAC),
         altered=controller.altered,
+        following=last.following,
     )
 
 
@@ -234,6 +260,16 @@ class _Source:
             raise StreamError(
                 "the stream cannot be decoded: it does not begin with a random-access packet; encode it again"
             )
+
+    def packets_ahead(self, controller: Controller, buffer_s: float) -> tuple[int, int]:
+        """Return how many packets the controller is to hold, and as many of them as it has room for.
+
+        At least the current packet and the next, however long. One more where the last one of an iteration may be
+        almost empty.
+        """
+        least = 3 if self.packet_s < self.packet_samples / self.header.rate_hz else 2
+        ahead = max(least, int(buffer_s / self.packet_s))
+        return ahead, min(ahead, controller.description.limits.buffer_samples // self.packet_samples)
 
     def seconds(self, positions: int) -> float:
         """Return the time that samples take to play, as positions count them."""
@@ -285,14 +321,9 @@ def _begin_steps(
     controller: Controller, source: _Source, settings: PlaybackSettings, first: int, pace: _Pace
 ) -> Steps["_Sender"]:
     """Set up and start the stream from packet `first` on, a random-access packet; return who sends it."""
-    limits = controller.description.limits
-    # The current packet and the next, however long, where the controller has room. One more where the last packet of an
-    # iteration may be almost empty.
-    min_packets = 3 if source.packet_s < source.packet_samples / source.header.rate_hz else 2
-    ahead_packets = max(min_packets, int(settings.buffer_s / source.packet_s))
-    buffer_packets = min(ahead_packets, limits.buffer_samples // source.packet_samples)
+    _, buffer_packets = source.packets_ahead(controller, settings.buffer_s)
     prebuffer_s = settings.buffer_s if settings.prebuffer_s is None else settings.prebuffer_s
-    prebuffer_packets = max(min_packets, int(prebuffer_s / source.packet_s))
+    prebuffer_packets, _ = source.packets_ahead(controller, prebuffer_s)
     iteration, first_packet = divmod(first, len(source.packets))
     session = yield from configure_steps(
         controller,
@@ -306,7 +337,7 @@ def _begin_steps(
     )
     at_us = 0 if settings.start_steps is None else (yield from settings.start_steps(controller))
     yield from session.start_steps(at_us)
-    return _Sender(session, source, settings, first, ahead_packets, buffer_packets, pace)
+    return _Sender(session, source, settings, first, pace)
 
 
 class _Sender:
@@ -322,11 +353,13 @@ class _Sender:
         source: _Source,
         settings: PlaybackSettings,
         first: int,
-        ahead_packets: int,
-        buffer_packets: int,
         pace: _Pace,
+        sent: int = 0,
     ) -> None:
-        """`ahead_packets`: how many the controller is to hold; `buffer_packets`: as many of them as it has room for."""
+        """`sent`: how many packets were sent already, where the stream waited behind another."""
+        ahead_packets, buffer_packets = source.packets_ahead(session.controller, settings.buffer_s)
+        self.following: Following | None = None
+        self._asked_for_next = False
         self._session = session
         self._controller = controller = session.controller
         self._source = source
@@ -344,7 +377,7 @@ class _Sender:
         # Those of which everything could be read so far.
         self._captures = {tap: Capture(controller, tap, source.header.channels) for tap in Tap if settings.capture}
         self._base = first - first % len(source.packets)  # where the controller's positions begin
-        self.first = self._next = first
+        self.first, self._next = first, max(first, sent)
         self._pace = pace
         self.heard_s = controller.clock()
 
@@ -360,14 +393,16 @@ class _Sender:
 
     def send_steps(self) -> Steps[None]:
         """Send as far as the credit reaches, and receive, until the playback has ended."""
-        while self.status.state not in (State.FINISHED, State.STOPPED):
+        while self.status.state not in (State.FINISHED, State.STOPPED) and not self._is_followed():
             if self._settings.turn is not None:
                 self._settings.turn()
             now_s = self._controller.clock()
             if now_s - self.heard_s > _SILENCE_S:
                 raise ConnectionLost(f"the controller has not answered for {_SILENCE_S:g} s; check that it has power")
             self._pace.check(self._source.seconds(self.position), rests=self.status.state == State.PAUSED)
-            has_sent = self._send_frame()
+            has_sent = self._send_frame() or self._send_ahead()
+            if self.following is None and self._settings.next_stream is not None and self._next == self._source.end:
+                yield from self._queue_steps(self._settings.next_stream)
             if now_s >= self._free_s:
                 self._ask(now_s)
             answer = yield from self._controller.poll_steps(0.0 if has_sent else self._wait_s(now_s))
@@ -384,6 +419,51 @@ class _Sender:
                     self._ask_s = min(self.heard_s + self._status_interval_s, self._sent_s + self._max_silence_s)
                 if self._settings.progress is not None:
                     self._settings.progress(self._progress())
+
+    def _is_followed(self) -> bool:
+        """Return whether the controller has gone on with the stream behind this one."""
+        status = self._controller.status
+        return self.following is not None and status is not None and status.stream == self.following.session.number
+
+    def has_ended_steps(self) -> Steps[bool]:
+        """Ask a controller that was out of reach whether it has gone on with the stream behind this one."""
+        status = yield from self._controller.request_steps(StatusRequest(), Status)
+        if self.following is None:
+            return False
+        if status.queued is None and not self._is_followed():
+            self.following = None  # it has begun again
+            self._asked_for_next = False
+            return False
+        self.following.sent = 0  # frames under way may be lost; the controller drops second copies
+        return self._is_followed()
+
+    def _queue_steps(self, next_stream: Callable[[], tuple[StreamHeader, Sequence[bytes], int] | None]) -> Steps[None]:
+        """Set up the stream that follows, once it is known and if the controller can go on with it without a gap."""
+        if self._asked_for_next or (found := next_stream()) is None:
+            return
+        self._asked_for_next = True
+        header, packets, packet_samples = found
+        settings = self._settings
+        session = yield from queue_steps(
+            self._session, header, len(packets), compensation=settings.compensation, gain=settings.gain
+        )
+        if session is not None:
+            self.following = Following(session, header, packets, packet_samples)
+
+    def _send_ahead(self) -> bool:
+        """Send the next packet of the stream that follows, if it has credit; return whether it did."""
+        following = self.following
+        if following is None or self._controller.is_sending:
+            return False
+        following.session.news()
+        if (following.sent + 1) * following.packet_samples > following.session.credit_until:
+            return False
+        if following.sent >= min(len(following.packets), self._ahead_packets):
+            return False
+        following.session.send([following.packets[following.sent]])
+        following.sent += 1
+        self._sent_s = self._controller.clock()
+        return True
 
     def goes_on_steps(self) -> Steps[bool]:
         """Ask a controller that was out of reach for its state; return whether it still plays this stream."""

@@ -4,6 +4,7 @@ import contextlib
 import logging
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from vibrocast.device_protocol.messages import (
     CaptureData,
     CaptureRead,
     Configure,
+    Queue,
     SinglePacket,
     Start,
     State,
@@ -41,6 +43,8 @@ _MIN_PART = 4
 _FRAME_S = 0.05
 """A frame of a capture keeps the link busy for about so long: half the time after which a request is sent again."""
 _MIN_FRAME_BYTES = 64
+QUEUE_MINOR = 2
+"""The minor version of the protocol that brought Queue."""
 
 
 def next_number(stream: int) -> int:
@@ -89,6 +93,8 @@ class StreamSession:
         Raises ControllerError for a controller in fault.
         """
         status = self.controller.status
+        if status is not None and status.queued is not None and status.queued.stream == self.number:
+            self.credit_until = max(self.credit_until, status.queued.credit_until)
         if status is None or status is self.status or status.stream != self.number:
             return None
         self._take(status)
@@ -147,6 +153,35 @@ def configure_steps(
         header.rate_hz,
     )
     return StreamSession(controller, configure.stream, accepted)
+
+
+def queue_steps(
+    session: StreamSession, header: StreamHeader, packets: int, *, compensation: bool = True, gain: float = 1.0
+) -> Steps[StreamSession | None]:
+    """Set a stream up behind the one of a session; return None where it cannot follow that one without a gap.
+
+    Raises as `Controller.request_steps`, but for a rejection.
+    """
+    controller, number = session.controller, next_number(session.number)
+    if controller.description.minor < QUEUE_MINOR:
+        return None
+    queue = Queue(
+        stream=number,
+        header=header.pack(),
+        prebuffer_samples=0,
+        packets=packets,
+        compensation=compensation,
+        gain=gain,
+    )
+    try:
+        status = yield from controller.request_steps(queue, Status)
+    except ControllerError as error:
+        if error.code is None:
+            raise
+        _log.info("the next stream waits for the end of this one: %s", error)
+        return None
+    _log.info("stream %d waits behind stream %d", number, session.number)
+    return StreamSession(controller, number, replace(status, credit_until=0))
 
 
 @contextlib.contextmanager

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal, NamedTuple, TypeVar
 
+from vibrocast.device_protocol.coded_stream import StreamHeader
 from vibrocast.device_protocol.messages import Gain, Pause, Resume, State, Status, StatusRequest
 from vibrocast.errors import InputError
 from vibrocast.host import event_loop, playback, player, uploader
@@ -231,6 +232,7 @@ class TrackPlayer:
             prebuffer_s=PREBUFFER_S,
             progress=self._progress,
             turn=self._turn,
+            next_stream=None if len(self._sources) == 1 else self._next_stream,
             start_steps=None if group is None else group.start_steps,
         )
         self._group = group
@@ -242,6 +244,7 @@ class TrackPlayer:
         self._pool = ThreadPoolExecutor(2, "tracks")  # one opens tracks while the other computes levels
         self._opening: dict[int, Future[Track]] = {}  # by the number of the source
         self._playing = -1
+        self._queued: player.Following | None = None
         self._levels: Future[object] | None = None
         if options.shuffle:
             random.shuffle(self._order)
@@ -258,7 +261,7 @@ class TrackPlayer:
                     failed_in_turn, following = 0, self._following()
                     place, start_s = following, 0.0
                 except _Jump as jump:
-                    place, start_s = jump.place, jump.position_s
+                    place, start_s, self._queued = jump.place, jump.position_s, None
                 except (InputError, OSError) as error:
                     name = name_of(self._sources[self._order[self._place]])
                     self.failures[name] = error
@@ -282,7 +285,12 @@ class TrackPlayer:
         return self._track
 
     def _open(self, source: int) -> Future[Track]:
-        return self._pool.submit(open_track, self._sources[source], self._session.controller, self._options)
+        """Begin to open a track, with the full scale of the one that plays where it fits, so that it can follow it."""
+        before = None if self._track is None or len(self._sources) == 1 else self._track.stream.header
+        alone = len(self._sources) == 1
+        return self._pool.submit(
+            open_track, self._sources[source], self._session.controller, self._options, alone, before
+        )
 
     def _play_steps(self, track: Track, start_s: float) -> Steps[None]:
         """Play a track from a time on, to its end. Raises _Jump at a command, and as `player.play_steps`."""
@@ -295,12 +303,32 @@ class TrackPlayer:
             first = track.refresh_before(start_s)
         if track.stream.image is not None:
             uploader.provide(self._session.controller, self._session.address, track.stream.image)
-        settings = replace(self._settings, first_packet=first or 0, gain=10 ** (self.gain_db / 20))
+        begun, self._queued = self._queued, None
+        settings = replace(
+            self._settings, first_packet=first or 0, gain=10 ** (self.gain_db / 20), begun=begun if not first else None
+        )
         stream = track.stream
         result = yield from player.play_steps(
             self._session.controller, track.header, stream.packets, stream.packet_samples, settings
         )
+        self._queued = result.following
         self.played.append(PlayedTrack(track, result))
+
+    def _next_stream(self) -> tuple[StreamHeader, Sequence[bytes], int] | None:
+        """Return what follows this track without a gap, if it is open by now."""
+        if self._place + 1 < len(self._order):
+            source = self._order[self._place + 1]
+        elif self._passes_left != 0 and not self._options.shuffle:
+            source = self._order[0]
+        else:
+            return None
+        opening = self._opening.get(source)
+        if opening is None or not opening.done() or opening.exception() is not None:
+            return None
+        track = opening.result()
+        if track.stream.image is not None:
+            return None  # it may have to be uploaded first
+        return track.header, track.stream.packets, track.stream.packet_samples
 
     def _following(self) -> int | None:
         """Return the place behind this one; None at the end of the last pass."""
@@ -369,9 +397,9 @@ class TrackPlayer:
             # Work beside the player only where a full buffer bridges it.
             track = self._track
             self._levels = self._pool.submit(lambda: track.levels)
-            if self._place + 1 < len(self._order):
-                following = self._order[self._place + 1]
-                self._opening.setdefault(following, self._open(following))
+            following = self._order[(self._place + 1) % len(self._order)]
+            if following not in self._opening:
+                self._opening[following] = self._open(following)
         self._tell(self._event("position"))
 
     def _event(self, kind: Kind, error: str | None = None) -> Event:

@@ -28,6 +28,8 @@ LIST_SUFFIXES = (".m3u", ".m3u8")
 LEVEL_S = 0.05
 """A level of a track is that of so long a part."""
 _SILENT_DB = -120.0
+_HEADROOM = 4.0
+"""The full scale of a track in a list, in its peak: the codec loses nothing by it."""
 _MAX_LIST_BYTES = 10_000_000
 
 
@@ -173,15 +175,29 @@ def read_source(source: Source, options: TrackOptions) -> Stream | textures.Reco
     return recording
 
 
-def open_track(source: Source, controller: Controller, options: TrackOptions) -> Track:
-    """Open a track, so that it can play at once on a controller. Raises as `read_source`, also where it cannot."""
+def open_track(
+    source: Source,
+    controller: Controller,
+    options: TrackOptions,
+    alone: bool = True,
+    before: StreamHeader | None = None,
+) -> Track:
+    """Open a track, so that it can play at once on a controller. Raises as `read_source`, also where it cannot.
+
+    `alone`: False = others follow it, so its full scale leaves room for louder ones. `before`: the stream before it,
+    whose full scale it takes where it fits.
+    """
     name, known = name_of(source), read_source(source, options)
     if isinstance(known, Stream):
         if options.from_s or options.to_s is not None:
             return Track(name, _recoded(_cut(known.recording(name), options)), options.gain_db)
         return Track(name, fitted(controller, known), options.gain_db, known.packet_samples)
     check_limits(controller, known.channels, options.arguments.get("stream_rate_hz", DEFAULT_STREAM_RATE_HZ))
-    growing = begin_encoding(_cut(known, options), **options.arguments)
+    recording = _cut(known, options)
+    least = 0.0 if alone else _HEADROOM * float(np.max(np.abs(recording.samples), initial=0.0))
+    if before is not None and before.unit == recording.unit and len(before.gains) == recording.channels:
+        least = before.gains[0]
+    growing = begin_encoding(recording, least_full_scale=least, **options.arguments)
     if growing.packet_samples <= packet_limit(controller.description.limits):
         return Track(name, growing, options.gain_db)
     return Track(name, fitted(controller, growing.finished().stream), options.gain_db)

@@ -5,6 +5,7 @@ however the samples are cut into pieces.
 """
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, TypeAlias
@@ -199,11 +200,13 @@ def render(
     compensation: bool = True,
     gain: float = 1.0,
     loops: int = 1,
+    behind: Sequence[tuple[StreamHeader, NDArray[np.int16], int]] = (),
 ) -> tuple[Codes, LimitCounts]:
     """Return all DAC codes int16 (n, channels) of a stream played `loops` times without a pause, and the limit counts.
 
-    `decoded`: int16 (samples, channels), every packet of one pass; `delay_samples`: the decoder's. Bit for bit the
-    output of a controller with this actuator, which its capture returns.
+    `decoded`: int16 (samples, channels), every packet of one pass; `delay_samples`: the decoder's. `behind`: header,
+    samples and delay of each stream that was queued behind it. Bit for bit the output of a controller with this
+    actuator, which its capture returns.
     """
     drive = Drive(header, actuator, compensation, delay_samples)
     dac = Dac(header, actuator, gain, compensation, drive.drive_samples(delay_samples))
@@ -212,5 +215,8 @@ def render(
     for _ in range(loops - 1):
         drive.join()
         codes.append(dac.play(drive.push(decoded[delay_samples:end])))
+    for queued, samples, late in behind:
+        drive.join()
+        codes.append(dac.play(drive.push(samples[late : recording_end(queued, late)])))
     codes += [dac.play(drive.finish()), dac.ramp_down()]
     return np.concatenate(codes), dac.counts

@@ -2,7 +2,7 @@
 "use strict";
 
 const PROTOCOL_MAJOR = 2;
-const PROTOCOL_MINOR = 1;
+const PROTOCOL_MINOR = 2;
 const FIRST_UNSEQUENCED = 0x40;
 const FIRST_FROM_CONTROLLER = 0x80;
 const STREAM_DATA_HEAD_BYTES = 7;
@@ -17,9 +17,11 @@ const TAPS = { DECODED: 0, DAC: 1 };
 /** @typedef {{ identifier: number, name: string }} CodecDescription */
 /** @typedef {{ slot: number, state: number, sha256: Uint8Array, number: number, name: string, version: string }} ImageDescription */
 /** @typedef {{ packet_samples: number, delay_samples: number }} CodingDescription */
+/** @typedef {{ stream: number, credit_until: number }} QueuedStream */
 /** @typedef {{ major: number, minor: number }} HelloMessage */
 /** @typedef {{ }} StatusRequestMessage */
 /** @typedef {{ stream: number, compensation: number, prebuffer_samples: number, packets: number, first_packet: number, loops: number, gain: number, header: Uint8Array }} ConfigureMessage */
+/** @typedef {{ stream: number, compensation: number, prebuffer_samples: number, packets: number, first_packet: number, loops: number, gain: number, header: Uint8Array }} QueueMessage */
 /** @typedef {{ device_time_us: number }} StartMessage */
 /** @typedef {{ }} PauseMessage */
 /** @typedef {{ }} ResumeMessage */
@@ -37,11 +39,11 @@ const TAPS = { DECODED: 0, DAC: 1 };
 /** @typedef {{ device_time_us: number, position_nm: number }} PositionMessage */
 /** @typedef {{ stream: number, packet: Uint8Array }} SinglePacketMessage */
 /** @typedef {{ major: number, minor: number, build: string, hardware: string, limits: Limits, actuator: ActuatorDescription, codecs: CodecDescription[], images: ImageDescription[], public_key: Uint8Array, serial_number: string }} HelloResponseMessage */
-/** @typedef {{ state: number, stream: number, device_time_us: number, position: number, credit_until: number, buffered_samples: number, bad_frames: number, underruns: number, lost_packets: number, compensation_clipped: number, voltage_limited: number, slew_limited: number, power_limited: number, output_gaps: number, late_samples: number, signed_images: number, coding: CodingDescription | null }} StatusMessage */
+/** @typedef {{ state: number, stream: number, device_time_us: number, position: number, credit_until: number, buffered_samples: number, bad_frames: number, underruns: number, lost_packets: number, compensation_clipped: number, voltage_limited: number, slew_limited: number, power_limited: number, output_gaps: number, late_samples: number, signed_images: number, coding: CodingDescription | null, queued: QueuedStream | null }} StatusMessage */
 /** @typedef {{ tap: number, channels: number, offset: number, end: number, data: Uint8Array }} CaptureDataMessage */
 /** @typedef {{ slot: number, state: number, next_offset: number, sha256: Uint8Array }} FlashStatusMessage */
 /** @typedef {{ code: number, text: string }} ErrorMessage */
-/** @typedef {{ Hello: HelloMessage, StatusRequest: StatusRequestMessage, Configure: ConfigureMessage, Start: StartMessage, Pause: PauseMessage, Resume: ResumeMessage, Stop: StopMessage, Loop: LoopMessage, Gain: GainMessage, EndStream: EndStreamMessage, CaptureRead: CaptureReadMessage, FlashBegin: FlashBeginMessage, FlashData: FlashDataMessage, FlashVerify: FlashVerifyMessage, FlashActivate: FlashActivateMessage, FlashConfirm: FlashConfirmMessage, StreamData: StreamDataMessage, Position: PositionMessage, SinglePacket: SinglePacketMessage, HelloResponse: HelloResponseMessage, Status: StatusMessage, CaptureData: CaptureDataMessage, FlashStatus: FlashStatusMessage, Error: ErrorMessage }} Messages */
+/** @typedef {{ Hello: HelloMessage, StatusRequest: StatusRequestMessage, Configure: ConfigureMessage, Queue: QueueMessage, Start: StartMessage, Pause: PauseMessage, Resume: ResumeMessage, Stop: StopMessage, Loop: LoopMessage, Gain: GainMessage, EndStream: EndStreamMessage, CaptureRead: CaptureReadMessage, FlashBegin: FlashBeginMessage, FlashData: FlashDataMessage, FlashVerify: FlashVerifyMessage, FlashActivate: FlashActivateMessage, FlashConfirm: FlashConfirmMessage, StreamData: StreamDataMessage, Position: PositionMessage, SinglePacket: SinglePacketMessage, HelloResponse: HelloResponseMessage, Status: StatusMessage, CaptureData: CaptureDataMessage, FlashStatus: FlashStatusMessage, Error: ErrorMessage }} Messages */
 
 /** @type {Record<string, Layout>} */
 const LAYOUTS = {
@@ -70,6 +72,11 @@ const LAYOUTS = {
         fields: [["packet_samples", "u32"], ["delay_samples", "u32"]],
         tags: { },
     },
+    QueuedStream: {
+        type: null,
+        fields: [["stream", "u8"], ["credit_until", "u64"]],
+        tags: { },
+    },
     Hello: {
         type: 0x01,
         fields: [["major", "u8"], ["minor", "u8"]],
@@ -82,6 +89,11 @@ const LAYOUTS = {
     },
     Configure: {
         type: 0x03,
+        fields: [["stream", "u8"], ["compensation", "u8"], ["prebuffer_samples", "u32"], ["packets", "u32"], ["first_packet", "u32"], ["loops", "u16"], ["gain", "f32"]],
+        tags: { 1: { name: "header", kind: "bytes", list: false, optional: false } },
+    },
+    Queue: {
+        type: 0x0c,
         fields: [["stream", "u8"], ["compensation", "u8"], ["prebuffer_samples", "u32"], ["packets", "u32"], ["first_packet", "u32"], ["loops", "u16"], ["gain", "f32"]],
         tags: { 1: { name: "header", kind: "bytes", list: false, optional: false } },
     },
@@ -173,7 +185,7 @@ const LAYOUTS = {
     Status: {
         type: 0x81,
         fields: [["state", "u8"], ["stream", "u8"], ["device_time_us", "u64"], ["position", "u64"], ["credit_until", "u64"], ["buffered_samples", "u32"], ["bad_frames", "u32"], ["underruns", "u32"], ["lost_packets", "u32"], ["compensation_clipped", "u32"], ["voltage_limited", "u32"], ["slew_limited", "u32"], ["power_limited", "u32"], ["output_gaps", "u32"], ["late_samples", "u32"], ["signed_images", "u8"]],
-        tags: { 1: { name: "coding", kind: "CodingDescription", list: false, optional: true } },
+        tags: { 1: { name: "coding", kind: "CodingDescription", list: false, optional: true }, 2: { name: "queued", kind: "QueuedStream", list: false, optional: true } },
     },
     CaptureData: {
         type: 0x82,

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from time import sleep
 
 import numpy as np
 import pytest
@@ -97,6 +98,18 @@ def test_a_list_plays_in_order_and_goes_on_behind_a_track_that_cannot_be_played(
     assert list(player.failures) == ["none.wav"] and "no such file" in str(player.failures["none.wav"])
     assert [event.kind for event in events if event.kind in ("failed", "ended")] == ["failed", "ended"]
     assert events[-1].kind == "ended"
+
+
+def test_tracks_of_one_format_follow_without_a_gap() -> None:
+    sources: list[Source] = [named(name, noise(1.0, rms=rms)) for name, rms in (("a", 2.0), ("b", 3.0))]
+
+    def let_it_open(event: Event, remote: Remote) -> None:
+        sleep(0.01)  # simulated time runs faster than the thread that opens the next track
+
+    events, player, codes = played(sources, let_it_open)
+    assert begun(events) == ["a", "b"] and [result.underruns for _, result in player.played] == [0, 0]
+    moving = np.flatnonzero(codes)
+    assert np.max(np.diff(moving)) < 5, "zeros in the noise, and no more"
 
 
 def test_a_list_repeats_and_ends_where_no_track_can_be_played(tmp_path: Path) -> None:

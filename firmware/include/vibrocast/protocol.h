@@ -3,7 +3,7 @@
 #define VIBROCAST_PROTOCOL_H
 
 #define VC_PROTOCOL_MAJOR 2
-#define VC_PROTOCOL_MINOR 1
+#define VC_PROTOCOL_MINOR 2
 #define VC_NOTIFICATION 0 /* the sequence number of a message that answers no request */
 #define VC_FIRST_UNSEQUENCED 0x40 /* types from here on have no sequence number */
 #define VC_FIRST_FROM_CONTROLLER 0x80
@@ -34,6 +34,7 @@ enum vc_message_type {
     VC_HELLO = 1,
     VC_STATUS_REQUEST = 2,
     VC_CONFIGURE = 3,
+    VC_QUEUE = 12,
     VC_START = 4,
     VC_PAUSE = 5,
     VC_RESUME = 6,

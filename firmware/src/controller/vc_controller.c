@@ -76,7 +76,7 @@ static vc_status_report status_of(vc_controller *controller)
     return status;
 }
 
-/* `coding`: how the stream is coded, in the answer to Configure; NULL in any other Status. */
+/* `coding`: how the stream is coded, in the answer to Configure or Queue; NULL in any other Status. */
 static void write_status(vc_controller *controller, vc_frame_writer *writer, uint16_t sequence,
                          const vc_coding_description *coding)
 {
@@ -109,7 +109,8 @@ static void notify(vc_controller *controller)
     if (!controller->in_session || !controller->configured)
         return;
     status = status_of(controller);
-    if (controller->reported && status.state == last->state && status.underruns <= last->underruns &&
+    if (controller->reported && status.state == last->state && status.stream == last->stream &&
+        status.underruns <= last->underruns &&
         status.credit_until < last->credit_until + vc_playback_capacity_samples(&controller->playback) / 4 &&
         !((status.state == VC_STATE_ARMED || status.state == VC_STATE_PLAYING) &&
           status.device_time_us - last->device_time_us >= STATUS_INTERVAL_US))
@@ -192,7 +193,8 @@ static int find_coding(const vc_controller *controller, const vc_stream_header *
     return 0;
 }
 
-static int configure(vc_controller *controller, const vc_configure *configure, vc_rejection *rejection)
+/* Sets a stream up in place of the one under way, or behind it. */
+static int configure(vc_controller *controller, const vc_configure *configure, int behind, vc_rejection *rejection)
 {
     vc_stream_header header;
     vc_coding coding;
@@ -203,6 +205,8 @@ static int configure(vc_controller *controller, const vc_configure *configure, v
         rejected = vc_playback_check(configure, &header, &coding, controller->settings, rejection);
     if (rejected)
         return rejected;
+    if (behind)
+        return vc_playback_queue(&controller->playback, configure, &header, &coding, rejection);
     stop(controller);
     vc_playback_init(&controller->playback, configure, &header, &coding);
     controller->configured = 1;
@@ -286,7 +290,12 @@ static int dispatch(vc_controller *controller, const vc_message *message, vc_fra
     case VC_STATUS_REQUEST:
         break;
     case VC_CONFIGURE:
-        rejected = configure(controller, &message->body.configure, rejection);
+        rejected = configure(controller, &message->body.configure, 0, rejection);
+        break;
+    case VC_QUEUE:
+        rejected = reject_outside(controller, IN_STREAM, rejection);
+        if (!rejected)
+            rejected = configure(controller, &message->body.queue, 1, rejection);
         break;
     case VC_START:
         rejected = reject_outside(controller, IN(VC_STATE_BUFFERING), rejection);
@@ -329,8 +338,10 @@ static int dispatch(vc_controller *controller, const vc_message *message, vc_fra
         return write_flash(controller, message, writer, rejection);
     }
     if (!rejected) {
-        const vc_coding_description coding = {playback->coding.packet_samples, playback->coding.delay_samples};
-        write_status(controller, writer, message->sequence, message->type == VC_CONFIGURE ? &coding : NULL);
+        const vc_coding *set_up = message->type == VC_QUEUE ? &playback->next_coding : &playback->coding;
+        const vc_coding_description coding = {set_up->packet_samples, set_up->delay_samples};
+        const int sets_up = message->type == VC_QUEUE || message->type == VC_CONFIGURE;
+        write_status(controller, writer, message->sequence, sets_up ? &coding : NULL);
     }
     return rejected;
 }
@@ -507,13 +518,15 @@ static void handle(vc_controller *controller, vc_piece payload)
             vc_playback_position(playback, message.body.position.device_time_us, message.body.position.position_nm,
                                  controller->time_us);
     } else if (message.type == VC_SINGLE_PACKET) {
-        if (controller->configured && message.body.single_packet.stream == playback->stream)
-            vc_playback_add(playback, 0, message.body.single_packet.packet, controller->time_us);
+        if (controller->configured)
+            vc_playback_add(playback, message.body.single_packet.stream, 0, message.body.single_packet.packet,
+                            controller->time_us);
     } else if (message.type != VC_STREAM_DATA) {
         take_request(controller, &message);
-    } else if (controller->configured && message.body.stream_data.stream == playback->stream) {
+    } else if (controller->configured) {
         while (vc_next_item(&message.body.stream_data.packets, &packet))
-            vc_playback_add(playback, message.body.stream_data.iteration, packet, controller->time_us);
+            vc_playback_add(playback, message.body.stream_data.stream, message.body.stream_data.iteration, packet,
+                            controller->time_us);
     }
 }
 

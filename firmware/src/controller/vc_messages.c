@@ -64,6 +64,18 @@ int vc_message_read(vc_message *message, const uint8_t *payload, size_t length, 
         value = &message->body.configure.header;
         tag = 1;
         break;
+    case VC_QUEUE:
+        message->body.queue.stream = (uint8_t)vc_take_number(&fields, 1);
+        flags = (unsigned)vc_take_number(&fields, 1);
+        message->body.queue.compensation = (uint8_t)flags;
+        message->body.queue.prebuffer_samples = (uint32_t)vc_take_number(&fields, 4);
+        message->body.queue.packets = (uint32_t)vc_take_number(&fields, 4);
+        message->body.queue.first_packet = (uint32_t)vc_take_number(&fields, 4);
+        message->body.queue.loops = (uint16_t)vc_take_number(&fields, 2);
+        message->body.queue.gain_float_bits = (uint32_t)vc_take_number(&fields, 4);
+        value = &message->body.queue.header;
+        tag = 1;
+        break;
     case VC_START:
         message->body.start.device_time_us = vc_take_number(&fields, 8);
         break;
@@ -139,6 +151,10 @@ int vc_message_read(vc_message *message, const uint8_t *payload, size_t length, 
     case VC_CONFIGURE:
         if (!is_factor(message->body.configure.gain_float_bits))
             return vc_reject(rejection, VC_BAD_VALUE, "Configure: gain is not a finite factor of at least 0");
+        break;
+    case VC_QUEUE:
+        if (!is_factor(message->body.queue.gain_float_bits))
+            return vc_reject(rejection, VC_BAD_VALUE, "Queue: gain is not a finite factor of at least 0");
         break;
     case VC_GAIN:
         if (!is_factor(message->body.gain.gain_float_bits))
@@ -236,6 +252,13 @@ static void write_coding_description(vc_frame_writer *writer, uint8_t tag, const
     vc_frame_write_number(writer, value->delay_samples, 4);
 }
 
+static void write_queued_stream(vc_frame_writer *writer, uint8_t tag, const vc_queued_stream *value)
+{
+    write_tag(writer, tag, 1 + 8);
+    vc_frame_write_number(writer, value->stream, 1);
+    vc_frame_write_number(writer, value->credit_until, 8);
+}
+
 void vc_write_hello_response(vc_frame_writer *writer, uint16_t sequence, const vc_hello_response *message)
 {
     unsigned i;
@@ -279,6 +302,8 @@ void vc_write_status(vc_frame_writer *writer, uint16_t sequence, const vc_status
     vc_frame_write_number(writer, message->signed_images, 1);
     if (message->coding != NULL)
         write_coding_description(writer, 1, message->coding);
+    if (message->queued != NULL)
+        write_queued_stream(writer, 2, message->queued);
 }
 
 void vc_write_capture_data(vc_frame_writer *writer, uint16_t sequence, const vc_capture_data *message)

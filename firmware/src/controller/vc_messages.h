@@ -17,9 +17,9 @@ typedef struct {
     uint8_t minor;
 } vc_hello;
 
-/* Stops the present stream and sets up another. `stream`: the host's number for it, 0-255. `packets`: in one iteration,
- * 0 = unknown (live). `first_packet`: the refresh at which playing begins. `loops`: iterations, 0 = until stopped.
- * `gain`: factor on the signal. `header`: the bytes of `coded_stream.StreamHeader`. */
+/* What a controller must know of a stream. `stream`: the host's number for it, 0-255. `packets`: in one iteration, 0 =
+ * unknown (live). `first_packet`: the refresh at which playing begins. `loops`: iterations, 0 = until stopped. `gain`:
+ * factor on the signal. `header`: the bytes of `coded_stream.StreamHeader`. */
 typedef struct {
     uint8_t stream;
     uint8_t compensation;
@@ -162,6 +162,12 @@ typedef struct {
     uint32_t delay_samples;
 } vc_coding_description;
 
+/* The stream behind the one under way: its number, and up to where data of it may be sent, in its positions. */
+typedef struct {
+    uint8_t stream;
+    uint64_t credit_until;
+} vc_queued_stream;
+
 /* The controller's version, limits, actuator, codecs and model images. `public_key`: of Ed25519; model images need its
  * signature. Empty: they need none. `serial_number`: of the board; empty: it has none. */
 typedef struct {
@@ -184,7 +190,8 @@ typedef struct {
  * or before this position. `buffered_samples`: received and not yet played. `bad_frames` counts since the controller
  * started, the fields after it since Configure. `output_gaps`: how often the DAC had no sample while it was away from
  * rest; `late_samples`: for how many of its samples. `signed_images`: model images need a signature. `coding`: in the
- * answer to Configure alone, since version 2.1. */
+ * answers to Configure and Queue alone, since version 2.1. `queued`: while a stream is set up behind the one under way,
+ * since version 2.2. */
 typedef struct {
     uint8_t state;
     uint8_t stream;
@@ -203,6 +210,7 @@ typedef struct {
     uint32_t late_samples;
     uint8_t signed_images;
     const vc_coding_description *coding; /* NULL: none */
+    const vc_queued_stream *queued; /* NULL: none */
 } vc_status_report;
 
 /* Captured samples, int16 little-endian, channels interleaved. `offset`: of the first sample, later than requested if
@@ -236,6 +244,7 @@ typedef struct {
     union {
         vc_hello hello;
         vc_configure configure;
+        vc_configure queue;
         vc_start start;
         vc_loop loop;
         vc_gain gain;

@@ -1,4 +1,4 @@
-/* One stream on the controller: buffers, decodes and plays it; see vc_playback.h. */
+/* One stream on the controller, and one behind it: buffers, decodes and plays them; see vc_playback.h. */
 #include "vc_playback.h"
 
 /* Limits for loops, because each iteration starts again and decodes padding. */
@@ -219,22 +219,34 @@ static const vc_drive *const_drive_of(const vc_playback *playback)
     return (const vc_drive *)playback->drive;
 }
 
+/* Takes over what describes a stream. */
+static void describe(vc_playback *playback, uint8_t stream, const vc_stream_header *header, const vc_coding *coding,
+                     uint32_t packets, uint16_t loops)
+{
+    playback->header = *header;
+    playback->coding = *coding;
+    playback->coding.configuration = playback->header.configuration;
+    playback->spatial = (uint8_t)is_spatial(header);
+    playback->stream = stream;
+    playback->live = playback->open = packets == 0;
+    playback->packets = packets;
+    playback->loops = loops;
+    playback->buffer_packets = buffer_packets_of(&playback->coding, &playback->sizes);
+    playback->position = 0;
+    playback->has_next = 0;
+    vc_decoder_init(&playback->decoder, &playback->coding);
+}
+
 void vc_playback_init(vc_playback *playback, const vc_configure *configure, const vc_stream_header *header,
                       const vc_coding *coding)
 {
     uint32_t delay_samples, hold_samples;
     unsigned tap;
-    playback->header = *header;
-    playback->coding = *coding;
-    playback->coding.configuration = playback->header.configuration;
+    describe(playback, configure->stream, header, coding, configure->packets, configure->loops);
     playback->output = output_of(header, playback->actuator);
-    playback->spatial = (uint8_t)is_spatial(header);
-    playback->stream = configure->stream;
-    playback->live = playback->open = configure->packets == 0;
-    playback->packets = configure->packets;
-    playback->loops = configure->loops;
     playback->prebuffer_samples = configure->prebuffer_samples;
-    playback->buffer_packets = buffer_packets_of(&playback->coding, &playback->sizes);
+    playback->key = 0;
+    playback->joins = 0;
 
     playback->state = VC_STATE_BUFFERING;
     playback->next = playback->newest_end = configure->first_packet;
@@ -245,7 +257,6 @@ void vc_playback_init(vc_playback *playback, const vc_configure *configure, cons
     playback->underruns = playback->lost_packets = 0;
 
     vc_packet_buffer_clear(&playback->buffer);
-    vc_decoder_init(&playback->decoder, &playback->coding);
     playback->decoding = playback->behind = 0;
     playback->decoded_samples = playback->decoded_at = playback->decoded_end = 0;
     playback->decoded_for_drive = playback->played = 0;
@@ -310,7 +321,7 @@ static void begin_packet(vc_playback *playback)
         vc_decoder_init(&playback->decoder, &playback->coding);
         vc_drive_join(drive_of(playback));
     }
-    packet = vc_packet_buffer_find(&playback->buffer, number, &length);
+    packet = vc_packet_buffer_find(&playback->buffer, playback->key + number, &length);
     starved = playback->buffer.count == 0;
     if (starved && !playback->starved)
         count_one(&playback->underruns);
@@ -321,17 +332,29 @@ static void begin_packet(vc_playback *playback)
         count_one(&playback->lost_packets);
         (void)vc_decoder_feed(&playback->decoder, NULL, 0);
     }
-    vc_packet_buffer_remove(&playback->buffer, number);
+    vc_packet_buffer_remove(&playback->buffer, playback->key + number);
     playback->decoding = 1;
     playback->decoded_samples = 0;
     /* Iterations join without a gap: a later one begins after the codec's delay, and each ends with the recording. */
     playback->decoded_at = 0;
-    if ((iteration > 0 || playback->spatial) && before < coding->delay_samples)
+    if ((iteration > 0 || playback->spatial || playback->joins) && before < coding->delay_samples)
         playback->decoded_at = (uint32_t)least(coding->delay_samples - before, coding->packet_samples);
     playback->decoded_end = (uint32_t)least(end - least(end, before), coding->packet_samples);
     if (playback->decoded_end < playback->decoded_at)
         playback->decoded_end = playback->decoded_at;
     playback->decoded_for_drive += playback->decoded_end - playback->decoded_at;
+}
+
+/* Goes on with the stream behind the one that has been decoded to its end, as with a further iteration. */
+static void begin_next(vc_playback *playback)
+{
+    const vc_stream_header header = playback->next_header;
+    playback->key += end_of(playback);
+    playback->next = playback->newest_end = 0;
+    playback->joins = 1;
+    describe(playback, playback->queued.stream, &header, &playback->next_coding, playback->next_packets,
+             playback->next_loops);
+    vc_drive_join(drive_of(playback));
 }
 
 /* Decodes the next block. Returns 0, and does nothing, if this turn has decoded one already. */
@@ -366,30 +389,81 @@ static void load_block(vc_playback *playback)
 {
     size_t length;
     uint32_t samples;
-    if (!playback->decoding && vc_packet_buffer_find(&playback->buffer, playback->next, &length) == NULL)
+    if (!playback->decoding &&
+        vc_packet_buffer_find(&playback->buffer, playback->key + playback->next, &length) == NULL)
         return;
     (void)decode_block(playback);
     samples = takeable(playback);
     vc_profile_load(playback->profile,
                     playback->decoded + (size_t)playback->decoded_at * playback->header.output.channels, samples);
     playback->decoded_at += samples;
-    playback->behind = playback->decoding || vc_packet_buffer_find(&playback->buffer, playback->next, &length) != NULL;
+    playback->behind =
+        playback->decoding || vc_packet_buffer_find(&playback->buffer, playback->key + playback->next, &length) != NULL;
 }
 
-void vc_playback_add(vc_playback *playback, uint32_t iteration, vc_piece packet, uint64_t time_us)
+/* The packets of the next stream that credit reaches. */
+static uint64_t next_credit_of(const vc_playback *playback)
+{
+    const uint64_t credit = credit_of(playback), end = end_of(playback);
+    const uint64_t most = buffer_packets_of(&playback->next_coding, &playback->sizes);
+    return credit > end ? least(credit - end, most) : 0;
+}
+
+static int rejects_other_format(const vc_output_stream *one, const vc_output_stream *other)
+{
+    unsigned channel;
+    if (one->rate_hz != other->rate_hz || one->unit != other->unit || one->channels != other->channels)
+        return 1;
+    for (channel = 0; channel < one->channels; channel++)
+        if (one->gain[channel] != other->gain[channel])
+            return 1;
+    return 0;
+}
+
+int vc_playback_queue(vc_playback *playback, const vc_configure *configure, const vc_stream_header *header,
+                      const vc_coding *coding, vc_rejection *rejection)
+{
+    if (playback->has_next || playback->spatial || end_of(playback) == NO_END)
+        return vc_reject(rejection, VC_WRONG_STATE,
+                         "a stream is queued behind one that ends, and that has none behind it yet");
+    if (configure->packets == 0 || configure->first_packet > 0)
+        return vc_reject(rejection, VC_BAD_VALUE, "a queued stream has a known number of packets, from the first on");
+    if (rejects_other_format(&playback->header.output, &header->output))
+        return vc_reject(rejection, VC_BEYOND_LIMITS,
+                         "a queued stream has the rate, channels, unit and full scales of the one before: wait for its "
+                         "end instead");
+    playback->has_next = 1;
+    playback->queued.stream = configure->stream;
+    playback->next_header = *header;
+    playback->next_coding = *coding;
+    playback->next_coding.configuration = playback->next_header.configuration;
+    playback->next_packets = configure->packets;
+    playback->next_loops = configure->loops;
+    return 0;
+}
+
+void vc_playback_add(vc_playback *playback, uint8_t stream, uint32_t iteration, vc_piece packet, uint64_t time_us)
 {
     uint32_t sequence;
     int refresh;
     uint64_t number;
-    if (playback->state < VC_STATE_BUFFERING || playback->state > VC_STATE_PAUSED ||
+    const int is_next = playback->has_next && stream == playback->queued.stream;
+    const uint32_t packets = is_next ? playback->next_packets : playback->packets;
+    if ((stream != playback->stream && !is_next) || playback->state < VC_STATE_BUFFERING ||
+        playback->state > VC_STATE_PAUSED || packet.length > VC_MAX_PACKET_BYTES ||
         vc_packet_sequence(packet.bytes, packet.length, &sequence, &refresh) != 0 ||
-        (playback->open ? iteration > 0 : sequence >= playback->packets))
+        (playback->open ? iteration > 0 : sequence >= packets))
         return;
-    number = (uint64_t)iteration * playback->packets + sequence;
-    if (number < playback->next || number >= credit_of(playback) || number >= end_of(playback) ||
-        packet.length > VC_MAX_PACKET_BYTES)
+    number = (uint64_t)iteration * packets + sequence;
+    if (is_next) {
+        if (number < next_credit_of(playback) && (playback->next_loops == 0 || iteration < playback->next_loops))
+            (void)vc_packet_buffer_add(&playback->buffer, playback->key + end_of(playback) + number, packet.bytes,
+                                       packet.length);
         return;
-    (void)vc_packet_buffer_add(&playback->buffer, number, packet.bytes, packet.length);
+    }
+    if (number < playback->next || number >= credit_of(playback) || number >= end_of(playback))
+        return;
+    (void)vc_packet_buffer_add(&playback->buffer, playback->key + number, packet.bytes, packet.length);
     if (number >= playback->newest_end)
         playback->newest_end = number + 1;
     playback->waiting_since_us = time_us;
@@ -439,6 +513,7 @@ void vc_playback_stop(vc_playback *playback, enum vc_state state)
     if (playback->dac_port->drop != NULL)
         playback->dac_port->drop(playback->dac_port->context);
     vc_packet_buffer_clear(&playback->buffer);
+    playback->has_next = 0;
     playback->decoding = 0;
     playback->decoded_samples = playback->decoded_at = playback->decoded_end = 0;
     playback->drive_at = playback->drive_end = 0;
@@ -447,8 +522,10 @@ void vc_playback_stop(vc_playback *playback, enum vc_state state)
 int vc_playback_set_loops(vc_playback *playback, uint16_t loops, vc_rejection *rejection)
 {
     const uint32_t packets = playback->live ? 0 : playback->packets;
-    const int rejected =
-        loops == 1 ? 0 : reject_short_iterations(&playback->header, &playback->coding, packets, rejection);
+    int rejected;
+    if (playback->has_next)
+        return vc_reject(rejection, VC_WRONG_STATE, "a stream is queued: the one under way no longer changes its end");
+    rejected = loops == 1 ? 0 : reject_short_iterations(&playback->header, &playback->coding, packets, rejection);
     if (!rejected)
         playback->loops = loops;
     return rejected;
@@ -483,7 +560,10 @@ static uint32_t ready_drive(vc_playback *playback)
                 vc_drive_push(drive_of(playback), playback->decoded + (size_t)playback->decoded_at * channels, samples,
                               playback->drive_samples, VC_PIECE_SAMPLES, &playback->drive_end);
         } else if (!playback->decoding && playback->next >= end_of(playback)) {
-            playback->finishing = 1;
+            if (playback->has_next)
+                begin_next(playback);
+            else
+                playback->finishing = 1;
         } else if (!decode_block(playback)) {
             break;
         }
@@ -642,6 +722,11 @@ void vc_playback_report(vc_playback *playback, vc_status_report *status)
     status->stream = playback->stream;
     status->position = playback->position;
     status->credit_until = credit_of(playback) * packet_samples;
+    status->queued = NULL;
+    if (playback->has_next) {
+        playback->queued.credit_until = next_credit_of(playback) * playback->next_coding.packet_samples;
+        status->queued = &playback->queued;
+    }
     status->buffered_samples = playback->buffer.count * packet_samples + pending;
     status->underruns = playback->underruns;
     status->lost_packets = playback->lost_packets;

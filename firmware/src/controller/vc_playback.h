@@ -1,4 +1,5 @@
-/* One stream on the controller: packets buffered, decoded and concealed, drive, DAC, and the capture of both ends.
+/* One stream on the controller, and one behind it: packets buffered, decoded and concealed, drive, DAC, and the capture
+ * of both ends.
  *
  * docs/reference/protocol.md, "Playing", says how it behaves. Time comes from outside, in microseconds of the
  * controller's clock. Packets are counted over all iterations.
@@ -42,6 +43,16 @@ typedef struct {
     uint32_t packets; /* in one iteration, where it is not open */
     uint32_t prebuffer_samples;
     uint32_t buffer_packets; /* that the buffer's samples have room for */
+    uint64_t key;            /* of its packet 0 in the buffer */
+    int joins;               /* it follows another without a gap */
+
+    /* The stream that follows it, if there is one. Its packets wait behind the last one of the stream under way. */
+    int has_next;
+    vc_queued_stream queued; /* of the last Status */
+    vc_stream_header next_header;
+    vc_coding next_coding;
+    uint32_t next_packets;
+    uint16_t next_loops;
 
     /* Where it is. */
     enum vc_state state;
@@ -96,8 +107,12 @@ int vc_playback_check(const vc_configure *configure, const vc_stream_header *hea
 void vc_playback_init(vc_playback *playback, const vc_configure *configure, const vc_stream_header *header,
                       const vc_coding *coding);
 
+/* Sets up a stream that vc_playback_check has accepted behind the one under way. Returns 0, or the rejection's code. */
+int vc_playback_queue(vc_playback *playback, const vc_configure *configure, const vc_stream_header *header,
+                      const vc_coding *coding, vc_rejection *rejection);
+
 /* Sorts in a packet of a message; drops it if it comes twice, too late, beyond credit or beyond the end. */
-void vc_playback_add(vc_playback *playback, uint32_t iteration, vc_piece packet, uint64_t time_us);
+void vc_playback_add(vc_playback *playback, uint8_t stream, uint32_t iteration, vc_piece packet, uint64_t time_us);
 
 /* Takes where the hand was at a time of the controller's clock, at most the present one; 0: now. */
 void vc_playback_position(vc_playback *playback, uint64_t hand_us, int64_t position_nm, uint64_t time_us);
