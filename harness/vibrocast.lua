@@ -23,6 +23,14 @@ fields.configure_first_packet = ProtoField.uint32("vibrocast.configure.first_pac
 fields.configure_loops = ProtoField.uint16("vibrocast.configure.loops", "loops")
 fields.configure_gain = ProtoField.float("vibrocast.configure.gain", "gain")
 fields.configure_header = ProtoField.bytes("vibrocast.configure.header", "header")
+fields.queue_stream = ProtoField.uint8("vibrocast.queue.stream", "stream")
+fields.queue_compensation = ProtoField.uint8("vibrocast.queue.compensation", "compensation")
+fields.queue_prebuffer_samples = ProtoField.uint32("vibrocast.queue.prebuffer_samples", "prebuffer_samples")
+fields.queue_packets = ProtoField.uint32("vibrocast.queue.packets", "packets")
+fields.queue_first_packet = ProtoField.uint32("vibrocast.queue.first_packet", "first_packet")
+fields.queue_loops = ProtoField.uint16("vibrocast.queue.loops", "loops")
+fields.queue_gain = ProtoField.float("vibrocast.queue.gain", "gain")
+fields.queue_header = ProtoField.bytes("vibrocast.queue.header", "header")
 fields.start_device_time_us = ProtoField.uint64("vibrocast.start.device_time_us", "device_time_us")
 fields.loop_loops = ProtoField.uint16("vibrocast.loop.loops", "loops")
 fields.gain_gain = ProtoField.float("vibrocast.gain.gain", "gain")
@@ -75,6 +83,7 @@ fields.status_output_gaps = ProtoField.uint32("vibrocast.status.output_gaps", "o
 fields.status_late_samples = ProtoField.uint32("vibrocast.status.late_samples", "late_samples")
 fields.status_signed_images = ProtoField.uint8("vibrocast.status.signed_images", "signed_images")
 fields.status_coding = ProtoField.bytes("vibrocast.status.coding", "coding")
+fields.status_queued = ProtoField.bytes("vibrocast.status.queued", "queued")
 fields.capture_data_tap = ProtoField.uint8("vibrocast.capture_data.tap", "tap", base.DEC, {[0] = "DECODED", [1] = "DAC"})
 fields.capture_data_channels = ProtoField.uint8("vibrocast.capture_data.channels", "channels")
 fields.capture_data_offset = ProtoField.uint64("vibrocast.capture_data.offset", "offset")
@@ -115,6 +124,8 @@ fields.image_description_name = ProtoField.string("vibrocast.image_description.n
 fields.image_description_version = ProtoField.string("vibrocast.image_description.version", "version")
 fields.coding_description_packet_samples = ProtoField.uint32("vibrocast.coding_description.packet_samples", "packet_samples")
 fields.coding_description_delay_samples = ProtoField.uint32("vibrocast.coding_description.delay_samples", "delay_samples")
+fields.queued_stream_stream = ProtoField.uint8("vibrocast.queued_stream.stream", "stream")
+fields.queued_stream_credit_until = ProtoField.uint64("vibrocast.queued_stream.credit_until", "credit_until")
 
 -- Of each struct: name and kind of its fields, in their order; by tag, the struct or the name of a plain value.
 local structs = {
@@ -127,6 +138,10 @@ local structs = {
         tags = {  },
     },
     configure = {
+        fields = { { "stream", "u8" }, { "compensation", "u8" }, { "prebuffer_samples", "u32" }, { "packets", "u32" }, { "first_packet", "u32" }, { "loops", "u16" }, { "gain", "f32" },  },
+        tags = { [1] = { "header" },  },
+    },
+    queue = {
         fields = { { "stream", "u8" }, { "compensation", "u8" }, { "prebuffer_samples", "u32" }, { "packets", "u32" }, { "first_packet", "u32" }, { "loops", "u16" }, { "gain", "f32" },  },
         tags = { [1] = { "header" },  },
     },
@@ -200,7 +215,7 @@ local structs = {
     },
     status = {
         fields = { { "state", "u8" }, { "stream", "u8" }, { "device_time_us", "u64" }, { "position", "u64" }, { "credit_until", "u64" }, { "buffered_samples", "u32" }, { "bad_frames", "u32" }, { "underruns", "u32" }, { "lost_packets", "u32" }, { "compensation_clipped", "u32" }, { "voltage_limited", "u32" }, { "slew_limited", "u32" }, { "power_limited", "u32" }, { "output_gaps", "u32" }, { "late_samples", "u32" }, { "signed_images", "u8" },  },
-        tags = { [1] = { "coding", "coding_description" },  },
+        tags = { [1] = { "coding", "coding_description" }, [2] = { "queued", "queued_stream" },  },
     },
     capture_data = {
         fields = { { "tap", "u8" }, { "channels", "u8" }, { "offset", "u64" }, { "end", "u64" }, { "data", "bytes" },  },
@@ -234,12 +249,17 @@ local structs = {
         fields = { { "packet_samples", "u32" }, { "delay_samples", "u32" },  },
         tags = {  },
     },
+    queued_stream = {
+        fields = { { "stream", "u8" }, { "credit_until", "u64" },  },
+        tags = {  },
+    },
 }
 
 local names = {
     [1] = { "Hello", "hello" },
     [2] = { "StatusRequest", "status_request" },
     [3] = { "Configure", "configure" },
+    [12] = { "Queue", "queue" },
     [4] = { "Start", "start" },
     [5] = { "Pause", "pause" },
     [6] = { "Resume", "resume" },

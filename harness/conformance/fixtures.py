@@ -32,6 +32,7 @@ SECTIONS = (
     "Playing: States",
     "Playing: Requests by state",
     "Playing: Configure",
+    "Playing: Queue",
     "Playing: Positions",
     "Playing: Credit",
     "Playing: Stream data",

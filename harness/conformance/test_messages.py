@@ -21,6 +21,7 @@ from vibrocast.device_protocol.messages import (
     Message,
     Pause,
     Position,
+    Queue,
     Resume,
     SinglePacket,
     Start,
@@ -35,6 +36,7 @@ from vibrocast.device_protocol.messages import (
 from vibrocast.harness.conformance.fixtures import long, section
 from vibrocast.harness.conformance.probe import Probe, an_error, describe, in_state
 from vibrocast.harness.conformance.streams import lasting_stream, stream_for
+from vibrocast.host.stream_session import QUEUE_MINOR
 
 # docs/reference/protocol.md, "Status"
 _DRIFT = 0.01
@@ -204,11 +206,14 @@ def split(message: Message) -> tuple[bytes, bytes]:
 
 def request_for(request_type: type[Message], probe: Probe) -> Message:
     """Return a request of a type that would be carried out on the configured stream; no slot is ever changed by it."""
+    if request_type is Queue and probe.description.minor < QUEUE_MINOR:
+        pytest.skip(f"the controller speaks version {probe.description.major}.{probe.description.minor}")
     stream = probe.status().stream
     requests: tuple[Message, ...] = (
         Hello(),
         StatusRequest(),
         Configure(stream, stream_for(probe.description).header.pack(), 0, packets=1),
+        Queue((stream + 1) % 256, stream_for(probe.description).header.pack(), 0, packets=1),
         Start(),
         Pause(),
         Resume(),

@@ -33,6 +33,8 @@ from vibrocast.device_protocol.messages import (
     MessageError,
     Pause,
     Position,
+    Queue,
+    QueuedStream,
     Resume,
     SinglePacket,
     SlotState,
@@ -53,6 +55,7 @@ gains = st.floats(0, 1e6, width=32)
 texts = st.text(max_size=40)
 sha256s = st.binary(min_size=32, max_size=32)
 codings = st.builds(CodingDescription, u32, u32)
+queued = st.builds(QueuedStream, u8, u64)
 states, slot_states, taps = st.sampled_from(State), st.sampled_from(SlotState), st.sampled_from(Tap)
 
 limits = st.builds(Limits, u16, u16, u32, u32, u8, u32, u32, u16, u32)
@@ -67,7 +70,10 @@ captures = st.integers(1, 4).flatmap(
 MESSAGES: dict[type[Message], st.SearchStrategy[Message]] = {
     Hello: st.builds(Hello, u8, u8),
     StatusRequest: st.just(StatusRequest()),
-    Configure: st.builds(Configure, u8, st.binary(max_size=300), u32, u32, u32, u16, gains, compensation=st.booleans()),
+    **{
+        kind: st.builds(kind, u8, st.binary(max_size=300), u32, u32, u32, u16, gains, compensation=st.booleans())
+        for kind in (Configure, Queue)
+    },
     Start: st.builds(Start, u64),
     Pause: st.just(Pause()),
     Resume: st.just(Resume()),
@@ -96,7 +102,9 @@ MESSAGES: dict[type[Message], st.SearchStrategy[Message]] = {
         major=u8,
         minor=u8,
     ),
-    Status: st.builds(Status, states, u8, u64, u64, u64, *[u32] * 10, st.booleans(), st.none() | codings),
+    Status: st.builds(
+        Status, states, u8, u64, u64, u64, *[u32] * 10, st.booleans(), st.none() | codings, st.none() | queued
+    ),
     CaptureData: captures,
     FlashStatus: st.builds(FlashStatus, u8, slot_states, u32, sha256s),
     Error: st.builds(Error, u16, texts),
@@ -220,6 +228,10 @@ GOLDEN: list[tuple[Message, str]] = [
         "033412070018010000280000000400000003000000003f01040056435411",
     ),
     (Configure(1, b"", 70_000), "033412010170110100000000000000000001000000803f010000"),
+    (
+        Queue(7, b"VCT\x11", 280, packets=40, first_packet=4, loops=3, compensation=False, gain=0.5),
+        "0c3412070018010000280000000400000003000000003f01040056435411",
+    ),
     (Start(1 << 40), "0434120000000000010000"),
     (Pause(), "053412"),
     (Resume(), "063412"),
@@ -278,6 +290,11 @@ GOLDEN: list[tuple[Message, str]] = [
         Status(State.BUFFERING, 7, 1, 0, 6400, 0, 0, 0, 0, 0, 0, 0, 0, coding=CodingDescription(320, 70_000)),
         "81341201070100000000000000000000000000000000190000000000000000000000000000000000000000000000"
         "0000000000000000000000000000000000000000000000000108004001000070110100",
+    ),
+    (
+        Status(State.PLAYING, 7, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, queued=QueuedStream(8, 1280)),
+        "81341203070100000000000000020000000000000003000000000000000400000005000000060000000700000008"
+        "000000090000000a0000000b000000000000000000000000020900080005000000000000",
     ),
     (
         CaptureData(Tap.DECODED, 2, 5, 1 << 34, b"\x01\x02\x03\x04"),

@@ -18,6 +18,7 @@ STRUCTS = {
     messages.CaptureData: "vc_capture_data",
     messages.CodecDescription: "vc_codec_description",
     messages.CodingDescription: "vc_coding_description",
+    messages.QueuedStream: "vc_queued_stream",
     messages.Error: "vc_error",
     messages.FlashStatus: "vc_flash_status",
     messages.HelloResponse: "vc_hello_response",

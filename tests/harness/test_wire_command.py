@@ -43,7 +43,7 @@ def test_what_passes_is_shown_with_state_credit_buffer_and_counters(tmp_path: Pa
         shown, errors = process.communicate(timeout=30)
     assert played.exit_code in (0, LIMIT_MISSED), played.output  # a busy computer may lose packets
     assert errors.strip() == "error: interrupted"
-    assert re.search(r"^ +0\.000000  host -> controller +#\d+ +Hello +major 2, minor 1$", shown, re.MULTILINE)
+    assert re.search(r"^ +0\.000000  host -> controller +#\d+ +Hello +major 2, minor 2$", shown, re.MULTILINE)
     assert re.search(
         r"controller -> host +#?\d* +Status +playing, stream \d+, position \d+, credit until \d+, buffered \d+", shown
     )

@@ -282,7 +282,7 @@ class Dying(Controller):
     dead = False
 
     def receive(self, data: bytes, now_us: int) -> None:
-        if write_frame(b"\x0c")[1:2] == data[1:2] and len(data) > 4:
+        if write_frame(b"\x0d")[1:2] == data[1:2] and len(data) > 4:
             self.dead = True
         if not self.dead:
             super().receive(data, now_us)
