@@ -354,6 +354,21 @@ def _sound_cards() -> dict[str, str]:
     }
 
 
+def slots(hello: HelloResponse) -> list[dict[str, Any]]:
+    """Return what each slot for a model image holds, ready for JSON."""
+    return [
+        {
+            "slot": image.slot,
+            "state": image.state.name.lower(),
+            "name": image.name or None,
+            "version": image.version or None,
+            "number": image.number or None,
+            "sha256": None if image.state == SlotState.EMPTY else image.sha256.hex(),
+        }
+        for image in hello.images
+    ]
+
+
 def model_images(hello: HelloResponse) -> list[str]:
     """Return one line for each slot that holds a model image."""
     return [

@@ -8,6 +8,7 @@ from dataclasses import replace
 from vibrocast import models
 from vibrocast.device_protocol.coded_stream import IMAGE_HASH_BYTES
 from vibrocast.device_protocol.messages import (
+    ErrorCode,
     FlashActivate,
     FlashBegin,
     FlashConfirm,
@@ -48,16 +49,19 @@ def flash(
     slot: int | None = None,
     progress: Callable[[int, int], None] | None = None,
     reconnect_s: float = RECONNECT_S,
+    confirm: bool = True,
 ) -> ImageDescription:
     """Flash a packed model image, start it as a test, confirm it; return what the slot then holds.
 
-    `slot`: None = one that is not running. `progress` is called with the bytes that the slot has and the image's size.
+    `confirm`: False = it stays a test, so that the image before runs again after the next restart. `slot`: None = one
+    that is not running. `progress` is called with the bytes that the slot has and the image's size.
     A cut connection is opened again for `reconnect_s`, and the transfer resumed; a later call resumes it as well.
     An image that runs already is left alone. Raises ModelError, also for an image without the signature that the
     controller needs, ControllerError, TransportError, MessageError.
     """
     public_key = controller.description.public_key
     model = check_signature(image, public_key) if public_key else ModelImage.unpack(image)
+    check_fit(controller, model)
     identity = sha256(image)
 
     def described(slot: int, state: SlotState) -> ImageDescription:
@@ -93,7 +97,39 @@ def flash(
     if verified.sha256 != identity or verified.state != SlotState.VERIFIED:
         raise ControllerError(f"verification failed for slot {slot}: data differs; upload it again")
     _start_test(controller, described(slot, SlotState.TESTING))
+    if not confirm:
+        return described(slot, SlotState.TESTING)
     return _confirm(controller, described(slot, SlotState.CONFIRMED))
+
+
+def check_fit(controller: Controller, model: ModelImage) -> None:
+    """Raise ControllerError where a controller cannot use a model image, before anything is written."""
+    hello = controller.description
+    if model.hardware not in ("", hello.hardware):
+        raise ControllerError(
+            f"the model {model.name} is for the hardware {model.hardware}, and the controller is {hello.hardware}; "
+            "give another model, or connect the board that it is for",
+            ErrorCode.WRONG_HARDWARE,
+        )
+    if model.codec_identifier not in [identifier for identifier, _ in hello.codecs]:
+        names = ", ".join(name for _, name in hello.codecs)
+        raise ControllerError(
+            f"the model {model.name} is for codec {model.codec_identifier}, and the controller has {names}; give "
+            "another model, or update the firmware",
+            ErrorCode.UNKNOWN_CODEC,
+        )
+
+
+def roll_back(controller: Controller) -> ImageDescription:
+    """Run the verified image of the other slot, and confirm it; return it.
+
+    Raises ControllerError where no other slot holds one, or it does not run, and TransportError.
+    """
+    others = [image for image in controller.description.images if image.state == SlotState.VERIFIED]
+    if not others:
+        raise ControllerError("no other slot holds a verified model image; upload one")
+    run_again(controller, others[0])
+    return replace(others[0], state=SlotState.CONFIRMED)
 
 
 def running(controller: Controller) -> ImageDescription | None:

@@ -60,7 +60,8 @@ CORE = (
         "List addresses: simulated, serial, USB and sound cards.",
     ),
     Subcommand("status", "Controllers", f"{CLI}.devices:status", "Show the properties and state of a controller."),
-    Subcommand("flash", "Controllers", f"{CLI}.devices:flash", "Upload a trained model to a controller."),
+    Subcommand("upload", "Controllers", f"{CLI}.devices:upload_model", "Upload a trained model to controllers."),
+    Subcommand("flash", "Controllers", f"{CLI}.devices:flash_model", "Upload a trained model to controllers."),
     Subcommand("simulate", "Controllers", f"{CLI}.devices:simulate", "Run a simulated controller until Ctrl-C."),
     Subcommand(
         "models", "Learned codecs", f"{CLI}.codecs:list_models", "List the shipped models, with rate and quality."

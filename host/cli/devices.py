@@ -1,25 +1,34 @@
 """The subcommands on controllers: `devices`, `flash`, `status` and `simulate`."""
 
+import copy
 import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import click
 
 from vibrocast import models, progress
+from vibrocast.device_protocol.messages import ImageDescription, SlotState
 from vibrocast.errors import InputError
 from vibrocast.files import plain
 from vibrocast.host import devices, uploader
 from vibrocast.host.cli.answers import add, tell, wants_json
+from vibrocast.host.cli.errors import controllers_failed, explained
 from vibrocast.host.cli.option_types import INPUT, OutputFile
 from vibrocast.host.cli.options import (
+    Chosen,
     actuator_option,
     chosen_model,
     device_option,
+    devices_option,
     link_option,
     own_actuator,
     tell_address,
 )
 from vibrocast.host.cli.steps import show
+from vibrocast.host.controller import Controller
 from vibrocast.output.actuator import ACTUATORS, PIEZO_STACK
 
 
@@ -35,29 +44,106 @@ def list_devices() -> None:
         click.echo(plain(f"{address:{width}}  {description}"))
 
 
-@click.command()
-@click.argument("model", callback=chosen_model)
-@device_option
-def flash(model: models.Model, address: str) -> None:
-    """Upload a trained model to a controller.
+@click.command("upload")
+@click.argument("model", required=False, callback=chosen_model)
+@devices_option
+@click.option("--list", "lists", is_flag=True, help="List the slots and the models in them.")
+@click.option("--rollback", is_flag=True, help="Run the verified model of the other slot again.")
+@click.option("--no-confirm", "no_confirm", is_flag=True, help="Leave the model on trial until the next restart.")
+def upload_model(
+    model: models.Model | None, chosen: tuple[Chosen, ...], lists: bool, rollback: bool, no_confirm: bool
+) -> None:
+    """Upload a trained model to controllers.
 
     MODEL is a name that `vibrocast models` lists, a folder of `vibrocast export`, or a model image. The command
-    transfers the model, reads it back, tests it on the controller and confirms it.
+    transfers the model, reads it back, tests it on the controller and confirms it. A model that the board cannot use is
+    rejected before anything is written.
+
+    With several --device, all are served at once, and each gets a line.
 
     After an interruption, run the same command again: it continues. Until then the controller runs the previous image.
     """
-    upload(model, address)
+    if (model is not None) + lists + rollback != 1:
+        raise click.UsageError("give a MODEL, --list or --rollback, and one of them")
+    if no_confirm and model is None:
+        raise click.UsageError("--no-confirm is for a MODEL; give one")
+    work = list_slots if lists else roll_back if model is None else partial(flash, model, not no_confirm)
+    addresses = [each.address for each in chosen]
+    if len(addresses) == 1:
+        line, facts = on_one(work, addresses[0])
+        tell(line, **facts)
+    else:
+        on_each(work, addresses)
 
 
-def upload(model: models.Model, address: str, name: str = "") -> None:
-    """Upload a model to the controller at an address, of this `name` in a plan; tell which image it runs then."""
+flash_model = copy.copy(upload_model)
+"""The same by its other name."""
+flash_model.name = "flash"
+
+Work = Callable[[Controller, Callable[[int, int], None]], tuple[str, dict[str, object]]]
+"""What is done with a controller: it returns a line for a person, and facts for a program."""
+
+
+def on_one(work: Work, address: str) -> tuple[str, dict[str, object]]:
+    """Do the work with the controller at an address."""
     with devices.connect(address) as controller, progress.bar("uploading") as update:
-        slot = uploader.flash(controller, model.image, progress=lambda done, total: update(done / total))
-        checked = controller.description.public_key
+        return work(controller, lambda done, total: update(done / total))
+
+
+def on_each(work: Work, addresses: Sequence[str]) -> None:
+    """Do the work with all controllers at once, and print a line for each. Raises CommandError if one fails."""
+    names = devices.unique_names(addresses)
+    with ThreadPoolExecutor(len(names)) as pool:
+        running = [pool.submit(on_one, work, address) for address in addresses]
+    failed: dict[str, Exception] = {}
+    for name, each in zip(names, running, strict=True):
+        error = each.exception()
+        if error is None:
+            line, facts = each.result()
+            tell(f"{name}: {line}", **{name: facts})
+        elif isinstance(error, Exception):
+            failed[name] = error
+            tell(f"{name}: FAILED: {error}", **{name: {"error": str(error)}})
+        else:
+            raise error
+    if failed:
+        raise controllers_failed({name: explained(each, {}).exit_code for name, each in failed.items()}, len(names))
+
+
+def list_slots(controller: Controller, tell_part: Callable[[int, int], None]) -> tuple[str, dict[str, object]]:
+    """Return what the slots hold."""
+    lines = devices.model_images(controller.description) or ["no model image in any slot"]
+    return "\n".join(lines), {"slots": devices.slots(controller.description)}
+
+
+def roll_back(controller: Controller, tell_part: Callable[[int, int], None]) -> tuple[str, dict[str, object]]:
+    """Run the other slot's model again."""
+    return about(controller, uploader.roll_back(controller))
+
+
+def flash(
+    model: models.Model, confirm: bool, controller: Controller, tell_part: Callable[[int, int], None]
+) -> tuple[str, dict[str, object]]:
+    """Upload a model; tell first which board gets it."""
+    hello, actuator = controller.description, controller.description.actuator
+    board = f"{hello.hardware}, {hello.build}, with the actuator {actuator.name}"
+    click.echo(plain(f"uploading {model.name} to {board}"), err=True)
+    return about(controller, uploader.flash(controller, model.image, progress=tell_part, confirm=confirm))
+
+
+def about(controller: Controller, slot: ImageDescription) -> tuple[str, dict[str, object]]:
+    """Return which model a controller runs now."""
+    checked = controller.description.public_key
     signature = f"number {slot.number}, signature checked" if checked else "no signature checked"
     facts = {"model": slot.name, "version": slot.version, "slot": slot.slot, "sha256": slot.sha256.hex()}
-    told = f"{slot.name} {slot.version} runs from slot {slot.slot}, confirmed; {signature}"
-    tell(f"{name}: {told}" if name else told, **({name: facts} if name else facts))
+    state = "confirmed" if slot.state == SlotState.CONFIRMED else "on trial until the next restart"
+    return f"{slot.name} {slot.version} runs from slot {slot.slot}, {state}; {signature}", facts
+
+
+def upload(model: models.Model, address: str, name: str) -> None:
+    """Upload a model to the controller at an address, of this `name` in a plan; tell which image it runs then."""
+    line, facts = on_one(partial(flash, model, True), address)
+    tell(f"{name}: {line}", **{name: facts})
 
 
 @click.command()

@@ -46,3 +46,12 @@ def explained(error: Exception, options: Mapping[str, str]) -> CommandError:
     elif error.filename:
         text = f"{error.filename}: {error.strerror}; check the name and your permissions"
     return CommandError(text, BAD_INPUT)
+
+
+def controllers_failed(exit_codes: Mapping[str, int], controllers: int) -> CommandError:
+    """Return the error where some of several controllers failed: with the exit code that they share, else FAILED."""
+    codes = set(exit_codes.values())
+    return CommandError(
+        f"{len(exit_codes)} of {controllers} controllers failed: {', '.join(exit_codes)}; the line of each says why",
+        codes.pop() if len(codes) == 1 else FAILED,
+    )

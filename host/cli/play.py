@@ -21,7 +21,7 @@ from vibrocast.host import devices
 from vibrocast.host.cli.answers import answer, tell, wants_json
 from vibrocast.host.cli.controls import Control, keys
 from vibrocast.host.cli.describe import ANSWERS, describe_packets, tell_report
-from vibrocast.host.cli.errors import CommandError, explained
+from vibrocast.host.cli.errors import CommandError, controllers_failed, explained
 from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, positive, reject_overwriting
 from vibrocast.host.cli.options import (
@@ -451,11 +451,7 @@ def report_each(run: Run, outcomes: "Outcomes") -> None:
     if not wants_json():
         show(lines)
     if failed:
-        codes = set(failed.values())
-        raise CommandError(
-            f"{len(failed)} of {len(outcomes)} controllers failed: {', '.join(failed)}; the line of each says why",
-            codes.pop() if len(codes) == 1 else FAILED,
-        )
+        raise controllers_failed(failed, len(outcomes))
 
 
 def spatial_stream(

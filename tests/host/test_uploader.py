@@ -5,7 +5,9 @@ from typing import Any
 
 import pytest
 
+from tests.conftest import linked
 from tests.host.scripted_controller import ScriptedController
+from vibrocast import models
 from vibrocast.device_protocol.messages import (
     Error,
     ErrorCode,
@@ -128,3 +130,32 @@ def test_controller_without_a_free_slot_is_an_error() -> None:
     scripted.description = replace(scripted.description, images=())
     with pytest.raises(ControllerError, match="no free slot"):
         flash(scripted.connect(), IMAGE)
+
+
+def test_a_model_stays_on_trial_and_the_one_before_comes_back() -> None:
+    first, second = (models.find(name) for name in ("eva-16-3", "eva-16-4"))
+    _, controller = linked()
+    assert flash(controller, first.image).state == SlotState.CONFIRMED
+    with pytest.raises(ControllerError, match="no other slot holds a verified model image"):
+        uploader.roll_back(controller)
+    assert flash(controller, second.image, confirm=False).state == SlotState.TESTING
+    assert flash(controller, second.image).state == SlotState.CONFIRMED
+    assert uploader.roll_back(controller).name == "eva-16-3"
+    controller.open_session()
+    found = uploader.running(controller)
+    assert found is not None and (found.name, found.state) == ("eva-16-3", SlotState.CONFIRMED)
+
+
+@pytest.mark.parametrize(
+    ("image", "problem"),
+    [
+        (ModelImage(1, "oak", "1.0", "another board", b"x"), "is for the hardware another board"),
+        (ModelImage(14, "oak", "1.0", "", b"x"), "is for codec 14, and the controller has"),
+    ],
+)
+def test_a_model_that_does_not_fit_is_rejected_before_anything_is_written(image: ModelImage, problem: str) -> None:
+    _, controller = linked()
+    with pytest.raises(ControllerError, match=problem):
+        flash(controller, image.pack())
+    controller.open_session()
+    assert {slot.state for slot in controller.description.images} == {SlotState.EMPTY}
