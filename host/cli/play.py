@@ -133,7 +133,7 @@ class OutputOptions:
             "control_path",
             type=OutputFile(),
             metavar="SOCKET",
-            help="Take commands such as `seek -1` from a Unix socket, one a line.",
+            help="Take commands from a Unix socket, one a line.",
         ),
         click.option(
             "--reconnect",
