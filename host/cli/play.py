@@ -177,10 +177,7 @@ def play(
 
     In a terminal, space pauses, left and right move by 1 s, up and down change the level by 1 dB, n and p change the
     track, l repeats the list, q ends. A track that cannot be played is named, and the list goes on. The report compares
-    a single track with the same computed here.
-
-    With several --device, one track plays on all. A controller that fails does not stop the others. The command prints
-    a line for each.
+    a single track with the same computed here. Several --device begin each track at one time.
 
     A height profile is played over time if you give --hand-speed-mm-s alone. It is played by the position of a hand if
     you give --hand: the length of its stroke, --loop times, or a file of its movement. --hand-speed-mm-s is the highest
@@ -192,14 +189,10 @@ def play(
     if outputs.plot_path is not None:
         extras.require("plot")
     tracks = tracks_of(files)
-    reject_overwriting(
-        [outputs.report_path, outputs.plot_path, options.control_path], [*tracks, *files_of(quality.model)]
-    )
+    written = [outputs.report_path, outputs.plot_path, options.control_path]
+    reject_overwriting(written, [*tracks, *files_of(quality.model)])
     names = dict(zip(devices.unique_names([each.address for each in chosen]), chosen, strict=True))
-    if len(names) > 1 and (options.hand or outputs.plot_path):
-        raise click.UsageError("--hand and --plot are for one controller; give one --device")
-    if len(tracks) > 1 and (options.hand or outputs.plot_path or outputs.report_path):
-        raise click.UsageError("--hand, --plot and --report are for one track; give one file")
+    reject_several(len(names), len(tracks), options, outputs)
     run = Run(tracks[0].name, names, bench, options, outputs)
     if options.hand is not None:
         report(run, play_under_hand(run, tracks[0], quality, recording), 0)
@@ -209,12 +202,20 @@ def play(
         report_list(play_over_time(run, tracks, quality, recording))
 
 
+def reject_several(controllers: int, tracks: int, options: PlaybackOptions, outputs: OutputOptions) -> None:
+    """Raise click.UsageError for an option that takes one controller or one track, where there are several."""
+    if controllers > 1 and (options.hand or outputs.plot_path):
+        raise click.UsageError("--hand and --plot are for one controller; give one --device")
+    if tracks > 1 and (options.hand or outputs.plot_path or outputs.report_path):
+        raise click.UsageError("--hand, --plot and --report are for one track; give one file")
+
+
 def play_over_time(run: "Run", tracks: list[Path], quality: QualityOptions, recording: RecordingOptions) -> "Played":
     """Play tracks on all controllers; return by name what each did, or its error."""
     from vibrocast.host.track_player import Remote, play_list
 
     options = run.options
-    if len(tracks) == 1 and tracks[0].suffix.lower() == STREAM_SUFFIX:
+    if len(tracks) == 1:
         reject_coding_options(tracks[0], quality, recording)
     opening = TrackOptions(
         facts=recording.facts(),
@@ -478,7 +479,9 @@ def coded_already(file: Path, quality: QualityOptions, recording: RecordingOptio
 
 
 def reject_coding_options(file: Path, quality: QualityOptions, recording: RecordingOptions) -> None:
-    """Raise click.UsageError for an option that does not apply to a .vct file."""
+    """Raise click.UsageError for an option that does not apply to a file, which is a .vct file."""
+    if file.suffix.lower() != STREAM_SUFFIX:
+        return
     facts = replace(recording, unit=None) if recording.unit == "drive" else recording
     values = vars(replace(quality, model=None)) | vars(facts)
     given = [name for name, value in values.items() if value not in (None, {}, False, DEFAULT_STREAM_RATE_HZ)]

@@ -22,7 +22,7 @@ from vibrocast.host.cli.options import (
 )
 from vibrocast.host.cli.play import reject_coding_options
 from vibrocast.host.cli.steps import encoded, files_of
-from vibrocast.host.tracks import STREAM_SUFFIX, TrackOptions, read_source
+from vibrocast.host.tracks import TrackOptions, read_source
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import ACTUATORS, MAX_FULL_SCALE_VOLTS, MIN_FULL_SCALE_VOLTS
 from vibrocast.output.rendering import render as rendered_codes
@@ -77,15 +77,13 @@ def render(file: Path, out: Path, drive: DriveOptions, quality: QualityOptions, 
     actuator = devices.on_sound_card(
         actuator_files.find(drive.actuator_name), drive.dac_rate_hz, drive.full_scale_volts
     )
-    if file.suffix.lower() == STREAM_SUFFIX:
-        reject_coding_options(file, quality, recording)
+    reject_coding_options(file, quality, recording)
     source = read_source(file, TrackOptions(facts=recording.facts(), model=quality.model))
     if isinstance(source, textures.Recording):
         source = encoded(source, quality, recording.unit, live=True).stream
     stream = source.with_gain(drive.gain_db)
-    delay_samples = stream.delay_samples
     try:
-        codes, limited = rendered_codes(stream.header, stream.decode_integers(), delay_samples, actuator, loops=1)
+        codes, limited = rendered_codes(stream.header, stream.decode_integers(), stream.delay_samples, actuator)
     except (ValueError, OverflowError) as error:
         raise InputError(
             f"{file}: cannot be rendered for {actuator.name} at {actuator.dac_rate_hz} Hz: {error}"
