@@ -132,7 +132,7 @@ def test_commands_that_serve_answer_in_lines_of_json(command: str) -> None:
     """Also at their end, where somebody reads them line by line."""
     target = () if command == "simulate" else ("sim",)
     with serving(command, *target, "--json") as (address, process):
-        run("status", "--device", json.loads(address)["address"])
+        assert run("status", "--device", json.loads(address)["address"]).exit_code == 0
         if command == "monitor":
             assert process.stdout is not None
             assert "time_ns" in json.loads(process.stdout.readline())
