@@ -312,7 +312,7 @@ def report_list(played: "Played") -> None:
             f"reconnects {sum(each.reconnects for each in results)}"
         )
         failed += [str(error) for error in each.failures.values()]
-    show(lines)
+    show(lines, as_words=False)
     if failed:
         raise CommandError(f"not all was played: {'; '.join(dict.fromkeys(failed))}", BAD_INPUT)
 
@@ -450,7 +450,7 @@ def report_each(run: Run, outcomes: "Outcomes") -> None:
         if report.differs:
             failed[name] = FAILED
     if not wants_json():
-        show(lines)
+        show(lines, as_words=False)
     if failed:
         raise controllers_failed(failed, len(outcomes))
 

@@ -45,8 +45,11 @@ def _noted(encoding: Encoding) -> Encoding:
     return encoding
 
 
-def show(facts: Mapping[str, object]) -> None:
-    """Print names and values, one pair a line, a list's items below each other; in JSON, add them to the answer."""
+def show(facts: Mapping[str, object], as_words: bool = True) -> None:
+    """Print names and values, one pair a line, a list's items below each other; in JSON, add them to the answer.
+
+    `as_words`: False = the names are addresses, which stand as they are.
+    """
     if wants_json():
         add(facts)
         return
@@ -56,7 +59,8 @@ def show(facts: Mapping[str, object]) -> None:
             value = [f"{key.replace('_', ' ')}: {in_words(item)}" for key, item in value.items()]
         lines = value if isinstance(value, list) else [value]
         for index, line in enumerate(lines or ["none"]):
-            click.echo(f"{name.replace('_', ' ') if index == 0 else '':{width}}  {plain(in_words(line))}")
+            told = name.replace("_", " ") if as_words else plain(name)
+            click.echo(f"{told if index == 0 else '':{width}}  {plain(in_words(line))}")
 
 
 def in_words(value: object) -> str:
