@@ -15,7 +15,7 @@ from vibrocast.device_protocol.coded_stream import StreamHeader
 from vibrocast.device_protocol.messages import Gain, Pause, Resume, State, Status, StatusRequest
 from vibrocast.errors import InputError
 from vibrocast.host import event_loop, playback, player, uploader
-from vibrocast.host.controller import Controller
+from vibrocast.host.controller import ConnectionLost, Controller, ControllerError
 from vibrocast.host.event_loop import Steps
 from vibrocast.host.playback import Playback, output_delay_s
 from vibrocast.host.report import Provenance
@@ -258,16 +258,19 @@ class TrackPlayer:
                 self._place, self._position_s, self._now, self._begun = place, start_s, None, False
                 try:
                     yield from self._play_steps(self._opened(place), start_s)
-                    failed_in_turn, following = 0, self._following()
-                    place, start_s = following, 0.0
+                    failed_in_turn, place, start_s = 0, self._following(), 0.0
                 except _Jump as jump:
                     place, start_s, self._queued = jump.place, jump.position_s, None
-                except (InputError, OSError) as error:
+                except (InputError, OSError, ControllerError) as error:
+                    if isinstance(error, ConnectionLost):
+                        raise
                     name = name_of(self._sources[self._order[self._place]])
                     self.failures[name] = error
                     self._tell(self._event("failed", error=str(error)))
                     failed_in_turn += 1
                     place, start_s = (self._following() if failed_in_turn < len(self._order) else None), 0.0
+            if self._queued is not None:  # a command has ended the list meanwhile
+                yield from self._session.controller.stop_steps()
         finally:
             if self._group is not None:
                 self._group.leave()
@@ -286,11 +289,9 @@ class TrackPlayer:
 
     def _open(self, source: int) -> Future[Track]:
         """Begin to open a track, with the full scale of the one that plays where it fits, so that it can follow it."""
-        before = None if self._track is None or len(self._sources) == 1 else self._track.stream.header
-        alone = len(self._sources) == 1
-        return self._pool.submit(
-            open_track, self._sources[source], self._session.controller, self._options, alone, before
-        )
+        controller, alone = self._session.controller, len(self._sources) == 1
+        before = None if self._track is None or alone else self._track.stream.header
+        return self._pool.submit(open_track, self._sources[source], controller, self._options, alone, before)
 
     def _play_steps(self, track: Track, start_s: float) -> Steps[None]:
         """Play a track from a time on, to its end. Raises _Jump at a command, and as `player.play_steps`."""
@@ -411,20 +412,20 @@ class TrackPlayer:
             level_db = float(levels[min(int(self._position_s / LEVEL_S), len(levels) - 1)]) + self.gain_db
         late_s = 0.0 if track is None else output_delay_s(track.header, self._session.driven)
         return Event(
-            kind,
-            name_of(self._sources[self._order[self._place]]),
-            self._order[self._place] + 1,
-            len(self._sources),
-            self._position_s,
-            0.0 if track is None else track.seconds,
-            time.time() + late_s,
-            self.gain_db,
-            level_db,
-            level_of,
-            0.0 if now is None else now.buffered_s,
-            0 if now is None else now.status.lost_packets,
-            0 if now is None else now.status.underruns,
-            error,
+            kind=kind,
+            track=name_of(self._sources[self._order[self._place]]),
+            number=self._order[self._place] + 1,
+            tracks=len(self._sources),
+            position_s=self._position_s,
+            seconds=0.0 if track is None else track.seconds,
+            skin_s=time.time() + late_s,
+            gain_db=self.gain_db,
+            level_db=level_db,
+            level_of=level_of,
+            buffered_s=0.0 if now is None else now.buffered_s,
+            lost_packets=0 if now is None else now.status.lost_packets,
+            underruns=0 if now is None else now.status.underruns,
+            error=error,
         )
 
 

@@ -100,6 +100,14 @@ def test_a_list_plays_in_order_and_goes_on_behind_a_track_that_cannot_be_played(
     assert events[-1].kind == "ended"
 
 
+def test_a_track_that_the_controller_rejects_is_named() -> None:
+    learned = encode_recording(texture(noise(0.3)), codec_name="eva", snr_db=8.0).stream
+    sources: list[Source] = [named("a", noise(0.3)), learned, named("b", noise(0.3))]
+    events, player, _ = played(sources)
+    assert begun(events) == ["a", "b"]
+    assert "upload it first" in str(player.failures["stream"])
+
+
 def test_tracks_of_one_format_follow_without_a_gap() -> None:
     sources: list[Source] = [named(name, noise(1.0, rms=rms)) for name, rms in (("a", 2.0), ("b", 3.0))]
 
