@@ -137,7 +137,7 @@ class Event:
     buffered_s: float = 0.0
     lost_packets: int = 0
     underruns: int = 0
-    error: str | None = None
+    error: Exception | None = None
 
 
 class PlayedTrack(NamedTuple):
@@ -266,7 +266,7 @@ class TrackPlayer:
                         raise
                     name = name_of(self._sources[self._order[self._place]])
                     self.failures[name] = error
-                    self._tell(self._event("failed", error=str(error)))
+                    self._tell(self._event("failed", error))
                     failed_in_turn += 1
                     place, start_s = (self._following() if failed_in_turn < len(self._order) else None), 0.0
             if self._queued is not None:  # a command has ended the list meanwhile
@@ -403,7 +403,7 @@ class TrackPlayer:
                 self._opening[following] = self._open(following)
         self._tell(self._event("position"))
 
-    def _event(self, kind: Kind, error: str | None = None) -> Event:
+    def _event(self, kind: Kind, error: Exception | None = None) -> Event:
         """Return an event at the position that was last reported."""
         track, now = self._track, self._now
         level_db, level_of = None, ""

@@ -8,7 +8,6 @@ import socket
 import sys
 import threading
 from collections.abc import Iterator
-from dataclasses import asdict
 from pathlib import Path
 
 from vibrocast.errors import InputError
@@ -100,7 +99,8 @@ class Control:
 
     def tell(self, event: Event) -> None:
         """Send an event to all clients; one that does not read is dropped."""
-        line = json.dumps(asdict(event)).encode() + b"\n"
+        told = {**vars(event), "error": None if event.error is None else str(event.error)}
+        line = json.dumps(told).encode() + b"\n"
         with self._lock:
             for client in self._clients.copy():
                 try:

@@ -21,7 +21,7 @@ from vibrocast.host import devices
 from vibrocast.host.cli.answers import answer, tell, wants_json
 from vibrocast.host.cli.controls import Control, keys
 from vibrocast.host.cli.describe import ANSWERS, describe_packets, tell_report
-from vibrocast.host.cli.errors import CommandError, controllers_failed, explained
+from vibrocast.host.cli.errors import CommandError, controllers_failed, explained, option_names
 from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, positive, reject_overwriting
 from vibrocast.host.cli.options import (
@@ -253,15 +253,20 @@ def telling(
 ) -> "Callable[[str, Event], None]":
     """Return what shows where players are, tells the clients of a socket, and notes it for a report.
 
-    With several controllers it shows the one that told last, the least buffer, and the losses of all.
+    A track that cannot be played gets a line. With several controllers it shows the one that told last, the least
+    buffer, and the losses of all.
     """
+
+    options = option_names(click.get_current_context().command)
 
     def tell(name: str, event: "Event") -> None:
         latest[name] = event
         if control is not None:
             control.tell(event)
-        if event.kind == "failed" and event.tracks > 1:
-            click.echo(f"{event.error}; the list goes on", err=True)
+        if event.error is not None and event.tracks > 1:
+            reason = explained(event.error, options).format_message()
+            place = "" if event.track in reason else f"{event.track}: "
+            click.echo(plain(f"{place}{reason}; the list goes on"), err=True)
         level = "" if event.level_db is None else f"  {event.level_db:+.0f} dB {event.level_of} {meter(event.level_db)}"
         every = latest.values()
         update(
@@ -300,10 +305,12 @@ def report_list(played: "Played") -> None:
     """Print how controllers played a list. Raises CommandError where a controller or a track failed."""
     lines: dict[str, str] = {}
     failed: list[str] = []
+    exit_code = BAD_INPUT
     for name, each in played.items():
         if isinstance(each, Exception):
             lines[name] = f"FAILED: {each}"
-            failed.append(f"{name}: {each}")
+            failed.append(name)
+            exit_code = explained(each, {}).exit_code
             continue
         results = [result for _, result in each.played]
         lines[name] = (
@@ -311,10 +318,11 @@ def report_list(played: "Played") -> None:
             f"lost packets {sum(each.lost_packets for each in results)}, "
             f"reconnects {sum(each.reconnects for each in results)}"
         )
-        failed += [str(error) for error in each.failures.values()]
+        failed += each.failures
     show(lines, as_words=False)
     if failed:
-        raise CommandError(f"not all was played: {'; '.join(dict.fromkeys(failed))}", BAD_INPUT)
+        named = ", ".join(dict.fromkeys(failed))
+        raise CommandError(f"not all was played: {named}; the line of each says why", exit_code)
 
 
 def report(run: "Run", outcomes: "Outcomes", given_samples: int) -> None:

@@ -5,7 +5,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import soundfile
 
 from tests.command import OAK, failure, run
 from vibrocast.device_protocol.transports import TransportError
@@ -84,3 +86,14 @@ def test_controllers_at_one_address_have_each_its_own_actuator(
     if command[0] == "play":
         result = play("--bench", bench, "--device", "left", "--device", "right", "--json")
         assert [each["actuator"]["name"] for each in json.loads(result.stdout)] == ["piezo-stack", "lra"]
+
+
+@pytest.mark.usefixtures("simulated_time")
+def test_a_list_names_what_it_cannot_play_and_says_how_to(tmp_path: Path) -> None:
+    soundfile.write(tmp_path / "plain.wav", np.sin(np.arange(800) / 5.0), 2800)
+    result = run("play", OAK, "absent.wav", tmp_path / "plain.wav", OAK, "--to", "0.2")
+    assert result.exit_code == 2 and "played 2 track(s)" in result.stdout
+    assert "absent.wav: no such file or recording; check the name; the list goes on" in result.stderr
+    assert "plain.wav: the signal does not state its unit" in result.stderr and "--unit drive" in result.stderr
+    assert result.stderr.splitlines()[-1].startswith("error: not all was played: absent.wav, plain.wav")
+    assert "give one file" in run("play", OAK, OAK, "--report", "x.json").stderr
