@@ -11,6 +11,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal, NamedTuple, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from vibrocast.device_protocol.coded_stream import StreamHeader
 from vibrocast.device_protocol.messages import Gain, Pause, Resume, State, Status, StatusRequest
 from vibrocast.errors import InputError
@@ -242,10 +245,11 @@ class TrackPlayer:
         self._begun = False
         self._paused = False
         self._pool = ThreadPoolExecutor(2, "tracks")  # one opens tracks while the other computes levels
+        self._ended = False
         self._opening: dict[int, Future[Track]] = {}  # by the number of the source
         self._playing = -1
         self._queued: player.Following | None = None
-        self._levels: Future[object] | None = None
+        self._levels: Future[tuple[NDArray[np.float64], str]] | None = None
         if options.shuffle:
             random.shuffle(self._order)
 
@@ -274,7 +278,8 @@ class TrackPlayer:
         finally:
             if self._group is not None:
                 self._group.leave()
-            self._pool.shutdown(wait=False, cancel_futures=True)
+            self._ended = True
+            self._pool.shutdown(cancel_futures=True)
         self._tell(self._event("ended"))
 
     def _opened(self, place: int) -> Track:
@@ -397,18 +402,23 @@ class TrackPlayer:
         if self._levels is None and self._track is not None and self._position_s > _SETTLED_S:
             # Work beside the player only where a full buffer bridges it.
             track = self._track
-            self._levels = self._pool.submit(lambda: track.levels)
+            self._levels = self._pool.submit(track.levels, self._raise_if_ended)
             following = self._order[(self._place + 1) % len(self._order)]
             if following not in self._opening:
                 self._opening[following] = self._open(following)
         self._tell(self._event("position"))
+
+    def _raise_if_ended(self, part: float) -> None:
+        """End the work of another thread once nobody needs it."""
+        if self._ended:
+            raise _Jump(None)
 
     def _event(self, kind: Kind, error: Exception | None = None) -> Event:
         """Return an event at the position that was last reported."""
         track, now = self._track, self._now
         level_db, level_of = None, ""
         if track is not None and self._levels is not None and self._levels.done() and not self._levels.exception():
-            levels, level_of = track.levels
+            levels, level_of = self._levels.result()
             level_db = float(levels[min(int(self._position_s / LEVEL_S), len(levels) - 1)]) + self.gain_db
         late_s = 0.0 if track is None else output_delay_s(track.header, self._session.driven)
         return Event(

@@ -1,6 +1,6 @@
 """Tracks that play one after another: found in files, folders and lists, and opened for a controller."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -127,11 +127,13 @@ class Track:
             return self
         return replace(self, stream=_recoded(self.stream.recording(self.name)))
 
-    @cached_property
-    def levels(self) -> tuple[NDArray[np.float64], str]:
-        """Return the level of each LEVEL_S in dB, and of what: the skin re threshold, or the signal re full scale."""
+    def levels(self, progress: Callable[[float], None]) -> tuple[NDArray[np.float64], str]:
+        """Return the level of each LEVEL_S in dB, and of what: the skin re threshold, or the signal re full scale.
+
+        `progress`: called from time to time with the part that is decoded; it may raise, to end the work.
+        """
         stream = self.stream
-        recording = stream.recording if isinstance(stream, GrowingStream) else stream.recording(self.name)
+        recording = stream.recording if isinstance(stream, GrowingStream) else stream.recording(self.name, progress)
         samples, part = recording.samples, max(1, round(LEVEL_S * recording.rate_hz))
         felt = recording.unit in PHYSICAL_UNITS
         if felt:

@@ -348,11 +348,10 @@ static void begin_packet(vc_playback *playback)
 /* Goes on with the stream behind the one that has been decoded to its end, as with a further iteration. */
 static void begin_next(vc_playback *playback)
 {
-    const vc_stream_header header = playback->next_header;
     playback->key += end_of(playback);
     playback->next = playback->newest_end = 0;
     playback->joins = 1;
-    describe(playback, playback->queued.stream, &header, &playback->next_coding, playback->next_packets,
+    describe(playback, playback->queued.stream, &playback->next_header, &playback->next_coding, playback->next_packets,
              playback->next_loops);
     vc_drive_join(drive_of(playback));
 }
