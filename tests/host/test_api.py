@@ -11,6 +11,7 @@ import pytest
 import soundfile
 
 import vibrocast
+from tests.conftest import noise, texture
 from vibrocast import api, codec
 from vibrocast.codec import registry
 
@@ -242,3 +243,23 @@ def test_without_its_extra_measure_warns_and_leaves_out_perceptual_scores(monkey
         quality = vibrocast.measure(TEXTURE, 0.9 * TEXTURE, RATE_HZ, "m/s^2")
     assert quality.snr_db == pytest.approx(20, abs=0.1)
     assert quality.st_sim_2800 is quality.st_sim_8000 is quality.spqi is None
+
+
+@pytest.mark.usefixtures("simulated_time")
+def test_a_list_plays_in_the_background_and_takes_commands() -> None:
+    kinds: list[str] = []
+    with vibrocast.connect() as connection:
+        with pytest.raises(vibrocast.VibrocastError, match="call `start` first"):
+            connection.pause()
+        recording = texture(noise(0.3, rms=2.0))
+        connection.start([recording, vibrocast.encode(recording)], on_event=lambda event: kinds.append(event.kind))
+        assert connection.plays
+        connection.wait()
+        assert not connection.plays and connection.gain_db == 0
+        assert kinds.count("track") == 2 and kinds[-1] == "ended"
+        connection.start(recording, loops=0)
+        connection.gain_db = -6.0
+        connection.stop()
+        assert connection.status()["status"]["state"] == "stopped"
+        connection.start(recording, loops=0)
+    assert not connection.plays, "the end of the session ends the list"
