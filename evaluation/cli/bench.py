@@ -336,7 +336,6 @@ def show_failures(failures: "Sequence[Failure]") -> None:
     for failure in failures:
         alike.setdefault((failure.codec, failure.reason), []).append(f"{failure.trace} {failure.setting}".strip())
     for (codec_name, reason), places in list(alike.items())[:SHOWN_FAILURES]:
-        more = f" and {len(places) - 1} more" if len(places) > 1 else ""
-        click.echo(f"failed: {f'{codec_name}: ' if codec_name else ''}{places[0]}{more}: {reason}", err=True)
+        click.echo(f"failed: {f'{codec_name}: ' if codec_name else ''}{places[0]}{others(places)}: {reason}", err=True)
     if len(alike) > SHOWN_FAILURES:
         click.echo(f"failed: {len(alike) - SHOWN_FAILURES} other ways", err=True)
