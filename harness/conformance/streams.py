@@ -15,6 +15,8 @@ from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import ActuatorDescription, HelloResponse, Tap
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.harness.conformance.probe import NotConforming, Probe, same_samples
+from vibrocast.host import player
+from vibrocast.host.controller import Controller
 from vibrocast.host.session import actuator_model
 from vibrocast.output.actuator import ACTUATORS, Actuator
 
@@ -80,6 +82,16 @@ def lasting_stream(
     if stream.seconds < needed_s:
         pytest.skip(f"what the buffer holds has been played before {requests} requests are answered")
     return stream
+
+
+def host(probe: Probe) -> Controller:
+    """Return a session as a host has it, which repeats what is not answered."""
+    return Controller(probe.link, probe.link.clock, probe.link.sleep)
+
+
+def answered_s(probe: Probe) -> float:
+    """Return how much to buffer, so that a request that waits for its answer, or goes out again, holds nothing up."""
+    return max(player.BUFFER_S, 2 * probe.answer_s)
 
 
 @cache

@@ -10,9 +10,8 @@ from vibrocast.device_protocol.frames import FrameReader
 from vibrocast.device_protocol.messages import PacketMessage, SinglePacket, State, Status, StreamData, unpack
 from vibrocast.harness.conformance.fixtures import long, section
 from vibrocast.harness.conformance.probe import Probe, describe, in_state, same_samples
-from vibrocast.harness.conformance.streams import decoded, decoded_as, need_capture, stream_for
+from vibrocast.harness.conformance.streams import answered_s, decoded, decoded_as, host, need_capture, stream_for
 from vibrocast.host import player
-from vibrocast.host.controller import Controller
 from vibrocast.simulated_device.faulty_wire import Fault, FrameDamage
 
 _FAULTY_SECONDS = 1.0
@@ -43,16 +42,6 @@ class NotedDamage(FrameDamage):
         arrived = super().carry(data)
         self.arrived += self._reader.feed(arrived)
         return arrived
-
-
-def host(probe: Probe) -> Controller:
-    """Return a session as a host has it, which repeats what is not answered."""
-    return Controller(probe.link, probe.link.clock, probe.link.sleep)
-
-
-def answered_s(probe: Probe) -> float:
-    """Return how much to buffer, so that a Start that waits for its answer, or goes out again, holds nothing up."""
-    return max(player.BUFFER_S, 2 * probe.answer_s)
 
 
 @section("Playing: Stream data")

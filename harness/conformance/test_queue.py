@@ -9,21 +9,35 @@ from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import ErrorCode, HelloResponse, Queue, Start, State, Status, Tap
 from vibrocast.harness.conformance.fixtures import section
 from vibrocast.harness.conformance.probe import Probe, describe
-from vibrocast.harness.conformance.streams import decoded, known_actuator, need_capture, stream_for
+from vibrocast.harness.conformance.streams import (
+    answered_s,
+    decoded,
+    host,
+    known_actuator,
+    lasting_stream,
+    need_capture,
+    stream_for,
+)
 from vibrocast.host import player
-from vibrocast.host.controller import Controller
 from vibrocast.host.stream_session import QUEUE_MINOR, next_number, read_capture
 from vibrocast.output.rendering import render
 
 _NUMBER = 201
+_REQUESTS_TO_FOLLOW = 3
+"""Behind Start, until the first packet of the next stream is there."""
 
 
 @pytest.fixture
 def stream(probe: Probe, hello: HelloResponse) -> Stream:
     """A stream that can be played, on a controller that knows Queue."""
+    need_queue(hello)
+    return stream_for(probe.description)
+
+
+def need_queue(hello: HelloResponse) -> None:
+    """Skip the test where the controller does not know Queue."""
     if hello.minor < QUEUE_MINOR:
         pytest.skip(f"the controller speaks version {hello.major}.{hello.minor}")
-    return stream_for(probe.description)
 
 
 def queue_of(played: Stream, **changes: int | bytes) -> Queue:
@@ -33,15 +47,18 @@ def queue_of(played: Stream, **changes: int | bytes) -> Queue:
 
 
 @section("Playing: Queue")
-def test_the_next_stream_follows_without_a_gap(probe: Probe, stream: Stream) -> None:
+def test_the_next_stream_follows_without_a_gap(probe: Probe, hello: HelloResponse) -> None:
     """A queued stream follows the one under way without a gap, as another iteration does, bit for bit."""
+    need_queue(hello)
     need_capture(probe.description)
-    controller = Controller(probe.link, probe.link.clock, probe.link.sleep)
+    stream = lasting_stream(probe, _REQUESTS_TO_FOLLOW)
+    controller, buffer_s = host(probe), answered_s(probe)
     sent = stream.header, stream.packets, stream.packet_samples
-    settings = player.PlaybackSettings(next_stream=lambda: sent)
+    settings = player.PlaybackSettings(buffer_s=buffer_s, next_stream=lambda: sent)
     first = controller.run(player.play_steps(controller, *sent, settings))
     assert first.following is not None, f"expected to go on with the next stream, came {describe(first.status)}"
-    last = controller.run(player.play_steps(controller, *sent, player.PlaybackSettings(begun=first.following)))
+    settings = player.PlaybackSettings(buffer_s=buffer_s, begun=first.following)
+    last = controller.run(player.play_steps(controller, *sent, settings))
     found = last.state, last.underruns, last.lost_packets
     assert found == (State.FINISHED, 0, 0), f"expected the end without loss, came {describe(last.status)}"
     begin, codes = read_capture(controller, Tap.DAC, stream.header.channels)
@@ -55,12 +72,16 @@ def test_the_next_stream_follows_without_a_gap(probe: Probe, stream: Stream) -> 
 
 @section("Playing: Queue")
 def test_only_a_stream_that_ends_has_one_behind_it(probe: Probe, stream: Stream) -> None:
-    """The controller answers WRONG_STATE to Queue without a stream, behind one without end, and to a second Queue."""
+    """The controller answers WRONG_STATE to Queue without a stream, behind one without end, and to a second Queue.
+
+    BAD_VALUE answers the number of the stream under way.
+    """
     probe.stop()
     probe.expect_rejection(queue_of(stream), ErrorCode.WRONG_STATE)
     status = probe.configure(stream, loops=0)
     probe.expect_rejection(queue_of(stream, stream=next_number(status.stream)), ErrorCode.WRONG_STATE)
     status = probe.configure(stream)
+    probe.expect_rejection(queue_of(stream, stream=status.stream), ErrorCode.BAD_VALUE)
     probe.expect(queue_of(stream, stream=next_number(status.stream)), Status)
     probe.expect_rejection(queue_of(stream, stream=next_number(status.stream)), ErrorCode.WRONG_STATE)
 

@@ -131,8 +131,9 @@ def test_it_is_rejected_where_nothing_ends_and_dropped_by_stop() -> None:
     assert isinstance(queue(bench, SECOND), Error)
     begun(bench, loops=1)
     live = Queue(8, SECOND.header.pack(), prebuffer_samples=0, packets=0)
+    same = Queue(7, SECOND.header.pack(), prebuffer_samples=0, packets=len(SECOND.packets))
     later = Queue(8, SECOND.header.pack(), prebuffer_samples=0, packets=len(SECOND.packets), first_packet=1)
-    for wrong in (live, later):
+    for wrong in (live, later, same):
         answer = bench.ask(wrong)
         assert isinstance(answer, Error) and answer.code == ErrorCode.BAD_VALUE
     queue(bench, SECOND)
@@ -144,6 +145,19 @@ def test_it_is_rejected_where_nothing_ends_and_dropped_by_stop() -> None:
     bench.configure(FIRST, loops=0)  # type: ignore[arg-type]
     answer = queue(bench, SECOND)
     assert isinstance(answer, Error) and answer.code == ErrorCode.WRONG_STATE
+
+
+def test_it_is_taken_and_played_or_rejected_up_to_the_last_sample() -> None:
+    taken = []
+    for wait_ms in range(480, 560, 4):
+        bench = Bench()
+        begun(bench)
+        bench.run(wait_ms)
+        answer = queue(bench, SECOND)
+        bench.run(1000)
+        taken.append(isinstance(answer, Status))
+        assert (bench.status().state, bench.status().stream) == (State.FINISHED, 8 if taken[-1] else 7), wait_ms
+    assert taken == sorted(taken, reverse=True) and 0 < sum(taken) < len(taken)
 
 
 def test_a_late_second_is_concealed() -> None:

@@ -422,9 +422,12 @@ static int rejects_other_format(const vc_output_stream *one, const vc_output_str
 int vc_playback_queue(vc_playback *playback, const vc_configure *configure, const vc_stream_header *header,
                       const vc_coding *coding, vc_rejection *rejection)
 {
-    if (playback->has_next || playback->spatial || end_of(playback) == NO_END)
+    if (playback->has_next || playback->finishing || playback->spatial || end_of(playback) == NO_END)
         return vc_reject(rejection, VC_WRONG_STATE,
-                         "a stream is queued behind one that ends, and that has none behind it yet");
+                         "a stream is queued before the end of one that ends, and that has none behind it yet");
+    if (configure->stream == playback->stream)
+        return vc_reject_numbers(rejection, VC_BAD_VALUE, "stream # plays: give the next one another number",
+                                 configure->stream, 0);
     if (configure->packets == 0 || configure->first_packet > 0)
         return vc_reject(rejection, VC_BAD_VALUE, "a queued stream has a known number of packets, from the first on");
     if (rejects_other_format(&playback->header.output, &header->output))
