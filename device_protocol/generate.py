@@ -134,7 +134,7 @@ def _in_c(field: WireField, struct: str) -> CField:
         case Rest(name="items"):
             return CField(piece, [f"{place} = take_items(&fields);"])
         case Part():
-            return CField(piece, [f"{place} = vc_take_piece(&fields, fields.rest.length);"])
+            return CField(piece, [f"{place} = vc_take_piece(&fields, fields.rest.length);"], [write_piece])
         case Tag(number=number) if field.is_tuple:
             kind, count = _struct(field.item), f"{name.removesuffix('s')}_count"
             loop = f"for (i = 0; i < {struct}{count}; i++)"

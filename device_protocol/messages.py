@@ -125,7 +125,8 @@ class MessageError(VibrocastError, ValueError):
 
 
 class Message:
-    """A message. `TYPE`: its number; 0: the class is none itself. `ANSWER`: what a controller answers it with.
+    """A message. `TYPE`: its number; 0: the class is none itself. `ANSWER`: what a controller answers it with. `SINCE`:
+    the minor version that brought it.
 
     Values are checked where a message is packed or unpacked. The dataclasses are not frozen: that would make
     unpacking a Status twice as slow.
@@ -133,6 +134,7 @@ class Message:
 
     TYPE: ClassVar[int] = 0
     ANSWER: ClassVar[str] = "Status"
+    SINCE: ClassVar[int] = 0
     LAYOUT: ClassVar[Layout]
     FIXED: ClassVar[struct.Struct]
     HEAD: ClassVar[bytes]
@@ -208,6 +210,7 @@ class Queue(StreamSetup):
     """
 
     TYPE = 0x0C
+    SINCE = 2
 
 
 @dataclass
@@ -333,6 +336,30 @@ class FlashConfirm(Message):
     ANSWER = "FlashStatus"
 
     slot: U8
+
+
+@dataclass
+class FlashErase(Message):
+    """Empties a slot that neither runs nor is the one to fall back to; since version 2.2."""
+
+    TYPE = 0x15
+    SINCE = 2
+    ANSWER = "FlashStatus"
+
+    slot: U8
+
+
+@dataclass
+class FlashRead(Message):
+    """Asks for up to `count` bytes of the image in a slot, from `offset` on; since version 2.2."""
+
+    TYPE = 0x16
+    SINCE = 2
+    ANSWER = "FlashContents"
+
+    slot: U8
+    offset: U32
+    count: U16
 
 
 # ---- from the host: stream data, never answered ----
@@ -577,6 +604,18 @@ class FlashStatus(Message):
     state: SlotState
     next_offset: U32
     sha256: SHA256 = bytes(SHA256_BYTES)
+
+
+@dataclass
+class FlashContents(Message):
+    """Bytes of the image in a slot, from `offset` on. `size_bytes`: of the whole image. Since version 2.2."""
+
+    TYPE = 0x84
+
+    slot: U8
+    size_bytes: U32
+    offset: U32
+    data: Annotated[bytes, rest("data")]
 
 
 @dataclass

@@ -49,6 +49,10 @@ fields.flash_data_data = ProtoField.bytes("vibrocast.flash_data.data", "data")
 fields.flash_verify_slot = ProtoField.uint8("vibrocast.flash_verify.slot", "slot")
 fields.flash_activate_slot = ProtoField.uint8("vibrocast.flash_activate.slot", "slot")
 fields.flash_confirm_slot = ProtoField.uint8("vibrocast.flash_confirm.slot", "slot")
+fields.flash_erase_slot = ProtoField.uint8("vibrocast.flash_erase.slot", "slot")
+fields.flash_read_slot = ProtoField.uint8("vibrocast.flash_read.slot", "slot")
+fields.flash_read_offset = ProtoField.uint32("vibrocast.flash_read.offset", "offset")
+fields.flash_read_count = ProtoField.uint16("vibrocast.flash_read.count", "count")
 fields.stream_data_stream = ProtoField.uint8("vibrocast.stream_data.stream", "stream")
 fields.stream_data_iteration = ProtoField.uint32("vibrocast.stream_data.iteration", "iteration")
 fields.stream_data_packets = ProtoField.bytes("vibrocast.stream_data.packets", "packets")
@@ -93,6 +97,10 @@ fields.flash_status_slot = ProtoField.uint8("vibrocast.flash_status.slot", "slot
 fields.flash_status_state = ProtoField.uint8("vibrocast.flash_status.state", "state", base.DEC, {[0] = "EMPTY", [1] = "WRITING", [2] = "VERIFIED", [3] = "TESTING", [4] = "CONFIRMED"})
 fields.flash_status_next_offset = ProtoField.uint32("vibrocast.flash_status.next_offset", "next_offset")
 fields.flash_status_sha256 = ProtoField.bytes("vibrocast.flash_status.sha256", "sha256")
+fields.flash_contents_slot = ProtoField.uint8("vibrocast.flash_contents.slot", "slot")
+fields.flash_contents_size_bytes = ProtoField.uint32("vibrocast.flash_contents.size_bytes", "size_bytes")
+fields.flash_contents_offset = ProtoField.uint32("vibrocast.flash_contents.offset", "offset")
+fields.flash_contents_data = ProtoField.bytes("vibrocast.flash_contents.data", "data")
 fields.error_code = ProtoField.uint16("vibrocast.error.code", "code")
 fields.error_text = ProtoField.string("vibrocast.error.text", "text")
 fields.limits_max_payload_bytes = ProtoField.uint16("vibrocast.limits.max_payload_bytes", "max_payload_bytes")
@@ -197,6 +205,14 @@ local structs = {
         fields = { { "slot", "u8" },  },
         tags = {  },
     },
+    flash_erase = {
+        fields = { { "slot", "u8" },  },
+        tags = {  },
+    },
+    flash_read = {
+        fields = { { "slot", "u8" }, { "offset", "u32" }, { "count", "u16" },  },
+        tags = {  },
+    },
     stream_data = {
         fields = { { "stream", "u8" }, { "iteration", "varint" }, { "packets", "items" },  },
         tags = {  },
@@ -223,6 +239,10 @@ local structs = {
     },
     flash_status = {
         fields = { { "slot", "u8" }, { "state", "u8" }, { "next_offset", "u32" }, { "sha256", "32" },  },
+        tags = {  },
+    },
+    flash_contents = {
+        fields = { { "slot", "u8" }, { "size_bytes", "u32" }, { "offset", "u32" }, { "data", "bytes" },  },
         tags = {  },
     },
     error = {
@@ -273,6 +293,8 @@ local names = {
     [18] = { "FlashVerify", "flash_verify" },
     [19] = { "FlashActivate", "flash_activate" },
     [20] = { "FlashConfirm", "flash_confirm" },
+    [21] = { "FlashErase", "flash_erase" },
+    [22] = { "FlashRead", "flash_read" },
     [64] = { "StreamData", "stream_data" },
     [65] = { "Position", "position" },
     [66] = { "SinglePacket", "single_packet" },
@@ -280,6 +302,7 @@ local names = {
     [129] = { "Status", "status" },
     [130] = { "CaptureData", "capture_data" },
     [131] = { "FlashStatus", "flash_status" },
+    [132] = { "FlashContents", "flash_contents" },
     [255] = { "Error", "error" },
 }
 

@@ -217,6 +217,12 @@ class Controller(Closing):
         Raises ControllerError with the controller's text if it rejects it, ConnectionLost, TransportError,
         MessageError.
         """
+        if message.SINCE > 0 and self.description.minor < message.SINCE:
+            raise ControllerError(
+                f"the controller speaks protocol {self.description.major}.{self.description.minor}, which has no "
+                f"{type(message).__name__}; update its firmware",
+                ErrorCode.UNKNOWN_MESSAGE,
+            )
         while self._pending is not None:
             yield from self.poll_steps(ANSWER_TIMEOUT_S)
         frame = self._next_request(message)

@@ -43,8 +43,6 @@ _MIN_PART = 4
 _FRAME_S = 0.05
 """A frame of a capture keeps the link busy for about so long: half the time after which a request is sent again."""
 _MIN_FRAME_BYTES = 64
-QUEUE_MINOR = 2
-"""The minor version of the protocol that brought Queue."""
 
 
 def next_number(stream: int) -> int:
@@ -163,8 +161,6 @@ def queue_steps(
     Raises as `Controller.request_steps`, but for a rejection.
     """
     controller, number = session.controller, next_number(session.number)
-    if controller.description.minor < QUEUE_MINOR:
-        return None
     queue = Queue(
         stream=number,
         header=header.pack(),

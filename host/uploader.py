@@ -12,7 +12,10 @@ from vibrocast.device_protocol.messages import (
     FlashActivate,
     FlashBegin,
     FlashConfirm,
+    FlashContents,
     FlashData,
+    FlashErase,
+    FlashRead,
     FlashStatus,
     FlashVerify,
     ImageDescription,
@@ -20,6 +23,7 @@ from vibrocast.device_protocol.messages import (
     pack,
 )
 from vibrocast.device_protocol.model_image import (
+    MAX_IMAGE_BYTES,
     MAX_NUMBER,
     ModelError,
     ModelImage,
@@ -118,6 +122,61 @@ def check_fit(controller: Controller, model: ModelImage) -> None:
             "another model, or update the firmware",
             ErrorCode.UNKNOWN_CODEC,
         )
+
+
+def read_back(
+    controller: Controller, held: ImageDescription, progress: Callable[[int, int], None] | None = None
+) -> bytes:
+    """Return the packed model image that a slot holds, read from the controller.
+
+    `progress` is called with the bytes that have come and the image's size. Raises ControllerError, also where the
+    bytes are not those of the slot's SHA-256, and TransportError.
+    """
+    image = b""
+    room = controller.description.limits.max_payload_bytes - len(pack(FlashContents(0, 0, 0, b"")))
+    while True:
+        contents = controller.request(FlashRead(held.slot, len(image), room), FlashContents)
+        image += contents.data
+        size_bytes = contents.size_bytes
+        if (contents.slot, contents.offset) != (held.slot, len(image) - len(contents.data)) or not (
+            len(image) <= size_bytes <= MAX_IMAGE_BYTES and (contents.data or len(image) == size_bytes)
+        ):
+            raise ControllerError(
+                f"the controller answers for slot {held.slot} with other bytes than asked for; update its firmware"
+            )
+        if progress is not None:
+            progress(len(image), size_bytes)
+        if len(image) == size_bytes:
+            break
+    if sha256(image) != held.sha256:
+        raise ControllerError(f"slot {held.slot} does not hold the image that it names; upload it again")
+    return image
+
+
+def check_held(controller: Controller, image: bytes, progress: Callable[[int, int], None]) -> ImageDescription:
+    """Compare a packed model image, byte by byte, with the slot that holds it; return what the slot holds.
+
+    Raises ControllerError where no slot holds it, or it differs, and as `read_back`.
+    """
+    found = [held for held in controller.description.images if held.name and held.sha256 == sha256(image)]
+    if not found:
+        raise ControllerError("no slot holds this model; upload it")
+    held = max(found, key=lambda held: held.state)
+    if read_back(controller, held, progress) != image:
+        raise ControllerError(f"slot {held.slot} holds this model with another signature; upload it again")
+    return held
+
+
+def erase(controller: Controller) -> list[int]:
+    """Empty the slots that neither run nor are to be fallen back to; return their numbers.
+
+    Raises as `Controller.request`, also while an image is on trial.
+    """
+    spare = [held.slot for held in controller.description.images if held.state not in _RUNNING]
+    for slot in spare:
+        controller.request(FlashErase(slot), FlashStatus, _SLOT_TIMEOUT_S)
+    controller.open_session()
+    return spare
 
 
 def roll_back(controller: Controller) -> ImageDescription:

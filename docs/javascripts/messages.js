@@ -35,6 +35,8 @@ const TAPS = { DECODED: 0, DAC: 1 };
 /** @typedef {{ slot: number }} FlashVerifyMessage */
 /** @typedef {{ slot: number }} FlashActivateMessage */
 /** @typedef {{ slot: number }} FlashConfirmMessage */
+/** @typedef {{ slot: number }} FlashEraseMessage */
+/** @typedef {{ slot: number, offset: number, count: number }} FlashReadMessage */
 /** @typedef {{ stream: number, iteration: number, packets: Uint8Array[] }} StreamDataMessage */
 /** @typedef {{ device_time_us: number, position_nm: number }} PositionMessage */
 /** @typedef {{ stream: number, packet: Uint8Array }} SinglePacketMessage */
@@ -42,8 +44,9 @@ const TAPS = { DECODED: 0, DAC: 1 };
 /** @typedef {{ state: number, stream: number, device_time_us: number, position: number, credit_until: number, buffered_samples: number, bad_frames: number, underruns: number, lost_packets: number, compensation_clipped: number, voltage_limited: number, slew_limited: number, power_limited: number, output_gaps: number, late_samples: number, signed_images: number, coding: CodingDescription | null, queued: QueuedStream | null }} StatusMessage */
 /** @typedef {{ tap: number, channels: number, offset: number, end: number, data: Uint8Array }} CaptureDataMessage */
 /** @typedef {{ slot: number, state: number, next_offset: number, sha256: Uint8Array }} FlashStatusMessage */
+/** @typedef {{ slot: number, size_bytes: number, offset: number, data: Uint8Array }} FlashContentsMessage */
 /** @typedef {{ code: number, text: string }} ErrorMessage */
-/** @typedef {{ Hello: HelloMessage, StatusRequest: StatusRequestMessage, Configure: ConfigureMessage, Queue: QueueMessage, Start: StartMessage, Pause: PauseMessage, Resume: ResumeMessage, Stop: StopMessage, Loop: LoopMessage, Gain: GainMessage, EndStream: EndStreamMessage, CaptureRead: CaptureReadMessage, FlashBegin: FlashBeginMessage, FlashData: FlashDataMessage, FlashVerify: FlashVerifyMessage, FlashActivate: FlashActivateMessage, FlashConfirm: FlashConfirmMessage, StreamData: StreamDataMessage, Position: PositionMessage, SinglePacket: SinglePacketMessage, HelloResponse: HelloResponseMessage, Status: StatusMessage, CaptureData: CaptureDataMessage, FlashStatus: FlashStatusMessage, Error: ErrorMessage }} Messages */
+/** @typedef {{ Hello: HelloMessage, StatusRequest: StatusRequestMessage, Configure: ConfigureMessage, Queue: QueueMessage, Start: StartMessage, Pause: PauseMessage, Resume: ResumeMessage, Stop: StopMessage, Loop: LoopMessage, Gain: GainMessage, EndStream: EndStreamMessage, CaptureRead: CaptureReadMessage, FlashBegin: FlashBeginMessage, FlashData: FlashDataMessage, FlashVerify: FlashVerifyMessage, FlashActivate: FlashActivateMessage, FlashConfirm: FlashConfirmMessage, FlashErase: FlashEraseMessage, FlashRead: FlashReadMessage, StreamData: StreamDataMessage, Position: PositionMessage, SinglePacket: SinglePacketMessage, HelloResponse: HelloResponseMessage, Status: StatusMessage, CaptureData: CaptureDataMessage, FlashStatus: FlashStatusMessage, FlashContents: FlashContentsMessage, Error: ErrorMessage }} Messages */
 
 /** @type {Record<string, Layout>} */
 const LAYOUTS = {
@@ -162,6 +165,16 @@ const LAYOUTS = {
         fields: [["slot", "u8"]],
         tags: { },
     },
+    FlashErase: {
+        type: 0x15,
+        fields: [["slot", "u8"]],
+        tags: { },
+    },
+    FlashRead: {
+        type: 0x16,
+        fields: [["slot", "u8"], ["offset", "u32"], ["count", "u16"]],
+        tags: { },
+    },
     StreamData: {
         type: 0x40,
         fields: [["stream", "u8"], ["iteration", "varint"], ["packets", "items"]],
@@ -195,6 +208,11 @@ const LAYOUTS = {
     FlashStatus: {
         type: 0x83,
         fields: [["slot", "u8"], ["state", "u8"], ["next_offset", "u32"], ["sha256", "32"]],
+        tags: { },
+    },
+    FlashContents: {
+        type: 0x84,
+        fields: [["slot", "u8"], ["size_bytes", "u32"], ["offset", "u32"], ["data", "bytes"]],
         tags: { },
     },
     Error: {

@@ -8,7 +8,7 @@
 
 enum { PIECE_BYTES = 256, SLOT_BYTES = 2048, FLASH_BYTES = 2 * PIECE_BYTES + 2 * SLOT_BYTES };
 enum { ENTRY_BYTES = VC_SLOT_ENTRY_BYTES - 4 /* a CRC-32 */ };
-enum { BEGIN, WRITE, VERIFY, ACTIVATE, CONFIRM, RESTART, REQUESTS };
+enum { BEGIN, WRITE, VERIFY, ACTIVATE, CONFIRM, ERASE, READ, RESTART, REQUESTS };
 
 typedef struct {
     uint8_t bytes[FLASH_BYTES];
@@ -73,6 +73,8 @@ static void dispatch(vc_image_store *store, const vc_flash *flash, const uint8_t
     vc_piece rest = {record + 1, length - 1};
     vc_flash_begin begin = {(uint8_t)slot, 0, NULL, {NULL, 0}};
     vc_flash_data data = {(uint8_t)slot, 0, {NULL, 0}};
+    vc_flash_read read = {(uint8_t)slot, 0, 0};
+    vc_flash_contents contents;
     vc_flash_status report;
     vc_rejection rejection;
     vc_fields fields;
@@ -101,6 +103,17 @@ static void dispatch(vc_image_store *store, const vc_flash *flash, const uint8_t
         break;
     case CONFIRM:
         code = vc_image_store_confirm(store, slot, &report, &rejection);
+        break;
+    case ERASE:
+        code = vc_image_store_erase(store, slot, &report, &rejection);
+        break;
+    case READ:
+        read.offset = (uint32_t)vc_take_number(&fields, 4);
+        read.count = (uint16_t)vc_take_number(&fields, 2);
+        code = vc_image_store_read(store, &read, &contents, &rejection);
+        vc_fuzz_check(code != 0 || (contents.data.length <= read.count && contents.data.bytes >= flash->base &&
+                                    contents.data.bytes + contents.data.length <= flash->base + FLASH_BYTES),
+                      "bytes beyond the flash");
         break;
     default:
         ((flash_memory *)flash->context)->changes_until_cut = (unsigned)vc_take_number(&fields, 1);

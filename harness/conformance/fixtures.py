@@ -50,6 +50,8 @@ SECTIONS = (
     "Model upload: FlashData",
     "Model upload: FlashVerify",
     "Model upload: FlashActivate",
+    "Model upload: FlashErase",
+    "Model upload: FlashRead",
     "Model upload: Restarts and power failures",
     "Model upload: Model image",
     "Model upload: Signatures",

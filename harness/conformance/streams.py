@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from vibrocast import codec, models, textures
 from vibrocast.codec.encoding import default_model, encode_recording
 from vibrocast.codec.stream import Stream
-from vibrocast.device_protocol.messages import ActuatorDescription, HelloResponse, Tap
+from vibrocast.device_protocol.messages import ActuatorDescription, HelloResponse, Message, Tap
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.harness.conformance.probe import NotConforming, Probe, same_samples
 from vibrocast.host import player
@@ -208,6 +208,12 @@ def held_samples(hello: HelloResponse, stream: Stream) -> int:
 def dac_samples(probe: Probe, channels: int = 1) -> int:
     """Return how many DAC samples have been captured. Raises NotConforming, TransportError."""
     return probe.read_capture(Tap.DAC, 0, 0, channels).end
+
+
+def need_since(hello: HelloResponse, kind: type[Message]) -> None:
+    """Skip the test where the controller speaks a minor version from before a message."""
+    if hello.minor < kind.SINCE:
+        pytest.skip(f"the controller speaks version {hello.major}.{hello.minor}")
 
 
 def need_capture(hello: HelloResponse) -> None:

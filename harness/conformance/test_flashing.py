@@ -1,6 +1,7 @@
 """Model upload: transfer, resumption, checks, test, confirmation, and rejections."""
 
 import zlib
+from collections.abc import Iterable
 from dataclasses import replace
 
 import pytest
@@ -13,7 +14,10 @@ from vibrocast.device_protocol.messages import (
     FlashActivate,
     FlashBegin,
     FlashConfirm,
+    FlashContents,
     FlashData,
+    FlashErase,
+    FlashRead,
     FlashStatus,
     FlashVerify,
     HelloResponse,
@@ -37,10 +41,11 @@ from vibrocast.harness.conformance.streams import (
     model,
     need_capture,
     need_no_signature,
+    need_since,
     stream_for,
 )
 
-_REQUESTS_OF_AN_UPLOAD = 5
+_REQUESTS_OF_AN_UPLOAD = 7
 _NO_SLOTS = (0x7F, 0xFF)
 _NAME = 13  # where an image's name begins
 
@@ -117,8 +122,10 @@ def test_slots_that_are_not_there(probe: Probe) -> None:
             FlashVerify(slot),
             FlashActivate(slot),
             FlashConfirm(slot),
+            FlashErase(slot),
+            FlashRead(slot, 0, 1),
         )
-        for request in requests:
+        for request in known_to(probe, requests):
             probe.expect_rejection(request, ErrorCode.NO_SUCH_SLOT)
 
 
@@ -263,18 +270,56 @@ def test_upload_waits_for_the_end_of_a_stream(probe: Probe, slot: int, image: Mo
     probe.feed(number, stream)
     probe.expect(Start(), Status)
     probe.wait_for_state(State.PLAYING)
-    for request in (
+    requests: tuple[Message, ...] = (
         FlashBegin(slot, len(data), sha256(data), ""),
         FlashData(slot, len(data) // 2, data[len(data) // 2 :][:1]),
         FlashVerify(slot),
         FlashActivate(slot),
         FlashConfirm(slot),
-    ):
+        FlashErase(slot),
+        FlashRead(slot, 0, 1),
+    )
+    for request in known_to(probe, requests):
         probe.expect_rejection(request, ErrorCode.WRONG_STATE)
     played = probe.wait_for_state(State.FINISHED, 2.0 + 2 * stream.seconds)
     assert (played.underruns, played.lost_packets) == (0, 0), f"expected no loss, came {describe(played)}"
     first, came = probe.captured(Tap.DECODED, 1)
     same_samples(came, decoded(stream)[first:], "a stream during an upload")
+
+
+@section("Model upload: FlashRead")
+def test_slot_is_read_back(probe: Probe, hello: HelloResponse, slot: int, image: ModelImage) -> None:
+    """The controller returns an image from any offset, nothing behind its end, and WRONG_STATE until it is VERIFIED."""
+    need_since(hello, FlashRead)
+    data = new_image(probe, image)
+    begin(probe, slot, data)
+    probe.expect_rejection(FlashRead(slot, 0, 1), ErrorCode.WRONG_STATE)
+    verify(probe, slot, data)
+    found = b""
+    while len(found) < len(data):
+        contents = probe.expect(FlashRead(slot, len(found), 0xFFFF), FlashContents)
+        named = contents.slot, contents.size_bytes, contents.offset
+        assert named == (slot, len(data), len(found)) and contents.data, f"came {describe(contents)}"
+        found += contents.data
+    assert found == data, "expected the bytes of the image, came others"
+    for offset, count in ((1, 3), (len(data) - 1, 9), (len(data), 9), (0xFFFFFFFF, 9)):
+        contents = probe.expect(FlashRead(slot, offset, count), FlashContents)
+        assert contents.data == data[offset : offset + count], f"{count} bytes at {offset}: came {describe(contents)}"
+
+
+@section("Model upload: FlashErase")
+def test_slot_is_erased(probe: Probe, hello: HelloResponse, slot: int, image: ModelImage) -> None:
+    """The controller empties a slot at FlashErase, and answers WRONG_STATE for the slot that runs."""
+    need_since(hello, FlashErase)
+    for _ in range(2):
+        verify(probe, slot, new_image(probe, image))
+        status = probe.expect(FlashErase(slot), FlashStatus)
+        assert status == FlashStatus(slot, SlotState.EMPTY, 0), f"expected an EMPTY slot, came {describe(status)}"
+        assert described(probe, slot).state == SlotState.EMPTY, f"expected it EMPTY, came {described(probe, slot)}"
+    verify(probe, slot, new_image(probe, image))
+    probe.expect(FlashActivate(slot), FlashStatus)
+    probe.open()
+    probe.expect_rejection(FlashErase(slot), ErrorCode.WRONG_STATE)
 
 
 @section("Model upload: FlashActivate")
@@ -346,6 +391,11 @@ def test_image_that_is_not_confirmed_is_reverted_by_a_restart(probe: Probe, slot
     assert found.state == SlotState.VERIFIED, f"expected the slot VERIFIED again, came {found}"
     still = [found for found in probe.description.images if found.state == SlotState.CONFIRMED]
     assert still == kept, f"expected {kept}, came {still}"
+
+
+def known_to(probe: Probe, requests: Iterable[Message]) -> list[Message]:
+    """Return the requests that the controller's minor version has."""
+    return [request for request in requests if probe.description.minor >= request.SINCE]
 
 
 def with_crc(data: bytes) -> bytes:

@@ -13,6 +13,8 @@ from vibrocast.device_protocol.messages import (
     FlashBegin,
     FlashConfirm,
     FlashData,
+    FlashErase,
+    FlashRead,
     FlashVerify,
     Gain,
     Hello,
@@ -35,8 +37,7 @@ from vibrocast.device_protocol.messages import (
 )
 from vibrocast.harness.conformance.fixtures import long, section
 from vibrocast.harness.conformance.probe import Probe, an_error, describe, in_state
-from vibrocast.harness.conformance.streams import lasting_stream, stream_for
-from vibrocast.host.stream_session import QUEUE_MINOR
+from vibrocast.harness.conformance.streams import lasting_stream, need_since, stream_for
 
 # docs/reference/protocol.md, "Status"
 _DRIFT = 0.01
@@ -45,7 +46,7 @@ _KNOWN = {request.TYPE for request in REQUESTS}
 _REQUEST_TYPES = range(0x01, 0x40)
 _STREAM_TYPES = range(0x40, 0x80)
 _CONTROLLER_TYPES = range(0x80, 0x100)
-_FLASHING = (FlashBegin, FlashData, FlashVerify, FlashActivate, FlashConfirm)
+_FLASHING = (FlashBegin, FlashData, FlashVerify, FlashActivate, FlashConfirm, FlashErase, FlashRead)
 # A tag that no version has, with a value.
 _UNKNOWN_TLV = b"\xee\x05\x00later"
 _NO_SLOT = 0xFF
@@ -206,8 +207,7 @@ def split(message: Message) -> tuple[bytes, bytes]:
 
 def request_for(request_type: type[Message], probe: Probe) -> Message:
     """Return a request of a type that would be carried out on the configured stream; no slot is ever changed by it."""
-    if request_type is Queue and probe.description.minor < QUEUE_MINOR:
-        pytest.skip(f"the controller speaks version {probe.description.major}.{probe.description.minor}")
+    need_since(probe.description, request_type)
     stream = probe.status().stream
     requests: tuple[Message, ...] = (
         Hello(),
@@ -226,6 +226,8 @@ def request_for(request_type: type[Message], probe: Probe) -> Message:
         FlashVerify(_NO_SLOT),
         FlashActivate(_NO_SLOT),
         FlashConfirm(_NO_SLOT),
+        FlashErase(_NO_SLOT),
+        FlashRead(_NO_SLOT, 0, 1),
     )
     return next(request for request in requests if type(request) is request_type)
 

@@ -16,10 +16,11 @@ from vibrocast.harness.conformance.streams import (
     known_actuator,
     lasting_stream,
     need_capture,
+    need_since,
     stream_for,
 )
 from vibrocast.host import player
-from vibrocast.host.stream_session import QUEUE_MINOR, next_number, read_capture
+from vibrocast.host.stream_session import next_number, read_capture
 from vibrocast.output.rendering import render
 
 _NUMBER = 201
@@ -30,14 +31,8 @@ _REQUESTS_TO_FOLLOW = 3
 @pytest.fixture
 def stream(probe: Probe, hello: HelloResponse) -> Stream:
     """A stream that can be played, on a controller that knows Queue."""
-    need_queue(hello)
+    need_since(hello, Queue)
     return stream_for(probe.description)
-
-
-def need_queue(hello: HelloResponse) -> None:
-    """Skip the test where the controller does not know Queue."""
-    if hello.minor < QUEUE_MINOR:
-        pytest.skip(f"the controller speaks version {hello.major}.{hello.minor}")
 
 
 def queue_of(played: Stream, **changes: int | bytes) -> Queue:
@@ -49,7 +44,7 @@ def queue_of(played: Stream, **changes: int | bytes) -> Queue:
 @section("Playing: Queue")
 def test_the_next_stream_follows_without_a_gap(probe: Probe, hello: HelloResponse) -> None:
     """A queued stream follows the one under way without a gap, as another iteration does, bit for bit."""
-    need_queue(hello)
+    need_since(hello, Queue)
     need_capture(probe.description)
     stream = lasting_stream(probe, _REQUESTS_TO_FOLLOW)
     controller, buffer_s = host(probe), answered_s(probe)
@@ -72,18 +67,21 @@ def test_the_next_stream_follows_without_a_gap(probe: Probe, hello: HelloRespons
 
 @section("Playing: Queue")
 def test_only_a_stream_that_ends_has_one_behind_it(probe: Probe, stream: Stream) -> None:
-    """The controller answers WRONG_STATE to Queue without a stream, behind one without end, and to a second Queue.
-
-    BAD_VALUE answers the number of the stream under way.
-    """
+    """The controller answers WRONG_STATE to Queue without a stream, behind one without end, and to a second Queue."""
     probe.stop()
     probe.expect_rejection(queue_of(stream), ErrorCode.WRONG_STATE)
     status = probe.configure(stream, loops=0)
     probe.expect_rejection(queue_of(stream, stream=next_number(status.stream)), ErrorCode.WRONG_STATE)
     status = probe.configure(stream)
-    probe.expect_rejection(queue_of(stream, stream=status.stream), ErrorCode.BAD_VALUE)
     probe.expect(queue_of(stream, stream=next_number(status.stream)), Status)
     probe.expect_rejection(queue_of(stream, stream=next_number(status.stream)), ErrorCode.WRONG_STATE)
+
+
+@section("Playing: Queue")
+def test_the_next_stream_has_another_number(probe: Probe, stream: Stream) -> None:
+    """The controller answers BAD_VALUE to Queue with the number of the stream under way."""
+    status = probe.configure(stream)
+    probe.expect_rejection(queue_of(stream, stream=status.stream), ErrorCode.BAD_VALUE)
 
 
 @section("Playing: Queue")

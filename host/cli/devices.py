@@ -12,7 +12,7 @@ import click
 from vibrocast import models, progress
 from vibrocast.device_protocol.messages import ImageDescription, SlotState
 from vibrocast.errors import InputError
-from vibrocast.files import plain
+from vibrocast.files import atomic_write, plain
 from vibrocast.host import devices, uploader
 from vibrocast.host.cli.answers import add, tell, wants_json
 from vibrocast.host.cli.errors import controllers_failed, explained
@@ -28,7 +28,7 @@ from vibrocast.host.cli.options import (
     tell_address,
 )
 from vibrocast.host.cli.steps import show
-from vibrocast.host.controller import Controller
+from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.output.actuator import ACTUATORS, PIEZO_STACK
 
 
@@ -49,9 +49,19 @@ def list_devices() -> None:
 @devices_option
 @click.option("--list", "lists", is_flag=True, help="List the slots and the models in them.")
 @click.option("--rollback", is_flag=True, help="Run the verified model of the other slot again.")
+@click.option("--erase", "erases", is_flag=True, help="Empty the slots that are not in use.")
+@click.option("--read-back", type=OutputFile(), help="Write the model that the controller runs to this file.")
+@click.option("--verify", "verifies", is_flag=True, help="Compare MODEL with the slot that holds it; write nothing.")
 @click.option("--no-confirm", "no_confirm", is_flag=True, help="Leave the model on trial until the next restart.")
 def upload_model(
-    model: models.Model | None, chosen: tuple[Chosen, ...], lists: bool, rollback: bool, no_confirm: bool
+    model: models.Model | None,
+    chosen: tuple[Chosen, ...],
+    lists: bool,
+    rollback: bool,
+    erases: bool,
+    read_back: Path | None,
+    verifies: bool,
+    no_confirm: bool,
 ) -> None:
     """Upload a trained model to controllers.
 
@@ -63,17 +73,19 @@ def upload_model(
 
     After an interruption, run the same command again: it continues. Until then the controller runs the previous image.
     """
-    if (model is not None) + lists + rollback != 1:
-        raise click.UsageError("give a MODEL, --list or --rollback, and one of them")
-    if no_confirm and model is None:
-        raise click.UsageError("--no-confirm is for a MODEL; give one")
-    work = list_slots if lists else roll_back if model is None else partial(flash, model, not no_confirm)
-    addresses = [each.address for each in chosen]
-    if len(addresses) == 1:
-        line, facts = on_one(work, addresses[0])
-        tell(line, **facts)
-    else:
-        on_each(work, addresses)
+    choices: tuple[tuple[bool, Work], ...] = ((lists, list_slots), (rollback, roll_back), (erases, erase))
+    asked = [work for is_asked, work in choices if is_asked]
+    if read_back is not None:
+        asked.append(partial(write_back, read_back))
+    if model is not None:
+        asked.append(partial(verify, model) if verifies else partial(flash, model, not no_confirm))
+    if len(asked) != 1:
+        raise click.UsageError("give a MODEL, --list, --rollback, --erase or --read-back, and one of them")
+    if verifies + no_confirm > (model is not None):
+        raise click.UsageError("--verify or --no-confirm goes with a MODEL; give one of the two with it")
+    if read_back is not None and len(chosen) > 1:
+        raise click.UsageError("--read-back writes one file; give one --device")
+    on_all(asked[0], [each.address for each in chosen])
 
 
 flash_model = copy.copy(upload_model)
@@ -86,12 +98,16 @@ Work = Callable[[Controller, Callable[[int, int], None]], tuple[str, dict[str, o
 
 def on_one(work: Work, address: str) -> tuple[str, dict[str, object]]:
     """Do the work with the controller at an address."""
-    with devices.connect(address) as controller, progress.bar("uploading") as update:
+    with devices.connect(address) as controller, progress.bar("transferring") as update:
         return work(controller, lambda done, total: update(done / total))
 
 
-def on_each(work: Work, addresses: Sequence[str]) -> None:
+def on_all(work: Work, addresses: Sequence[str]) -> None:
     """Do the work with all controllers at once, and print a line for each. Raises CommandError if one fails."""
+    if len(addresses) == 1:
+        line, facts = on_one(work, addresses[0])
+        tell(line, **facts)
+        return
     names = devices.unique_names(addresses)
     with ThreadPoolExecutor(len(names)) as pool:
         running = [pool.submit(on_one, work, address) for address in addresses]
@@ -119,6 +135,35 @@ def list_slots(controller: Controller, tell_part: Callable[[int, int], None]) ->
 def roll_back(controller: Controller, tell_part: Callable[[int, int], None]) -> tuple[str, dict[str, object]]:
     """Run the other slot's model again."""
     return about(controller, uploader.roll_back(controller))
+
+
+def erase(controller: Controller, tell_part: Callable[[int, int], None]) -> tuple[str, dict[str, object]]:
+    """Empty the slots that are not in use."""
+    erased = uploader.erase(controller)
+    return f"slots erased: {', '.join(map(str, erased)) or 'none'}", {"erased": erased}
+
+
+def write_back(
+    path: Path, controller: Controller, tell_part: Callable[[int, int], None]
+) -> tuple[str, dict[str, object]]:
+    """Write the image that the controller runs to a file."""
+    held = uploader.running(controller)
+    if held is None:
+        raise ControllerError("the controller runs no model image; upload one")
+    image = uploader.read_back(controller, held, tell_part)
+    with atomic_write(path) as partial_path:
+        partial_path.write_bytes(image)
+    line, facts = about(controller, held)
+    return f"{path}: {len(image)} bytes; {line}", {"path": str(path), "bytes": len(image), **facts}
+
+
+def verify(
+    model: models.Model, controller: Controller, tell_part: Callable[[int, int], None]
+) -> tuple[str, dict[str, object]]:
+    """Compare a model with the slot that holds it."""
+    held = uploader.check_held(controller, model.image, tell_part)
+    line = f"slot {held.slot} holds {model.name}, {held.state.name.lower()}: {len(model.image)} bytes are equal"
+    return line, {"model": held.name, "slot": held.slot, "state": held.state.name.lower(), "bytes": len(model.image)}
 
 
 def flash(

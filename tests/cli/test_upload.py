@@ -1,8 +1,21 @@
 """`vibrocast upload`: several controllers at once, the slots as a list, wrong combinations."""
 
+from collections.abc import Iterator
+from pathlib import Path
+
 import pytest
 
 from tests.command import answer, fails, failure, succeeds
+from vibrocast import models
+from vibrocast.simulated_device.controller import Controller
+from vibrocast.simulated_device.pty_port import PtyPort
+
+
+@pytest.fixture
+def board() -> Iterator[str]:
+    """The address of a simulated controller that keeps its flash from command to command."""
+    with PtyPort(Controller()) as port:
+        yield f"serial:{port.name}"
 
 
 def test_several_controllers_get_a_line_each_and_one_that_fails_holds_none_up() -> None:
@@ -20,7 +33,17 @@ def test_slots_are_listed_for_people_and_programs() -> None:
 
 
 @pytest.mark.parametrize(
-    "arguments", [[], ["eva-16-4", "--list"], ["--list", "--rollback"], ["--list", "--no-confirm"]], ids=" ".join
+    "arguments",
+    [
+        [],
+        ["eva-16-4", "--list"],
+        ["--list", "--rollback"],
+        ["--list", "--no-confirm"],
+        ["--erase", "--verify"],
+        ["eva-16-4", "--verify", "--no-confirm"],
+        ["--read-back", "model.bin", "--device", "sim", "--device", "sim"],
+    ],
+    ids=" ".join,
 )
 def test_one_thing_is_done_at_a_time(arguments: list[str]) -> None:
     assert "give" in fails(2, "upload", *arguments)
@@ -28,3 +51,19 @@ def test_one_thing_is_done_at_a_time(arguments: list[str]) -> None:
 
 def test_nothing_to_go_back_to_is_an_error() -> None:
     assert "no other slot holds a verified model image; upload one" in fails(1, "upload", "--rollback")
+
+
+def test_a_model_is_compared_read_back_and_erased(board: str, tmp_path: Path) -> None:
+    at = ("--device", board)
+    assert "no slot holds this model" in fails(1, "upload", "eva-16-4", "--verify", *at)
+    assert "runs no model image" in fails(1, "upload", "--read-back", tmp_path / "model.bin", *at)
+    succeeds("upload", "mdct-textures", *at)
+    succeeds("upload", "eva-16-4", *at)
+    told = answer("upload", "eva-16-4", "--verify", *at)
+    assert (told["slot"], told["state"], told["bytes"]) == (1, "confirmed", len(models.find("eva-16-4").image))
+    assert "slot 0 holds mdct-textures, verified" in succeeds("upload", "mdct-textures", "--verify", *at)
+    succeeds("upload", "--read-back", tmp_path / "model.bin", *at)
+    assert (tmp_path / "model.bin").read_bytes() == models.find("eva-16-4").image
+    assert answer("upload", "--erase", *at)["erased"] == [0]
+    assert [slot["state"] for slot in answer("upload", "--list", *at)["slots"]] == ["empty", "confirmed"]
+    assert "no other slot" in fails(1, "upload", "--rollback", *at)

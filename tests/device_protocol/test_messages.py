@@ -20,7 +20,10 @@ from vibrocast.device_protocol.messages import (
     FlashActivate,
     FlashBegin,
     FlashConfirm,
+    FlashContents,
     FlashData,
+    FlashErase,
+    FlashRead,
     FlashStatus,
     FlashVerify,
     Gain,
@@ -87,6 +90,8 @@ MESSAGES: dict[type[Message], st.SearchStrategy[Message]] = {
     FlashVerify: st.builds(FlashVerify, u8),
     FlashActivate: st.builds(FlashActivate, u8),
     FlashConfirm: st.builds(FlashConfirm, u8),
+    FlashErase: st.builds(FlashErase, u8),
+    FlashRead: st.builds(FlashRead, u8, u32, u16),
     SinglePacket: st.builds(SinglePacket, u8, st.binary(max_size=200)),
     StreamData: st.builds(StreamData, u8, u32, st.lists(st.binary(max_size=200)).map(tuple)),
     Position: st.builds(Position, u64, st.integers(-(1 << 63), (1 << 63) - 1)),
@@ -107,11 +112,12 @@ MESSAGES: dict[type[Message], st.SearchStrategy[Message]] = {
     ),
     CaptureData: captures,
     FlashStatus: st.builds(FlashStatus, u8, slot_states, u32, sha256s),
+    FlashContents: st.builds(FlashContents, u8, u32, u32, st.binary(max_size=200)),
     Error: st.builds(Error, u16, texts),
 }
 any_message = st.one_of(*MESSAGES.values())
 # In these, the end of the message is data and not tags.
-UNTAGGED = (FlashData, CaptureData, StreamData, SinglePacket)
+UNTAGGED = (FlashData, FlashContents, CaptureData, StreamData, SinglePacket)
 
 
 def test_every_message_is_tested() -> None:
@@ -248,6 +254,8 @@ GOLDEN: list[tuple[Message, str]] = [
     (FlashVerify(1), "12341201"),
     (FlashActivate(1), "13341201"),
     (FlashConfirm(1), "14341201"),
+    (FlashErase(1), "15341201"),
+    (FlashRead(1, 70_000, 300), "16341201701101002c01"),
     (
         StreamData(7, 300, (b"\x01\xaa", b"", bytes(130))),
         "4007ac020201aa008201000000000000000000000000000000000000000000000000000000000000000000000000"
@@ -304,6 +312,7 @@ GOLDEN: list[tuple[Message, str]] = [
         FlashStatus(1, SlotState.VERIFIED, 70_000, SHA256),
         "833412010270110100000102030405060708090a0b0c0d0e0f101112131415161718191a1b1c1d1e1f",
     ),
+    (FlashContents(1, 70_000, 4096, b"\x00data"), "84341201701101000010000000" + "64617461"),
     (Error(300, "say hello first"), "ff34122c01010f007361792068656c6c6f206669727374"),
 ]
 

@@ -85,10 +85,24 @@ class CImageStore:
     def confirm(self, slot: int) -> tuple[SlotState, int]:
         return self._ask("confirm", slot)
 
+    def erase(self, slot: int) -> tuple[SlotState, int]:
+        return self._ask("erase", slot)
+
+    def read(self, slot: int, offset: int, count: int) -> tuple[int, bytes]:
+        """Return the size of the image and bytes of it."""
+        contents = ffi.new("vc_flash_contents *")
+        read = ffi.new("vc_flash_read *", [slot, offset, count])
+        self._check_code(native.vc_image_store_read(self._store, read, contents, self._rejection))
+        assert contents.slot == slot and contents.offset == min(offset, contents.size_bytes)
+        return contents.size_bytes, piece_bytes(contents.data)
+
     def _ask(self, request: str, argument: Any) -> tuple[SlotState, int]:
         rejected = getattr(native, f"vc_image_store_{request}")(self._store, argument, self._report, self._rejection)
         self._callbacks.pass_on()
+        self._check_code(rejected)
+        return SlotState(self._report.state), self._report.next_offset
+
+    def _check_code(self, rejected: int) -> None:
         if rejected:
             assert rejected == self._rejection.code
             raise RequestError(ErrorCode(rejected), rejection_text(self._rejection))
-        return SlotState(self._report.state), self._report.next_offset

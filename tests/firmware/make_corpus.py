@@ -30,6 +30,8 @@ from vibrocast.device_protocol.messages import (
     FlashBegin,
     FlashConfirm,
     FlashData,
+    FlashErase,
+    FlashRead,
     FlashVerify,
     Gain,
     Hello,
@@ -205,8 +207,8 @@ def profiles() -> list[bytes]:
 
 def flashes() -> list[bytes]:
     """Return flashes, blank and with an image in each slot, and what is asked of them."""
-    begin, write, verify, activate, confirm, restart = range(6)
-    second_slot = 6
+    begin, write, verify, activate, confirm, erase, read, restart = range(8)
+    second_slot = 8
     image = ModelImage(1, "small", "1", "", b"\xff\x00" * 50).pack()
     requests = [
         bytes([begin]) + image,
@@ -219,6 +221,8 @@ def flashes() -> list[bytes]:
         bytes([second_slot + write, 0, 0]) + image,
         *(bytes([second_slot + request]) for request in (verify, activate)),
         bytes([restart, 1]),
+        bytes([second_slot + read, 5, 0, 0, 0, 40, 0]),
+        bytes([second_slot + erase]),
         bytes([restart, 255]),
     ]
     slot = len(image).to_bytes(4, "little") + sha256(image)
@@ -268,7 +272,8 @@ def controllers() -> list[bytes]:
     configuration = eva.configuration(5, [700])
     noise = StreamData(8, 0, tuple(pack_varint(2 * number + (number == 0)) + bytes(range(20)) for number in range(8)))
     learned = StreamHeader(4, RATE_HZ, 600, "full scale", (1.0,), configuration, sha256(image)[:4])
-    flashing = [begin, *pieces, FlashVerify(1), FlashActivate(1), Hello(), FlashConfirm(1)]
+    flashing = [begin, *pieces, FlashVerify(1), FlashRead(1, 0, 99), FlashActivate(1), Hello(), FlashConfirm(1)]
+    flashing.append(FlashErase(0))
     limited: list[Message | bytes | int] = [Hello(), recording, all_packets, Start(), *loud]
     limited += [recording, all_packets, Start(), 30, b"\x05noise\0" * 40, 1100]
     return [

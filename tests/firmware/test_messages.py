@@ -11,7 +11,7 @@ from tests.device_protocol.test_messages import MESSAGES, any_message, u8, u16
 from tests.firmware.native import ffi, load, native, piece_bytes, rejection_text
 from vibrocast.device_protocol import messages
 from vibrocast.device_protocol.frames import FrameReader
-from vibrocast.device_protocol.layout import Fixed, Tag, WireField, wire_fields
+from vibrocast.device_protocol.layout import Fixed, WireField, wire_fields
 
 STRUCTS = {
     messages.ActuatorDescription: "vc_actuator_description",
@@ -20,6 +20,7 @@ STRUCTS = {
     messages.CodingDescription: "vc_coding_description",
     messages.QueuedStream: "vc_queued_stream",
     messages.Error: "vc_error",
+    messages.FlashContents: "vc_flash_contents",
     messages.FlashStatus: "vc_flash_status",
     messages.HelloResponse: "vc_hello_response",
     messages.ImageDescription: "vc_image_description",
@@ -88,13 +89,13 @@ class InC:
                 found[field.name] = [self.memory("uint8_t[]", text), len(text)]
             elif field.type is bytes and isinstance(field.wire, Fixed):
                 found[field.name] = self.memory("uint8_t[]", item)
-            elif field.type is bytes and isinstance(field.wire, Tag):
+            elif field.type is bytes and type(value) is not messages.CaptureData:
                 found[field.name] = [self.memory("uint8_t[]", item), len(item)]
             elif field.is_optional:
                 found[field.name] = ffi.NULL if item is None else self.struct(item)
             elif field.type in STRUCTS:
                 found[field.name] = self.members(item)
-            elif field.type is not bytes:
+            elif field.type is not bytes:  # the caller of C writes the samples of a capture
                 found[field.name] = item
         return found
 

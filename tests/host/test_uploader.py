@@ -14,6 +14,7 @@ from vibrocast.device_protocol.messages import (
     FlashActivate,
     FlashBegin,
     FlashConfirm,
+    FlashContents,
     FlashData,
     FlashStatus,
     FlashVerify,
@@ -67,6 +68,33 @@ def test_cut_in_the_middle_is_resumed_without_sending_again() -> None:
     offsets = [message.offset for message in scripted.handled if isinstance(message, FlashData)]
     assert offsets == sorted(set(offsets))
     assert sum(isinstance(message, FlashBegin) for message in scripted.handled) == 2
+
+
+@pytest.mark.parametrize(
+    ("answer", "told"),
+    [
+        (FlashContents(0, len(IMAGE), 0, IMAGE[:100]), "other bytes than asked for"),
+        (FlashContents(1, len(IMAGE), 7, IMAGE[:100]), "other bytes than asked for"),
+        (FlashContents(1, len(IMAGE), 0, b""), "other bytes than asked for"),
+        (FlashContents(1, 0xFFFFFFFF, 0, IMAGE[:100]), "other bytes than asked for"),
+        (FlashContents(1, 99, 0, IMAGE[:100]), "other bytes than asked for"),
+        (FlashContents(1, 100, 0, IMAGE[:100]), "does not hold the image that it names"),
+    ],
+)
+def test_bytes_that_are_not_the_image_are_not_read_back(answer: FlashContents, told: str) -> None:
+    class Liar(ScriptedController):
+        def respond_to_flashing(self, message: Message) -> Message:
+            return answer
+
+    with pytest.raises(ControllerError, match=told):
+        uploader.read_back(Liar().connect(), IMAGES_ON_TRIAL[1])
+
+
+def test_a_controller_of_an_older_version_is_not_asked_to_read_back() -> None:
+    scripted = ScriptedController()
+    scripted.description = replace(scripted.description, minor=1)
+    with pytest.raises(ControllerError, match=r"speaks protocol 2\.1, which has no FlashRead; update its firmware"):
+        uploader.read_back(scripted.connect(), IMAGES_ON_TRIAL[1])
 
 
 @pytest.mark.parametrize("fallen_back", [{"state": SlotState.VERIFIED}, {"name": "", "version": ""}])

@@ -225,6 +225,25 @@ def test_an_interrupted_session_resumes_where_it_was() -> None:
     assert store.states[0] == SlotState.VERIFIED
 
 
+def test_a_whole_image_is_read_back_and_a_spare_one_erased() -> None:
+    flash = blank_flash()
+    store = install(flash, 0, OLD)
+    with pytest.raises(RequestError, match="holds no whole image"):
+        store.read(1, 0, 1)
+    write_image(store, 1, NEW)
+    assert store.read(1, 0, 0xFFFF) == (len(NEW), NEW)
+    for offset, count in ((0, 0), (5, 7), (len(NEW) - 1, 2), (len(NEW), 1), (0xFFFFFFFF, 0xFFFF)):
+        assert store.read(1, offset, count) == (len(NEW), NEW[offset : offset + count])
+    assert store.erase(1) == (SlotState.EMPTY, 0)
+    assert store.states == [SlotState.CONFIRMED, SlotState.EMPTY]
+    slot = flash.read(len(flash) - 768, 768)
+    assert slot == b"\xff" * 768
+    for wrong, why in ((0, "slot 0 runs"), (2, "there is no slot 2")):
+        with pytest.raises(RequestError, match=why):
+            store.erase(wrong)
+    assert boot(flash).running == "old"
+
+
 def test_flash_lives_in_its_file(tmp_path: Path) -> None:
     path = tmp_path / "flash.bin"
     install(blank_flash(path), 0, OLD)
@@ -380,6 +399,19 @@ def test_hostile_host_wears_out_nothing_between_two_power_ons() -> None:
     assert flash.erased[2:] == [1001, 0]  # the first erasure needs one change of the record, the others two
     assert sum(flash.erased[:2]) == -(-2001 // (512 // ENTRY_BYTES))
     boot(flash).begin(0, 1, bytes(32))
+
+
+def test_erasing_wears_out_nothing_either() -> None:
+    flash = CountingFlash(512)
+    store = boot(flash)
+    for _ in range(10):
+        store.erase(0)
+    assert flash.erased[2:] == [1, 0]
+    with pytest.raises(RequestError, match="switch the controller off and on"):
+        for _ in range(3000):
+            store.begin(0, 1, bytes(32))
+            store.erase(0)
+    assert flash.erased[2:] == [1, 0]
 
 
 def test_boots_by_a_host_count_as_changes_too() -> None:

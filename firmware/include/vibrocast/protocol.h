@@ -11,6 +11,7 @@
 #define VC_PROTOCOL_MAX_PAYLOAD_BYTES 4096 /* at most, of any board */
 #define VC_PACKET_OVERHEAD_BYTES 12 /* of a payload, before its first packet */
 #define VC_CAPTURE_DATA_HEAD_BYTES 21
+#define VC_FLASH_CONTENTS_HEAD_BYTES 12
 #define VC_STREAM_MAGIC 0xD3u
 #define VC_STREAM_FORMAT 3
 #define VC_STREAM_LONG_CONFIGURATION 15 /* a byte with the length stands before it */
@@ -48,6 +49,8 @@ enum vc_message_type {
     VC_FLASH_VERIFY = 18,
     VC_FLASH_ACTIVATE = 19,
     VC_FLASH_CONFIRM = 20,
+    VC_FLASH_ERASE = 21,
+    VC_FLASH_READ = 22,
     VC_STREAM_DATA = 64,
     VC_POSITION = 65,
     VC_SINGLE_PACKET = 66,
@@ -55,6 +58,7 @@ enum vc_message_type {
     VC_STATUS = 129,
     VC_CAPTURE_DATA = 130,
     VC_FLASH_STATUS = 131,
+    VC_FLASH_CONTENTS = 132,
     VC_ERROR = 255
 };
 

@@ -246,6 +246,19 @@ static int write_capture(vc_controller *controller, const vc_capture_read *read,
     return 0;
 }
 
+static int write_contents(vc_controller *controller, vc_flash_read read, uint16_t sequence, vc_frame_writer *writer,
+                          vc_rejection *rejection)
+{
+    vc_flash_contents contents;
+    int rejected;
+    if (read.count > VC_MAX_PAYLOAD_BYTES - VC_FLASH_CONTENTS_HEAD_BYTES)
+        read.count = VC_MAX_PAYLOAD_BYTES - VC_FLASH_CONTENTS_HEAD_BYTES;
+    rejected = vc_image_store_read(&controller->images, &read, &contents, rejection);
+    if (!rejected)
+        vc_write_flash_contents(writer, sequence, &contents);
+    return rejected;
+}
+
 static int write_flash(vc_controller *controller, const vc_message *message, vc_frame_writer *writer,
                        vc_rejection *rejection)
 {
@@ -267,6 +280,11 @@ static int write_flash(vc_controller *controller, const vc_message *message, vc_
     case VC_FLASH_ACTIVATE:
         rejected = vc_image_store_activate(images, message->body.flash_activate.slot, &report, rejection);
         break;
+    case VC_FLASH_ERASE:
+        rejected = vc_image_store_erase(images, message->body.flash_erase.slot, &report, rejection);
+        break;
+    case VC_FLASH_READ:
+        return write_contents(controller, message->body.flash_read, message->sequence, writer, rejection);
     default:
         rejected = vc_image_store_confirm(images, message->body.flash_confirm.slot, &report, rejection);
         break;

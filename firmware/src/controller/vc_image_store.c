@@ -280,6 +280,30 @@ static int tell(const vc_image_store *store, unsigned number, vc_flash_status *r
     return 0;
 }
 
+/* Rejects a change of the slot that runs, or that is the one to fall back to. */
+static int reject_in_use(const vc_image_store *store, unsigned number, vc_rejection *rejection)
+{
+    int rejected;
+    if ((int)number != store->running && slot_of(store, number)->state != VC_SLOT_CONFIRMED)
+        return 0;
+    rejected = reject_while_testing(store, rejection);
+    return rejected ? rejected
+                    : vc_reject_numbers(rejection, VC_WRONG_STATE,
+                                        "slot # runs or is the one to fall back to: use the other", number, 0);
+}
+
+/* Empties a slot, in the record first. Returns 0, or the rejection's code. */
+static int erase_slot(vc_image_store *store, unsigned number, vc_rejection *rejection)
+{
+    const vc_flash *flash = store->record.flash;
+    if ((slot_of(store, number)->state != VC_SLOT_EMPTY && !set_slot(store, number, &empty_slot)) ||
+        (!store->erased[number] && flash->erase(flash->context, flash->slot[number], flash->slot_bytes) != 0))
+        return flash_failed(rejection);
+    store->erased[number] = 1;
+    store->written[number] = 0;
+    return 0;
+}
+
 int vc_image_store_begin(vc_image_store *store, const vc_flash_begin *begin, vc_flash_status *report,
                          vc_rejection *rejection)
 {
@@ -291,13 +315,9 @@ int vc_image_store_begin(vc_image_store *store, const vc_flash_begin *begin, vc_
     if (rejected)
         return rejected;
     slot = slot_of(store, number);
-    if ((int)number == store->running || slot->state == VC_SLOT_CONFIRMED) {
-        rejected = reject_while_testing(store, rejection);
-        return rejected ? rejected
-                        : vc_reject_numbers(rejection, VC_WRONG_STATE,
-                                            "slot # runs or is the one to fall back to: use the other", number, 0);
-    }
-    rejected = wrong_hardware(store, begin->hardware, VC_WRONG_HARDWARE, rejection);
+    rejected = reject_in_use(store, number, rejection);
+    if (!rejected)
+        rejected = wrong_hardware(store, begin->hardware, VC_WRONG_HARDWARE, rejection);
     if (rejected)
         return rejected;
     if (begin->size_bytes == 0 || begin->size_bytes > flash->slot_bytes)
@@ -307,15 +327,10 @@ int vc_image_store_begin(vc_image_store *store, const vc_flash_begin *begin, vc_
     if (slot->state != VC_SLOT_WRITING || slot->size_bytes != wanted.size_bytes ||
         !vc_same_bytes(slot->sha256, wanted.sha256, VC_SHA256_BYTES)) {
         rejected = reject_wear(store, rejection);
+        if (!rejected && !store->erased[number])
+            rejected = erase_slot(store, number, rejection);
         if (rejected)
             return rejected;
-        if (!store->erased[number]) {
-            if ((slot->state != VC_SLOT_EMPTY && !set_slot(store, number, &empty_slot)) ||
-                flash->erase(flash->context, flash->slot[number], flash->slot_bytes) != 0)
-                return flash_failed(rejection);
-            store->erased[number] = 1;
-            store->written[number] = 0;
-        }
         if (!set_slot(store, number, &wanted))
             return flash_failed(rejection);
     }
@@ -414,4 +429,36 @@ int vc_image_store_confirm(vc_image_store *store, unsigned number, vc_flash_stat
             return flash_failed(rejection);
     }
     return tell(store, number, report);
+}
+
+int vc_image_store_erase(vc_image_store *store, unsigned number, vc_flash_status *report, vc_rejection *rejection)
+{
+    int rejected = no_such_slot(store, number, rejection);
+    if (!rejected)
+        rejected = reject_in_use(store, number, rejection);
+    if (!rejected)
+        rejected = reject_wear(store, rejection);
+    if (!rejected)
+        rejected = erase_slot(store, number, rejection);
+    return rejected ? rejected : tell(store, number, report);
+}
+
+int vc_image_store_read(const vc_image_store *store, const vc_flash_read *read, vc_flash_contents *contents,
+                        vc_rejection *rejection)
+{
+    const vc_slot *slot;
+    uint32_t left;
+    int rejected = no_such_slot(store, read->slot, rejection);
+    if (rejected)
+        return rejected;
+    slot = slot_of(store, read->slot);
+    if (slot->state <= VC_SLOT_WRITING)
+        return vc_reject_numbers(rejection, VC_WRONG_STATE, "slot # holds no whole image: read another", read->slot, 0);
+    contents->slot = read->slot;
+    contents->size_bytes = slot->size_bytes;
+    contents->offset = read->offset < slot->size_bytes ? read->offset : slot->size_bytes;
+    left = slot->size_bytes - contents->offset;
+    contents->data.bytes = slot_data(store, read->slot) + contents->offset;
+    contents->data.length = read->count < left ? read->count : left;
+    return 0;
 }

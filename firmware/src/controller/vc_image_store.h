@@ -67,6 +67,11 @@ int vc_image_store_verify(vc_image_store *store, unsigned number, vc_flash_statu
 int vc_image_store_activate(vc_image_store *store, unsigned number, vc_flash_status *report, vc_rejection *rejection);
 /* Keeps the slot on trial; the one confirmed before becomes verified. */
 int vc_image_store_confirm(vc_image_store *store, unsigned number, vc_flash_status *report, vc_rejection *rejection);
+/* Empties a slot that neither runs nor is the one to fall back to. */
+int vc_image_store_erase(vc_image_store *store, unsigned number, vc_flash_status *report, vc_rejection *rejection);
+/* Finds up to `count` bytes of the image in a slot, which stay in the flash. Behind the image there are none. */
+int vc_image_store_read(const vc_image_store *store, const vc_flash_read *read, vc_flash_contents *contents,
+                        vc_rejection *rejection);
 /* cffi: end */
 
 #endif

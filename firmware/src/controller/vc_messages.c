@@ -121,6 +121,14 @@ int vc_message_read(vc_message *message, const uint8_t *payload, size_t length, 
     case VC_FLASH_CONFIRM:
         message->body.flash_confirm.slot = (uint8_t)vc_take_number(&fields, 1);
         break;
+    case VC_FLASH_ERASE:
+        message->body.flash_erase.slot = (uint8_t)vc_take_number(&fields, 1);
+        break;
+    case VC_FLASH_READ:
+        message->body.flash_read.slot = (uint8_t)vc_take_number(&fields, 1);
+        message->body.flash_read.offset = (uint32_t)vc_take_number(&fields, 4);
+        message->body.flash_read.count = (uint16_t)vc_take_number(&fields, 2);
+        break;
     case VC_STREAM_DATA:
         message->body.stream_data.stream = (uint8_t)vc_take_number(&fields, 1);
         message->body.stream_data.iteration = (uint32_t)vc_take_varint(&fields, VC_VARINT_BITS);
@@ -322,6 +330,15 @@ void vc_write_flash_status(vc_frame_writer *writer, uint16_t sequence, const vc_
     vc_frame_write_number(writer, message->state, 1);
     vc_frame_write_number(writer, message->next_offset, 4);
     write_sha256(writer, message->sha256);
+}
+
+void vc_write_flash_contents(vc_frame_writer *writer, uint16_t sequence, const vc_flash_contents *message)
+{
+    write_head(writer, VC_FLASH_CONTENTS, sequence);
+    vc_frame_write_number(writer, message->slot, 1);
+    vc_frame_write_number(writer, message->size_bytes, 4);
+    vc_frame_write_number(writer, message->offset, 4);
+    write_piece(writer, message->data);
 }
 
 void vc_write_error(vc_frame_writer *writer, uint16_t sequence, const vc_error *message)

@@ -89,6 +89,18 @@ typedef struct {
     uint8_t slot;
 } vc_flash_confirm;
 
+/* Empties a slot that neither runs nor is the one to fall back to; since version 2.2. */
+typedef struct {
+    uint8_t slot;
+} vc_flash_erase;
+
+/* Asks for up to `count` bytes of the image in a slot, from `offset` on; since version 2.2. */
+typedef struct {
+    uint8_t slot;
+    uint32_t offset;
+    uint16_t count;
+} vc_flash_read;
+
 /* Packets of a stream, each as `coded_stream.packet_sequence` reads it; `iteration` counts loops from 0. */
 typedef struct {
     uint8_t stream;
@@ -230,6 +242,14 @@ typedef struct {
     const uint8_t *sha256;
 } vc_flash_status;
 
+/* Bytes of the image in a slot, from `offset` on. `size_bytes`: of the whole image. Since version 2.2. */
+typedef struct {
+    uint8_t slot;
+    uint32_t size_bytes;
+    uint32_t offset;
+    vc_piece data;
+} vc_flash_contents;
+
 /* A rejection: an ErrorCode (or a later one) and a text. The layout is the same in every version. */
 typedef struct {
     uint16_t code;
@@ -255,6 +275,8 @@ typedef struct {
         vc_flash_verify flash_verify;
         vc_flash_activate flash_activate;
         vc_flash_confirm flash_confirm;
+        vc_flash_erase flash_erase;
+        vc_flash_read flash_read;
         vc_stream_data stream_data;
         vc_position position;
         vc_single_packet single_packet;
@@ -271,6 +293,7 @@ void vc_write_hello_response(vc_frame_writer *writer, uint16_t sequence, const v
 void vc_write_status(vc_frame_writer *writer, uint16_t sequence, const vc_status_report *message);
 void vc_write_capture_data(vc_frame_writer *writer, uint16_t sequence, const vc_capture_data *message);
 void vc_write_flash_status(vc_frame_writer *writer, uint16_t sequence, const vc_flash_status *message);
+void vc_write_flash_contents(vc_frame_writer *writer, uint16_t sequence, const vc_flash_contents *message);
 void vc_write_error(vc_frame_writer *writer, uint16_t sequence, const vc_error *message);
 void vc_write_rejection(vc_frame_writer *writer, uint16_t sequence, const vc_rejection *rejection);
 /* cffi: end */
