@@ -1,5 +1,7 @@
 """The codec `slp`: its core against a decoder written from the documentation, stability, quantisers."""
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -130,7 +132,10 @@ def test_any_signal_is_decoded_near_to_what_it_was(values: list[int], quality: i
     result = codec.encode(signal, RATE_HZ, setting, codec="slp").decode()
     peak, rms = np.max(np.abs(signal)), np.sqrt(np.mean(signal**2))
     # Noise is at most that of steps of this size in the residual's spectrum, whatever the filter adds to it.
-    assert np.sqrt(np.mean((result - signal) ** 2)) <= 3 * slp.relative_step(quality) * rms + peak / 4096
+    noise_limit = 3 * slp.relative_step(quality) * rms + peak / 4096
+    # The last frame is coded whole, so the noise of all its coefficients may meet the few samples that it has.
+    coded_samples = math.ceil(len(signal) / frame) * frame
+    assert np.sum((result - signal) ** 2) <= coded_samples * noise_limit**2
 
 
 @pytest.mark.parametrize(
