@@ -2,21 +2,45 @@
 
 import json
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import closing
-from dataclasses import asdict, dataclass
+from contextlib import AbstractContextManager, closing
+from dataclasses import asdict, dataclass, field
 from itertools import count
 from pathlib import Path
 from typing import TypeAlias
 
 from vibrocast import textures
 from vibrocast.errors import InputError
-from vibrocast.evaluation.cells import Cell, Measured, Method
+from vibrocast.evaluation import cost, kinds, speed
+from vibrocast.evaluation.cells import Cell, Measured, Method, coders
 from vibrocast.evaluation.comparison import TABLES, Measurements
 from vibrocast.evaluation.points import Failure, Point, Timing, read_rows, write_rows
 from vibrocast.files import atomic_write
+from vibrocast.progress import Update
+from vibrocast.textures import dataset
 from vibrocast.textures.dataset import DatasetEntry
 
 JOURNAL, PAGE = "journal.jsonl", "results.md"
+
+
+@dataclass(frozen=True)
+class Recordings:
+    """The recordings that are measured, and how codecs get them: `unit`, rate and high-pass as `load_highpassed` does.
+
+    `units`, `removed_energy`: of each that was loaded, its unit, and the part of its energy below the high-pass.
+    """
+
+    entries: Sequence[DatasetEntry]
+    unit: str | None = None
+    stream_rate_hz: int | None = None
+    highpass_hz: float | None = None
+    units: dict[str, str] = field(default_factory=dict)
+    removed_energy: dict[str, float] = field(default_factory=dict)
+
+    def load(self, entry: DatasetEntry) -> textures.Recording:
+        """Load a recording. Raises TextureError."""
+        passed = dataset.load_highpassed(entry, self.highpass_hz, self.stream_rate_hz, unit=self.unit)
+        self.units[entry.name], self.removed_energy[entry.name] = passed.recording.unit, passed.removed_energy
+        return passed.recording
 
 
 class Journal:
@@ -157,6 +181,36 @@ def _is_ours(points: Path) -> bool:
     except (InputError, FileNotFoundError):
         return False
     return True
+
+
+def compared(
+    measured: Sequence[Measured | Failure],
+    imported: tuple[Sequence[Point], Sequence[Timing]],
+    chosen: Sequence[Method],
+    recordings: Recordings,
+    repeats: int,
+    bar: Callable[[str], AbstractContextManager[Update]],
+) -> Measurements:
+    """Join a run's figures with imported ones of its recordings, and measure the memory and the speed of the methods.
+
+    `bar` opens a report of progress, as `progress.bar` does. Without `repeats`, no speed is measured.
+    """
+    names = {entry.name for entry in recordings.entries}
+    failures = [each for each in measured if isinstance(each, Failure)]
+    good = [each for each in measured if isinstance(each, Measured)]
+    points = [each.point for each in good] + [point for point in imported[0] if point.trace in names]
+    timings = [each.timing for each in good if each.timing] + [one for one in imported[1] if one.trace in names]
+    with bar("measuring memory") as update:
+        costs = cost.measure_costs(coders(chosen), update)
+    timed: list[speed.Speed | Failure] = []
+    if repeats:
+        with bar("measuring speed") as update:
+            measured_names = {each.point.trace for each in good}
+            loaded = (recordings.load(entry) for entry in recordings.entries if entry.name in measured_names)
+            timed = speed.measure(chosen, points, loaded, repeats, update)
+    failures += [each for each in timed if isinstance(each, Failure)]
+    speeds = [each for each in timed if not isinstance(each, Failure)]
+    return Measurements(points, timings, costs, failures, speeds, kinds.kinds(recordings.entries, kinds.TABLE))
 
 
 def write(results: Path, measurements: Measurements) -> None:

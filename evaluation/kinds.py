@@ -1,5 +1,6 @@
 """Kinds of textures, such as "fingertip": the kind of each recording, by a table of files."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,7 +27,7 @@ class TraceKind:
     kind: str
 
 
-def kinds(everything: list[DatasetEntry], table: Path = TABLE) -> list[TraceKind]:
+def kinds(everything: Sequence[DatasetEntry], table: Path = TABLE) -> list[TraceKind]:
     """Return the kinds of the recordings that a CSV file with columns `file` and `kind` names; the first row counts.
 
     Raises InputError where it is no such file, OSError where it cannot be read.

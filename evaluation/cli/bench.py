@@ -24,10 +24,10 @@ from vibrocast.host.cli.options import (
 from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
 from vibrocast.host.cli.sections import OUTPUT, RUN, SectionedCommand, section
 from vibrocast.textures import dataset
-from vibrocast.textures.dataset import DatasetEntry
 
 if TYPE_CHECKING:  # modules that measure take a second to load; other commands need not wait for them
-    from vibrocast.evaluation.bench import CellCounts
+    from vibrocast.evaluation.bench import CellCounts, Recordings
+    from vibrocast.evaluation.cells import Method
     from vibrocast.evaluation.comparison import Measurements
     from vibrocast.evaluation.points import Failure, Point, Timing
 
@@ -190,61 +190,36 @@ def bench(
     """
     from vibrocast import workers
     from vibrocast.codec.timing import cpu_name
-    from vibrocast.evaluation import bench, cells, cost, external, kinds, results_page, speed, trained
-    from vibrocast.evaluation.comparison import Measurements
-    from vibrocast.evaluation.points import Failure, check_imported, read_imported, write_rows
+    from vibrocast.evaluation import bench, cells, external, results_page, trained
+    from vibrocast.evaluation.points import check_imported, read_imported, write_rows
 
-    highpass_hz = textures.highpass_of(signal.unit, None if signal.keep_dc else textures.HIGHPASS_HZ)
     programs = external.read_programs(codecs.program_list, codecs.allow_programs) if codecs.program_list else []
     chosen = cells.methods(codecs.names, programs, trained.known_models(codecs.model_folders))
     found = dataset.read(recordings, leave_out=out)
-    traces = dataset.split(found.entries, split.part, by=split.split_by)
     for remark in found.remarks:
         click.echo(remark, err=True)
-    kinds_of = kinds.kinds(traces, kinds.TABLE)
-    mine = {trace.name for trace in traces}
-    units: dict[str, str] = {}
-    removed: dict[str, float] = {}
-
-    def load(trace: DatasetEntry) -> textures.Recording:
-        passed = dataset.load_highpassed(trace, highpass_hz, signal.stream_rate_hz, unit=signal.unit)
-        units[trace.name], removed[trace.name] = passed.recording.unit, passed.removed_energy
-        return passed.recording
-
+    highpass_hz = textures.highpass_of(signal.unit, None if signal.keep_dc else textures.HIGHPASS_HZ)
+    entries = dataset.split(found.entries, split.part, by=split.split_by)
+    own = bench.Recordings(entries, signal.unit, signal.stream_rate_hz, highpass_hz)
     imported: tuple[list[Point], list[Timing]] = ([], [])
     if peers:
         imported = read_imported(peers)
-        check_imported(peers, found.entries, mine, load)
+        check_imported(peers, found.entries, {entry.name for entry in entries}, own.load)
     results = bench.results_folder(out)
     held_out = results_page.read_held_out(results)
     write_rows(results / "skipped.csv", found.skipped, dataset.Skipped)
+    settings = sum(len(each.settings) for each in chosen)
     tell(
-        f"{len(traces)} recordings, {len(chosen)} curves, {sum(len(each.settings) for each in chosen)} settings",
-        recordings=len(traces),
+        f"{len(entries)} recordings, {len(chosen)} curves, {settings} settings",
+        recordings=len(entries),
         curves=len(chosen),
     )
     work: Any = partial(workers.on_cores, processes=workers.cores())
     if run.scheduler:
         work = partial(workers.on_cluster, address=run.scheduler, version=workers.program_version)
     with bench.Journal(results / bench.JOURNAL) as journal, progress.bar("measuring") as update:
-        report_progress = progress_reporter(update)
-        measured = bench.run(traces, load, chosen, run.repeats, journal, work, report_progress)
-
-    failures = [each for each in measured if isinstance(each, Failure)]
-    good = [each for each in measured if isinstance(each, cells.Measured)]
-    points = [each.point for each in good] + [point for point in imported[0] if point.trace in mine]
-    timings = [each.timing for each in good if each.timing] + [one for one in imported[1] if one.trace in mine]
-    with progress.bar("measuring memory") as update:
-        costs = cost.measure_costs(cells.coders(chosen), update)
-    timed: list[speed.Speed | Failure] = []
-    if run.repeats:
-        with progress.bar("measuring speed") as update:
-            measured_traces = {each.point.trace for each in good}
-            loaded = (load(trace) for trace in traces if trace.name in measured_traces)
-            timed = speed.measure(chosen, points, loaded, run.repeats, update)
-    failures += [each for each in timed if isinstance(each, Failure)]
-    speeds = [each for each in timed if not isinstance(each, Failure)]
-    measurements = Measurements(points, timings, costs, failures, speeds, kinds_of)
+        measured = bench.run(entries, own.load, chosen, run.repeats, journal, work, progress_reporter(update))
+    measurements = bench.compared(measured, imported, chosen, own, run.repeats, progress.bar)
     bench.write(results, measurements)
     data = recordings.resolve().name + ("" if split.part == "all" else f" ({split.part} part, by {split.split_by})")
     cells_on = "a Dask cluster" if run.scheduler else f"{workers.cores()} cores at once"
@@ -253,29 +228,34 @@ def bench(
     with progress.bar("drawing") as update:
         results_page.write_results(out, measurements, description, held_out, update)
     show(measurements)
-    tried = {point.codec for point in points} | {failure.codec for failure in failures}
-    if left_out := [method.name for method in chosen if method.physical and method.name not in tried]:
-        tell(f"left out, because no recording states a physical unit (--unit, or a manifest): {', '.join(left_out)}")
-    if drifting := [name for name, part in removed.items() if part > MUCH_REMOVED]:
-        tell(
-            f"removed below {textures.HIGHPASS_HZ:g} Hz: more than {MUCH_REMOVED:.0%} of the energy of {drifting[0]}"
-            f"{others(drifting)} (--keep-dc codes it)"
-        )
-    relative = [name for name, unit in units.items() if unit == "full scale"]
-    if signal.unit not in (None, "full scale") and relative:
-        tell(f"relative to full scale: {relative[0]}{others(relative)}; a manifest gives the full scale of --unit")
+    show_remarks(chosen, measurements, own)
     tell(
         f"{out / bench.PAGE}: the charts and tables; their figures are in {results}",
         page=str(out / bench.PAGE),
         results=str(results),
-        failures=[asdict(each) for each in failures],
+        failures=[asdict(each) for each in measurements.failures],
     )
-    if failures:
-        show_failures(failures)
+    if measurements.failures:
+        show_failures(measurements.failures)
         raise click.ClickException(
-            f"{len(failures)} recordings or cells failed; see {results / 'failures.csv'}, correct the cause, and run "
-            "the same command again"
+            f"{len(measurements.failures)} recordings or cells failed; see {results / 'failures.csv'}, correct the "
+            "cause, and run the same command again"
         )
+
+
+def show_remarks(chosen: "Sequence[Method]", measurements: "Measurements", recordings: "Recordings") -> None:
+    """Print what a run left out, what the high-pass removed, and which recordings have no physical unit."""
+    tried = {point.codec for point in measurements.points} | {failure.codec for failure in measurements.failures}
+    if left_out := [method.name for method in chosen if method.physical and method.name not in tried]:
+        tell(f"left out, because no recording states a physical unit (--unit, or a manifest): {', '.join(left_out)}")
+    if drifting := [name for name, part in recordings.removed_energy.items() if part > MUCH_REMOVED]:
+        tell(
+            f"removed below {textures.HIGHPASS_HZ:g} Hz: more than {MUCH_REMOVED:.0%} of the energy of {drifting[0]}"
+            f"{others(drifting)} (--keep-dc codes it)"
+        )
+    relative = [name for name, unit in recordings.units.items() if unit == "full scale"]
+    if recordings.unit not in (None, "full scale") and relative:
+        tell(f"relative to full scale: {relative[0]}{others(relative)}; a manifest gives the full scale of --unit")
 
 
 def others(names: Sequence[str]) -> str:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from vibrocast import pages
+from vibrocast.codec import CODECS
 from vibrocast.errors import InputError
 from vibrocast.evaluation.points import read_row, write_rows
 from vibrocast.evaluation.stability import pictures
@@ -17,6 +18,8 @@ from vibrocast.evaluation.tables import grouped
 
 PAGE, FOLDER = "stability.md", "stability"
 TITLE = "# Where codecs hold and where they fail"
+WITHOUT_WAVEFORM = tuple(name for name, known in CODECS.items() if not known.keeps_waveform)
+"""Codecs that lose the waveform by design: most maps compare waveforms, so that their shares say nothing."""
 _MAX_CASES = 2
 """Cases that a sentence names; the CSV files have all."""
 _MAX_METHODS = 5
@@ -119,6 +122,7 @@ def markdown(maps: Sequence[tuple[Map, Sequence[Verdict]]], names: dict[str, str
         conditions=len(every),
         held=sum(cell.sound for cell in every),
         shares=_shares(maps),
+        left_out=[name for name in WITHOUT_WAVEFORM if any(cell.method == name for cell in every)],
         failures=failures(maps),
         rules=rules,
         groups=in_group,
@@ -128,13 +132,19 @@ def markdown(maps: Sequence[tuple[Map, Sequence[Verdict]]], names: dict[str, str
 
 
 def _shares(maps: Sequence[tuple[Map, Sequence[Verdict]]]) -> list[tuple[str, int]]:
-    """Return the methods on the maps that have most of them, and in how many percent of the conditions each holds."""
+    """Return in how many percent of the conditions of the maps that all have in common each method holds.
+
+    The first method stays first; the others are in the order of their shares. WITHOUT_WAVEFORM is left out.
+    """
     of_maps = [frozenset(cell.method for cell in cells) for _, cells in maps]
     methods = max(of_maps, key=lambda own: (of_maps.count(own), len(own)), default=frozenset())
     common = [cell for (_, cells), own in zip(maps, of_maps, strict=True) if methods <= own for cell in cells]
-    by_method = grouped([cell for cell in common if cell.method in methods], lambda cell: cell.method)
-    shares = [(method, sum(cell.sound for cell in own) / len(own)) for method, own in by_method.items()]
-    return [(method, math.floor(100 * share)) for method, share in sorted(shares, key=lambda each: -each[1])]
+    kept = [cell for cell in common if cell.method in methods.difference(WITHOUT_WAVEFORM)]
+    shares = [
+        (method, math.floor(100 * sum(cell.sound for cell in own) / len(own)))
+        for method, own in grouped(kept, lambda cell: cell.method).items()
+    ]
+    return [*shares[:1], *sorted(shares[1:], key=lambda each: -each[1])]
 
 
 def failures(maps: Sequence[tuple[Map, Sequence[Verdict]]]) -> list[Failure]:
