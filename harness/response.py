@@ -141,8 +141,7 @@ def play_sweep(
             capture=True,
             progress=progress and (lambda now: progress(now.position_s / seconds)),
         )
-        packet_samples = stream.packet_samples
-        played = controller.run(player.play_steps(controller, stream.header, stream.packets, packet_samples, settings))
+        played = player.play(controller, stream, settings)
         if played.underruns or played.lost_packets or played.dac_codes is None or played.decoded is None:
             raise ControllerError("the sweep was interrupted; use a machine that is less busy, or a shorter cable")
         if finish is None:

@@ -120,9 +120,7 @@ def play_together(
             capture=_unread_reason(session, fitting, loops) is None,
             progress=progress and partial(progress, key),
         )
-        packet_samples = fitting.packet_samples
-        steps = player.play_steps(controller, fitting.header, fitting.packets, packet_samples, settings)
-        works[key] = controller, steps
+        works[key] = controller, player.play_steps(controller, fitting, settings)
     offline = {each: each.decode_integers() for each in set(sent.values())}
     for key, result in run_all(works).items():
         if isinstance(result, Exception):

@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,27 +86,46 @@ class PlaybackResult:
     following: "Following | None" = None
 
 
+class Playable(Protocol):
+    """A coded stream over time. `packets`: of one pass. `packet_samples`: samples per channel of each packet."""
+
+    @property
+    def header(self) -> StreamHeader:
+        """The facts that a decoder needs."""
+
+    @property
+    def packets(self) -> Sequence[bytes]:
+        """The packets, numbered from 0."""
+
+    @property
+    def packet_samples(self) -> int:
+        """The samples per channel in every packet."""
+
+
 @dataclass
 class Following:
     """A stream that waits behind another, and how many of its packets were sent."""
 
     session: StreamSession
-    header: StreamHeader
-    packets: Sequence[bytes]
-    packet_samples: int
+    stream: Playable
     sent: int = 0
 
 
 @dataclass(frozen=True)
 class PlaybackSettings:
-    """How to play, as in `play`.
+    """How to play.
 
-    `compensation`: whether the controller compensates its actuator's response. `gain`: by which it multiplies.
-    `first_packet`: a random-access packet at which playing begins. `prebuffer_s`: how much the controller holds before
-    it begins; None = `buffer_s`. `start_steps`: return the device time of the begin, in us; None = at once. `turn`:
-    called in this thread at least every _TURN_S. `next_stream`: returns header, packets and samples of a packet of the
-    stream that is to follow without a gap, None = none is known yet. `begun`: the stream waited behind another, and the
-    controller has gone on with it. It may do what `progress` may do, and raise, to end the playback.
+    `loops`: how often, 0 = until stopped. `buffer_s`: how much the controller holds before it begins and while it
+    plays, as far as its own buffer and credit go. `reconnect_s`: how long a broken connection is opened again; if the
+    controller has given up meanwhile, playing (also what was paused) goes on at the next random-access packet.
+    `capture`: read back what is played. `progress`: called in this thread whenever the controller reports. It may
+    `request` a Pause, Resume or Gain, or `stop` the controller. It may not request a Loop, because this host would send
+    no data for it. `compensation`: whether the controller compensates its actuator's response. `gain`: by which it
+    multiplies. `first_packet`: a random-access packet at which playing begins. `prebuffer_s`: how much the controller
+    holds before it begins; None = `buffer_s`. `start_steps`: return the device time of the begin, in us; None = at
+    once. `turn`: called in this thread at least every _TURN_S. It may do what `progress` may do, and raise, to end the
+    playback. `next_stream`: returns the stream that is to follow without a gap, None = none is known yet. `begun`: the
+    stream waited behind another, and the controller has gone on with it.
     """
 
     loops: int = 1
@@ -119,47 +139,22 @@ class PlaybackSettings:
     prebuffer_s: float | None = None
     start_steps: Callable[[Controller], Steps[int]] | None = None
     turn: Callable[[], None] | None = None
-    next_stream: Callable[[], tuple[StreamHeader, Sequence[bytes], int] | None] | None = None
+    next_stream: Callable[[], Playable | None] | None = None
     begun: Following | None = None
 
 
-def play(
-    controller: Controller,
-    header: StreamHeader,
-    packets: Sequence[bytes],
-    packet_samples: int,
-    *,
-    loops: int = 1,
-    buffer_s: float = BUFFER_S,
-    reconnect_s: float = RECONNECT_S,
-    capture: bool = False,
-    progress: Callable[[Progress], None] | None = None,
-) -> PlaybackResult:
-    """Play packets to their end and return what happened.
+def play(controller: Controller, stream: Playable, settings: PlaybackSettings | None = None) -> PlaybackResult:
+    """Play a stream to its end, as `play_steps` does, and return what happened."""
+    return controller.run(play_steps(controller, stream, settings or PlaybackSettings()))
 
-    `loops`: how often, 0 = until stopped. `buffer_s`: how much the controller holds before it begins and while it
-    plays, as far as its own buffer and credit go. `progress` is called in this thread whenever the controller reports.
-    It may `request` a Pause, Resume or Gain, or `stop` the controller. It may not request a Loop, because this host
-    would send no data for it. Whatever is raised, KeyboardInterrupt included, the controller is stopped first. A broken
-    connection is opened again for `reconnect_s`; if the controller has given up meanwhile, playing (also what was
-    paused) goes on at the next random-access packet.
 
-    Raises StreamError for packets that make no stream, or none that the controller takes, ControllerError,
-    TransportError and MessageError.
+def play_steps(controller: Controller, stream: Playable, settings: PlaybackSettings) -> Steps[PlaybackResult]:
+    """Play a stream to its end, as steps of an event loop that may play on other controllers too.
+
+    Whatever is raised, KeyboardInterrupt included, the controller is stopped first. Raises StreamError for packets that
+    make no stream, or none that the controller takes, ControllerError, TransportError and MessageError.
     """
-    settings = PlaybackSettings(loops, buffer_s, reconnect_s, capture, progress)
-    return controller.run(play_steps(controller, header, packets, packet_samples, settings))
-
-
-def play_steps(
-    controller: Controller,
-    header: StreamHeader,
-    packets: Sequence[bytes],
-    packet_samples: int,
-    settings: PlaybackSettings,
-) -> Steps[PlaybackResult]:
-    """Play packets as `play` does, as steps of an event loop that may play on other controllers too."""
-    source = _Source(controller, header, packets, packet_samples, settings.loops)
+    source = _Source(controller, stream, settings.loops)
     sent_before, received_before = controller.bytes_sent, controller.bytes_received
     bad_back_before = controller.bad_frames
     started_s = controller.clock()
@@ -227,10 +222,9 @@ class _Source:
     packet, though positions count it.
     """
 
-    def __init__(
-        self, controller: Controller, header: StreamHeader, packets: Sequence[bytes], packet_samples: int, loops: int
-    ) -> None:
+    def __init__(self, controller: Controller, stream: Playable, loops: int) -> None:
         """Check the stream. Raises StreamError, and ControllerError for a stream that never fits the controller."""
+        header, packets, packet_samples = stream.header, stream.packets, stream.packet_samples
         check_limits(controller, header.channels, header.rate_hz)
         if not packets or header.samples == 0:
             raise StreamError("the stream has no packets or no samples; encode the recording again")
@@ -437,18 +431,17 @@ class _Sender:
         self.following.sent = 0  # frames under way may be lost; the controller drops second copies
         return self._is_followed()
 
-    def _queue_steps(self, next_stream: Callable[[], tuple[StreamHeader, Sequence[bytes], int] | None]) -> Steps[None]:
+    def _queue_steps(self, next_stream: Callable[[], Playable | None]) -> Steps[None]:
         """Set up the stream that follows, once it is known and if the controller can go on with it without a gap."""
         if self._asked_for_next or (found := next_stream()) is None:
             return
         self._asked_for_next = True
-        header, packets, packet_samples = found
         settings = self._settings
         session = yield from queue_steps(
-            self._session, header, len(packets), compensation=settings.compensation, gain=settings.gain
+            self._session, found.header, len(found.packets), compensation=settings.compensation, gain=settings.gain
         )
         if session is not None:
-            self.following = Following(session, header, packets, packet_samples)
+            self.following = Following(session, found)
 
     def _send_ahead(self) -> bool:
         """Send the next packet of the stream that follows, if it has credit; return whether it did."""
@@ -456,11 +449,12 @@ class _Sender:
         if following is None or self._controller.is_sending:
             return False
         following.session.news()
-        if (following.sent + 1) * following.packet_samples > following.session.credit_until:
+        packets = following.stream.packets
+        if (following.sent + 1) * following.stream.packet_samples > following.session.credit_until:
             return False
-        if following.sent >= min(len(following.packets), self._ahead_packets):
+        if following.sent >= min(len(packets), self._ahead_packets):
             return False
-        following.session.send([following.packets[following.sent]])
+        following.session.send([packets[following.sent]])
         following.sent += 1
         self._sent_s = self._controller.clock()
         return True

@@ -14,7 +14,6 @@ from typing import Literal, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.device_protocol.coded_stream import StreamHeader
 from vibrocast.device_protocol.messages import Gain, Pause, Resume, State, Status, StatusRequest
 from vibrocast.errors import InputError
 from vibrocast.host import event_loop, playback, player, uploader
@@ -313,14 +312,11 @@ class TrackPlayer:
         settings = replace(
             self._settings, first_packet=first or 0, gain=10 ** (self.gain_db / 20), begun=begun if not first else None
         )
-        stream = track.stream
-        result = yield from player.play_steps(
-            self._session.controller, track.header, stream.packets, stream.packet_samples, settings
-        )
+        result = yield from player.play_steps(self._session.controller, track, settings)
         self._queued = result.following
         self.played.append(PlayedTrack(track, result))
 
-    def _next_stream(self) -> tuple[StreamHeader, Sequence[bytes], int] | None:
+    def _next_stream(self) -> Track | None:
         """Return what follows this track without a gap, if it is open by now."""
         if self._place + 1 < len(self._order):
             source = self._order[self._place + 1]
@@ -332,9 +328,7 @@ class TrackPlayer:
         if opening is None or not opening.done() or opening.exception() is not None:
             return None
         track = opening.result()
-        if track.stream.image is not None:
-            return None  # it may have to be uploaded first
-        return track.header, track.stream.packets, track.stream.packet_samples
+        return None if track.stream.image is not None else track  # a model may have to be uploaded first
 
     def _following(self) -> int | None:
         """Return the place behind this one; None at the end of the last pass."""

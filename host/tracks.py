@@ -110,14 +110,24 @@ class Track:
         return with_gain(self.stream.header, self.gain_db)
 
     @property
+    def packets(self) -> Sequence[bytes]:
+        """The stream's packets."""
+        return self.stream.packets
+
+    @property
+    def packet_samples(self) -> int:
+        """The samples per channel in every packet."""
+        return self.stream.packet_samples
+
+    @property
     def seconds(self) -> float:
         """Its duration in s."""
-        return (self.header.samples or len(self.stream.packets) * self.stream.packet_samples) / self.header.rate_hz
+        return (self.header.samples or len(self.packets) * self.packet_samples) / self.header.rate_hz
 
     def refresh_before(self, position_s: float) -> int | None:
         """Return the last random-access packet that begins at or before a position; None if only the first one does."""
-        packet = min(int(position_s * self.header.rate_hz / self.stream.packet_samples), len(self.stream.packets) - 1)
-        while packet > 0 and not packet_sequence(self.stream.packets[packet])[1]:
+        packet = min(int(position_s * self.header.rate_hz / self.packet_samples), len(self.packets) - 1)
+        while packet > 0 and not packet_sequence(self.packets[packet])[1]:
             packet -= 1
         return packet or None
 

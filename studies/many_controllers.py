@@ -126,15 +126,11 @@ def pinned() -> Iterator[list[int]]:
 def measure(count: int, seconds: float) -> Measured:
     """Stream to `count` controllers at once, without reading back; this process on one core, theirs on the others."""
     stream = noise(CHANNELS, seconds)
-    packet_samples = stream.packet_samples
     settings = player.PlaybackSettings()
     children_s = os.times().children_user + os.times().children_system
     with pinned() as others, ports(count, CHANNELS, others) as names, contextlib.ExitStack() as stack:
         controllers = [Controller(stack.enter_context(SerialTransport(name))) for name in names]
-        works = {
-            number: (each, player.play_steps(each, stream.header, stream.packets, packet_samples, settings))
-            for number, each in enumerate(controllers)
-        }
+        works = {number: (each, player.play_steps(each, stream, settings)) for number, each in enumerate(controllers)}
         began_s = time.process_time()
         results = run_all(works).values()
         took_s = time.process_time() - began_s

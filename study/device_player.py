@@ -156,8 +156,7 @@ class ControllerPlayer(StimulusPlayer):
             watch(now.position_s if now.status.state == State.PLAYING else None)
 
         stream = self._carried.get(stream_sha256(stimulus.stream), stimulus.stream)
-        packet_samples, loops = stream.packet_samples, stimulus.loops
-        player.play(self._controller, stream.header, stream.packets, packet_samples, loops=loops, progress=note)
+        player.play(self._controller, stream, player.PlaybackSettings(loops=stimulus.loops, progress=note))
 
 
 class HandPlayer(ControllerPlayer):

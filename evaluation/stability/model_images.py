@@ -97,7 +97,7 @@ def measure_on_controller(rate_point: RatePoint, image: bytes | None) -> Measure
     """Play on a controller that has another image, or none. Raises ControllerError."""
     stream = _stream(rate_point)
     link = MemoryLink(Controller(flash=flash_with(image)))
-    play(Host(link, link.clock, link.sleep), stream.header, stream.packets, stream.packet_samples)
+    play(Host(link, link.clock, link.sleep), stream)
     return Measured(Outcome.HOLDS, {})
 
 

@@ -17,7 +17,7 @@ from vibrocast.evaluation.stability.signals import RATE_HZ, encoded, texture
 from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict, graded
 from vibrocast.host import uploader
 from vibrocast.host.controller import Controller as Host
-from vibrocast.host.player import BUFFER_S, play
+from vibrocast.host.player import BUFFER_S, PlaybackSettings, play
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.output.rendering import render
 from vibrocast.simulated_device.controller import FLASH_BYTES, Controller, Settings
@@ -95,9 +95,8 @@ def measure(rate_point: RatePoint, faults: LinkFaults, buffer_s: float = BUFFER_
     played: list[NDArray[np.int16]] = []
     controller = Controller(Settings(drift_ppm=faults.drift_ppm), flash_with(rate_point.image), on_dac=played.append)
     link = MemoryLink(FaultyWire(controller, tuple(faults.of_wire())))
-    packet_samples = stream.packet_samples
     host = Host(link, link.clock, link.sleep)
-    result = play(host, stream.header, stream.packets, packet_samples, loops=LOOPS, buffer_s=buffer_s)
+    result = play(host, stream, PlaybackSettings(loops=LOOPS, buffer_s=buffer_s))
     codes = np.concatenate(played).astype(np.float64)
     return rate_codes(expected.astype(np.float64), codes, result.underruns, result.lost_packets, result.reconnects)
 

@@ -68,7 +68,7 @@ def play_with_faults(probe: Probe, stream: Stream, fault: Fault, seed: int) -> t
     probe.link.to_host = FrameDamage(fault, seed + 1)
     # Captures are read afterwards, and some packets lie ready, so that the host is not late with its data.
     buffer_s = max(answered_s(probe), _PACKETS_READY * packet_samples / stream.header.rate_hz)
-    result = player.play(controller, stream.header, stream.packets, packet_samples, buffer_s=buffer_s)
+    result = player.play(controller, stream, player.PlaybackSettings(buffer_s=buffer_s))
     probe.link.heal()
     probe.open()
     messages = [unpack(payload)[1] for payload in there.arrived if payload[0] in (StreamData.TYPE, SinglePacket.TYPE)]
@@ -89,13 +89,7 @@ def test_connection_that_breaks(probe: Probe) -> None:
             probe.link.cut()
 
     result = player.play(
-        host(probe),
-        stream.header,
-        stream.packets,
-        stream.packet_samples,
-        buffer_s=stream.seconds,
-        capture=True,
-        progress=cut_once,
+        host(probe), stream, player.PlaybackSettings(buffer_s=stream.seconds, capture=True, progress=cut_once)
     )
     assert cuts, "expected to play long enough for a cut"
     assert result.reconnects == 1, f"expected one new connection, came {result.reconnects}"
@@ -116,9 +110,7 @@ def test_clocks(probe: Probe, record_property: Callable[[str, object], None]) ->
             seen.append((probe.link.clock(), progress.status))
 
     packet_samples = stream.packet_samples
-    result = player.play(
-        host(probe), stream.header, stream.packets, packet_samples, buffer_s=answered_s(probe), progress=note
-    )
+    result = player.play(host(probe), stream, player.PlaybackSettings(buffer_s=answered_s(probe), progress=note))
     in_state(result.status, State.FINISHED, "the end of the stream")
     assert (result.underruns, result.lost_packets) == (0, 0), f"expected no loss, came {describe(result.status)}"
     assert len(seen) > 2, f"expected a Status every 100 ms, came {len(seen)}"

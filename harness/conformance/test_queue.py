@@ -48,12 +48,11 @@ def test_the_next_stream_follows_without_a_gap(probe: Probe, hello: HelloRespons
     need_capture(probe.description)
     stream = lasting_stream(probe, _REQUESTS_TO_FOLLOW)
     controller, buffer_s = host(probe), answered_s(probe)
-    sent = stream.header, stream.packets, stream.packet_samples
-    settings = player.PlaybackSettings(buffer_s=buffer_s, next_stream=lambda: sent)
-    first = controller.run(player.play_steps(controller, *sent, settings))
+    settings = player.PlaybackSettings(buffer_s=buffer_s, next_stream=lambda: stream)
+    first = player.play(controller, stream, settings)
     assert first.following is not None, f"expected to go on with the next stream, came {describe(first.status)}"
     settings = player.PlaybackSettings(buffer_s=buffer_s, begun=first.following)
-    last = controller.run(player.play_steps(controller, *sent, settings))
+    last = player.play(controller, stream, settings)
     found = last.state, last.underruns, last.lost_packets
     assert found == (State.FINISHED, 0, 0), f"expected the end without loss, came {describe(last.status)}"
     begin, codes = read_capture(controller, Tap.DAC, stream.header.channels)

@@ -25,9 +25,8 @@ def played(probe: Probe, stream: Stream, **options: int | float | bool) -> playe
     """Play a stream as the host does, read back what it did, and see that nothing of it was lost."""
     need_capture(probe.description)
     controller = Controller(probe.link, probe.link.clock, probe.link.sleep)
-    packet_samples = stream.packet_samples
     settings = player.PlaybackSettings(capture=True, **options)  # type: ignore[arg-type]
-    result = controller.run(player.play_steps(controller, stream.header, stream.packets, packet_samples, settings))
+    result = player.play(controller, stream, settings)
     if result.state != State.FINISHED or (result.underruns, result.lost_packets) != (0, 0):
         raise NotConforming(f"expected to play to the end without loss, came {result.status}")
     return result

@@ -18,7 +18,7 @@ from vibrocast.harness.boards.cortex_m import CortexM
 from vibrocast.harness.boards.rp2040 import Rp2040
 from vibrocast.harness.boards.stm32f405 import Stm32F405
 from vibrocast.host.controller import Controller as Host
-from vibrocast.host.player import play
+from vibrocast.host.player import PlaybackSettings, play
 from vibrocast.output.actuator import PIEZO_STACK, Actuator, Codes
 from vibrocast.output.rendering import render
 from vibrocast.simulated_device.flash import FlashMemory
@@ -85,7 +85,7 @@ def play_as_computed(
 ) -> Codes:
     """Play a stream and read it back: nothing may be lost or differ. Return the codes that the DAC must have got."""
     decoded = stream.decode_integers()
-    result = play(host, stream.header, stream.packets, stream.packet_samples, capture=capture)
+    result = play(host, stream, PlaybackSettings(capture=capture))
     link.sleep(0.2)
     assert (result.state, result.underruns, result.lost_packets) == (State.FINISHED, 0, 0)
     expected, _ = render(stream.header, decoded, stream.delay_samples, actuator)

@@ -13,7 +13,7 @@ from vibrocast.device_protocol.messages import State
 from vibrocast.device_protocol.transports import SerialTransport
 from vibrocast.firmware.build import build
 from vibrocast.host.controller import Controller as Host
-from vibrocast.host.player import play
+from vibrocast.host.player import PlaybackSettings, play
 
 QEMU = shutil.which("qemu-system-arm")
 pytestmark = pytest.mark.skipif(QEMU is None, reason="qemu-system-arm is not installed")
@@ -46,6 +46,6 @@ def test_stream_is_played_as_decoded_offline(image: str) -> None:
     played = stream(0.2)
     with machine(image) as port, SerialTransport(port) as transport:
         host = Host(transport)
-        result = play(host, played.header, played.packets, played.packet_samples, capture=True)
+        result = play(host, played, PlaybackSettings(capture=True))
     assert (result.state, result.underruns) == (State.FINISHED, 0)
     np.testing.assert_array_equal(result.decoded, played.decoded)

@@ -28,7 +28,7 @@ def test_it_plays_its_codec_and_rejects_another(name: str, other: str, monkeypat
     assert [codec.name for codec in host.description.codecs] == [name]
     stream = coded(other, 0.2, channels=1)
     with pytest.raises(ControllerError, match="is needed, which this controller does not have"):
-        play(host, stream.header, stream.packets, stream.packet_samples)
+        play(host, stream)
     expected = play_as_computed(link, host, coded(name, 0.2, channels=1), PIEZO_STACK, capture=False)
     np.testing.assert_array_equal(between_rests(np.concatenate(codes)), between_rests(expected))
     assert device.processor.stack_bytes() < size(f"small-{name}").stack

@@ -43,8 +43,7 @@ def play_on(
         settings = player.PlaybackSettings(
             buffer_s=buffer_s, reconnect_s=0.5, capture=True, progress=lambda now: fail(name, now)
         )
-        packet_samples = stream.packet_samples
-        return player.play_steps(controllers[name], stream.header, stream.packets, packet_samples, settings)
+        return player.play_steps(controllers[name], stream, settings)
 
     return run_all({name: (controller, steps(name)) for name, controller in controllers.items()})
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.host.scripted_controller import PACKET_SAMPLES, RATE_HZ, ScriptedController
-from tests.host.test_player import HEADER, PACKETS, SECONDS
+from tests.host.scripted_controller import RATE_HZ, ScriptedController
+from tests.host.test_player import PACKETS, SECONDS, Coded
 from vibrocast import codec, textures
 from vibrocast.codec import profiles
 from vibrocast.codec.stream import Stream
@@ -36,7 +36,7 @@ from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import hand_playback, live
 from vibrocast.host.controller import ControllerError
-from vibrocast.host.player import play
+from vibrocast.host.player import PlaybackSettings, play
 from vibrocast.host.stream_session import READ_BACK_S, read_capture
 from vibrocast.host.uploader import flash
 
@@ -79,7 +79,7 @@ LIES: dict[str, Lie] = {
 def test_playing_ends(name: str, loops: int) -> None:
     scripted = answering(LIES[name])
     with pytest.raises(ControllerError, match=r"has played only .* s of the stream in .* s; restart it"):
-        play(scripted.connect(), HEADER, PACKETS, PACKET_SAMPLES, loops=loops)
+        play(scripted.connect(), Coded(PACKETS), PlaybackSettings(loops=loops))
     assert scripted.now_s < 1.2 * SECONDS + 10
 
 
@@ -92,7 +92,7 @@ def test_a_controller_that_is_slow_within_its_tolerance_plays_on() -> None:
             credit_until=1 << 40,
         )
     )
-    assert play(slow.connect(), HEADER, PACKETS, PACKET_SAMPLES, loops=0).state == State.FINISHED
+    assert play(slow.connect(), Coded(PACKETS), PlaybackSettings(loops=0)).state == State.FINISHED
 
 
 def test_a_connection_that_breaks_again_and_again_is_given_up() -> None:
@@ -108,7 +108,7 @@ def test_a_connection_that_breaks_again_and_again_is_given_up() -> None:
 
     scripted.answer, scripted.at_read, scripted.check_credit = creep, unplug_soon, False
     with pytest.raises((ControllerError, TransportError)) as caught:
-        play(scripted.connect(), HEADER, PACKETS, PACKET_SAMPLES, loops=10_000)
+        play(scripted.connect(), Coded(PACKETS), PlaybackSettings(loops=10_000))
     assert str(caught.value)
     assert scripted.now_s < MARGIN_S + 20
 
@@ -133,7 +133,7 @@ def test_whatever_is_reported_playing_ends(data: st.DataObject) -> None:
     scripted.answer, scripted.check_credit = lie, False
     try:
         capture = data.draw(st.booleans())
-        result = play(scripted.connect(), HEADER, PACKETS, PACKET_SAMPLES, capture=capture, reconnect_s=1)
+        result = play(scripted.connect(), Coded(PACKETS), PlaybackSettings(capture=capture, reconnect_s=1))
         assert result.state in (State.FINISHED, State.STOPPED)
     except (ControllerError, TransportError) as error:
         assert str(error)

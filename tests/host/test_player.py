@@ -1,6 +1,6 @@
 """The streaming player: credit, captures, loops, lost connections, stops - against a controller in simulated time."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -21,12 +21,19 @@ from vibrocast.device_protocol.messages import (
     StatusRequest,
 )
 from vibrocast.host.controller import ConnectionLost, Controller, ControllerError
-from vibrocast.host.player import Progress, play
+from vibrocast.host.player import PlaybackSettings, Progress, play
 from vibrocast.simulated_device.controller import Settings
 from vibrocast.simulated_device.faulty_wire import Fault
 
 HEADER = StreamHeader(codec_identifier=1, rate_hz=RATE_HZ, samples=None, unit="um", gains=(1.0,), configuration=b"")
 REFRESH_PACKETS = 10
+
+
+@dataclass(frozen=True)
+class Coded:
+    packets: list[bytes]
+    header: StreamHeader = HEADER
+    packet_samples: int = PACKET_SAMPLES
 
 
 def make_packets(count: int, refresh_packets: int = REFRESH_PACKETS) -> list[bytes]:
@@ -46,7 +53,7 @@ SECONDS = len(PACKETS) * PACKET_SAMPLES / RATE_HZ
 def test_buffers_no_more_than_required_without_underrun(buffer_s: float) -> None:
     scripted = ScriptedController()
     scripted.largest_read_s = 0.002
-    result = play(scripted.connect(), HEADER, PACKETS, PACKET_SAMPLES, buffer_s=buffer_s)
+    result = play(scripted.connect(), Coded(PACKETS), PlaybackSettings(buffer_s=buffer_s))
     assert result.state == State.FINISHED
     assert result.buffered_s <= buffer_s + PACKET_SAMPLES / RATE_HZ
     assert result.underruns == 0
@@ -55,7 +62,7 @@ def test_buffers_no_more_than_required_without_underrun(buffer_s: float) -> None
 def test_controller_that_holds_one_packet_gets_the_next_while_it_plays() -> None:
     played = stream(0.5)
     _, controller = linked(Settings(buffer_samples=played.packet_samples))
-    result = play(controller, played.header, played.packets, played.packet_samples)
+    result = play(controller, played)
     assert (result.state, result.underruns, result.lost_packets) == (State.FINISHED, 0, 0)
 
 
@@ -65,7 +72,7 @@ def test_captures_that_are_slow_to_come_do_not_hold_up_the_data(fault: Fault) ->
     for seed in range(4):
         small = Settings(buffer_samples=2048, capture_samples=4096)
         _, controller = linked(small, [structs.replace(fault, direction="to_host")], seed)
-        result = play(controller, played.header, played.packets, played.packet_samples, capture=True)
+        result = play(controller, played, PlaybackSettings(capture=True))
         assert (result.state, result.underruns, result.lost_packets) == (State.FINISHED, 0, 0)
         assert result.decoded is not None
         np.testing.assert_array_equal(result.decoded, played.decoded)
@@ -82,13 +89,8 @@ def test_loops_of_short_recordings_keep_up_though_positions_run_ahead_of_time(
     seen: list[Progress] = []
     result = play(
         sim,
-        header,
-        coded.packets,
-        decoder.packet_samples,
-        loops=loops,
-        buffer_s=0.1,
-        capture=True,
-        progress=seen.append,
+        Coded(list(coded.packets), header, decoder.packet_samples),
+        PlaybackSettings(loops=loops, buffer_s=0.1, capture=True, progress=seen.append),
     )
     assert result.state == State.FINISHED
     assert result.underruns == result.lost_packets == 0
@@ -104,7 +106,7 @@ def test_loop_too_short_for_the_controller_is_rejected_with_its_reason(sim: Cont
     header = StreamHeader(1, 2800, 1, "um", coded.header.gains, coded.header.configuration)
     packet_samples = codec.decoder(1, coded.header.configuration, 1).packet_samples
     with pytest.raises(ControllerError, match="rejects the request: an iteration"):
-        play(sim, header, coded.packets, packet_samples, loops=50)
+        play(sim, Coded(list(coded.packets), header, packet_samples), PlaybackSettings(loops=50))
 
 
 def test_loop_that_the_player_knows_nothing_of_is_named() -> None:
@@ -116,7 +118,7 @@ def test_loop_that_the_player_knows_nothing_of_is_named() -> None:
 
     scripted.answer = play_on
     with pytest.raises(ControllerError, match="by a Loop sent to it"):
-        play(controller, HEADER, PACKETS, PACKET_SAMPLES)
+        play(controller, Coded(PACKETS))
 
 
 def test_endless_loop_plays_until_the_callback_stops_it() -> None:
@@ -128,7 +130,7 @@ def test_endless_loop_plays_until_the_callback_stops_it() -> None:
         if progress.position_s > 10:
             controller.stop()
 
-    result = play(controller, HEADER, make_packets(20), PACKET_SAMPLES, loops=0, progress=stop_late)
+    result = play(controller, Coded(make_packets(20)), PlaybackSettings(loops=0, progress=stop_late))
     assert result.state == State.STOPPED
     assert result.seconds > 10
     assert result.underruns == 0
@@ -144,7 +146,7 @@ def test_pause_in_the_callback_is_no_stall() -> None:
         elif progress.status.state == State.PAUSED and scripted.now_s > 10:
             controller.request(Resume(), Status)
 
-    result = play(controller, HEADER, PACKETS, PACKET_SAMPLES, progress=pause_for_ten_seconds)
+    result = play(controller, Coded(PACKETS), PlaybackSettings(progress=pause_for_ten_seconds))
     assert result.state == State.FINISHED
     assert result.seconds > 10
     assert scripted.received == set(range(len(PACKETS)))
@@ -168,7 +170,7 @@ def test_restarted_controller_goes_on_within_the_loops() -> None:
             scripted.restart()
 
     scripted.at_read = restart_once
-    result = play(controller, HEADER, make_packets(20), PACKET_SAMPLES, loops=4)
+    result = play(controller, Coded(make_packets(20)), PlaybackSettings(loops=4))
     _, second = (message for message in scripted.handled if isinstance(message, Configure))
     assert result.state == State.FINISHED
     assert (second.first_packet, second.loops) in [(0, 2), (10, 2), (0, 1)]
@@ -178,7 +180,7 @@ def test_a_long_cut_of_a_stream_with_one_refresh_is_reported() -> None:
     scripted = ScriptedController()
     unplug_between(scripted, 0.5, 3.0)
     with pytest.raises(ControllerError, match="no later packet can be decoded alone"):
-        play(scripted.connect(), HEADER, make_packets(150, refresh_packets=1000), PACKET_SAMPLES)
+        play(scripted.connect(), Coded(make_packets(150, refresh_packets=1000)))
 
 
 def test_controller_whose_watchdog_bites_again_and_again_is_given_up() -> None:
@@ -191,7 +193,7 @@ def test_controller_whose_watchdog_bites_again_and_again_is_given_up() -> None:
 
     scripted.answer = bite
     with pytest.raises(ConnectionLost, match="heard nothing"):
-        play(controller, HEADER, PACKETS, PACKET_SAMPLES)
+        play(controller, Coded(PACKETS))
     assert scripted.reopened <= 2
 
 
@@ -200,7 +202,7 @@ def test_fault_of_the_hardware_is_an_error() -> None:
     controller = scripted.connect()
     scripted.answer = lambda _: replace(scripted.status(), state=State.FAULT) if scripted.position > 300 else None
     with pytest.raises(ControllerError, match="fault"):
-        play(controller, HEADER, PACKETS, PACKET_SAMPLES)
+        play(controller, Coded(PACKETS))
 
 
 def test_data_that_comes_too_late_is_dropped_up_to_the_next_refresh() -> None:
@@ -211,7 +213,7 @@ def test_data_that_comes_too_late_is_dropped_up_to_the_next_refresh() -> None:
             scripted.position = 605
 
     scripted.at_read = jump
-    result = play(scripted.connect(), HEADER, PACKETS, PACKET_SAMPLES)
+    result = play(scripted.connect(), Coded(PACKETS))
     assert result.state == State.FINISHED
     late = [number for number in range(61, 70) if number in scripted.received]
     assert not late
@@ -231,4 +233,4 @@ def test_data_that_comes_too_late_is_dropped_up_to_the_next_refresh() -> None:
 )
 def test_streams_that_cannot_be_played_are_rejected(packets: list[bytes], packet_samples: int, reason: str) -> None:
     with pytest.raises((StreamError, ControllerError), match=reason):
-        play(ScriptedController().connect(), HEADER, packets, packet_samples)
+        play(ScriptedController().connect(), Coded(packets, packet_samples=packet_samples))

@@ -37,8 +37,7 @@ def streamed(model: models.Model, channels: int = 1) -> Stream:
 
 def played(host: Host, stream: Stream) -> codec.Decoded:
     """Return what a controller decodes of a stream."""
-    packet_samples = stream.packet_samples
-    result = player.play(host, stream.header, stream.packets, packet_samples, capture=True)
+    result = player.play(host, stream, player.PlaybackSettings(capture=True))
     assert result.decoded is not None
     return result.decoded
 

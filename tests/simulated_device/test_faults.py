@@ -11,7 +11,7 @@ from vibrocast.codec import Decoded, mdct
 from vibrocast.device_protocol.messages import SlotState, State
 from vibrocast.device_protocol.model_image import ModelImage, sha256
 from vibrocast.host.controller import ControllerError
-from vibrocast.host.player import PlaybackResult, Progress, play
+from vibrocast.host.player import PlaybackResult, PlaybackSettings, Progress, play
 from vibrocast.host.uploader import flash
 from vibrocast.output.actuator import PIEZO_STACK, Codes
 from vibrocast.output.rendering import (
@@ -42,7 +42,7 @@ class Desk:
 
 
 def play_on(at: Desk, played: Stream, **options: object) -> PlaybackResult:
-    return play(at.host, played.header, played.packets, played.packet_samples, capture=True, **options)  # type: ignore[arg-type]
+    return play(at.host, played, PlaybackSettings(capture=True, **options))  # type: ignore[arg-type]
 
 
 def assert_never_garbage(decoded: np.ndarray, played: Stream, lost_packets: int, loops: int = 1) -> None:

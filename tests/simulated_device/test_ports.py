@@ -13,7 +13,7 @@ from tests.simulated_device.bench import stream
 from vibrocast.device_protocol.messages import State, Status
 from vibrocast.device_protocol.transports import SerialTransport, TransportError, UsbTransport, open_transport
 from vibrocast.host.controller import Controller as Host
-from vibrocast.host.player import Progress, play
+from vibrocast.host.player import PlaybackSettings, Progress, play
 from vibrocast.simulated_device.controller import Controller
 from vibrocast.simulated_device.pty_port import PtyPort
 from vibrocast.simulated_device.socket_port import SocketPort
@@ -123,7 +123,7 @@ def test_port_survives_hosts_that_open_and_close_it_while_playing(port: PtyPort 
         with Host(SerialTransport(port.name)) as host:
             assert isinstance(host.request_status(), Status)
             with pytest.raises(KeyError):
-                play(host, played.header, played.packets, played.packet_samples, progress=leave)
+                play(host, played, PlaybackSettings(progress=leave))
 
 
 def test_port_survives_a_host_that_never_reads_and_garbage(port: PtyPort | SocketPort) -> None:
@@ -177,9 +177,7 @@ def test_stream_plays_through_stalls_and_busy_endpoints(usb_port: UsbPort) -> No
             faults.pop()()
 
     with Host(UsbTransport(VENDOR_ID, PRODUCT_ID, usb_port)) as host:
-        result = play(
-            host, played.header, played.packets, played.packet_samples, buffer_s=0.8, capture=True, progress=disturb
-        )
+        result = play(host, played, PlaybackSettings(buffer_s=0.8, capture=True, progress=disturb))
     assert not faults
     assert (result.state, result.underruns, result.lost_packets) == (State.FINISHED, 0, 0)
     assert result.decoded is not None

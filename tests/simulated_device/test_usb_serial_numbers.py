@@ -67,10 +67,7 @@ def test_two_equal_boards_play_at_once(bus_of: Callable[..., UsbBus]) -> None:
             "right": "right",
         }
         settings = player.PlaybackSettings(capture=True, buffer_s=1.0)
-        work = {
-            number: (host, player.play_steps(host, played.header, played.packets, played.packet_samples, settings))
-            for number, host in hosts.items()
-        }
+        work = {number: (host, player.play_steps(host, played, settings)) for number, host in hosts.items()}
         results = run_all(work)
     for result in results.values():
         assert isinstance(result, player.PlaybackResult)

@@ -17,7 +17,7 @@ from vibrocast.harness.boards.host_process import HostProcess
 from vibrocast.host import uploader
 from vibrocast.host.controller import ConnectionLost
 from vibrocast.host.controller import Controller as Host
-from vibrocast.host.player import play
+from vibrocast.host.player import PlaybackSettings, play
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.output.rendering import render
 
@@ -27,7 +27,7 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no 
 def test_stream_is_played_as_computed_and_goes_to_the_file_of_codes(tmp_path: Path) -> None:
     played = stream(0.3, channels=2)
     with HostProcess("--dac", tmp_path / "codes") as process, Host(SerialTransport(process.name)) as host:
-        result = play(host, played.header, played.packets, played.packet_samples, capture=True)
+        result = play(host, played, PlaybackSettings(capture=True))
     expected, _ = render(played.header, played.decoded, played.delay_samples, PIEZO_STACK)
     assert result.state == State.FINISHED
     np.testing.assert_array_equal(result.decoded, played.decoded)
@@ -74,7 +74,7 @@ def test_a_full_disk_is_an_error_and_leaves_no_link(tmp_path: Path) -> None:
     played, link = stream(0.3), tmp_path / "link"
     process = HostProcess("--dac", "/dev/full", "--link", link)
     with Host(SerialTransport(process.name)) as host, suppress(TransportError, ConnectionLost):
-        play(host, played.header, played.packets, played.packet_samples, reconnect_s=0)
+        play(host, played, PlaybackSettings(reconnect_s=0))
     with pytest.raises(TransportError, match="DAC codes: No space"):
         process.close()
     assert not link.is_symlink()
