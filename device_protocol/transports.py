@@ -18,6 +18,7 @@ import usb.core
 import usb.util
 
 from vibrocast.errors import NO_DEVICE, VibrocastError
+from vibrocast.progress import notes
 
 # Of a port whose address names no other (8 data bits, no parity, 1 stop bit, no flow control).
 BAUD = 921_600
@@ -35,6 +36,8 @@ _WRITE_TIMEOUT_S = 1.0
 # A multiple of every bulk packet size (64 and 512), so that no read can overflow.
 _USB_READ_BYTES = 4096
 _SERIAL_READ_BYTES = 65_536
+_BY_ID = Path("/dev/serial/by-id")
+"""Where udev of Linux links names that boards keep to the ports at which they are."""
 # Bytes that a serial port may write later: two of the longest frames, so that a sender seldom waits.
 _MAX_UNSENT_BYTES = 8192
 # Time after which the threads of a transport without a file notice that it is closed.
@@ -102,6 +105,8 @@ class SerialTransport(Closing):
         self._port, self._baud = port, baud
         self._is_socket = port.startswith("socket://")
         self._open()
+        here = _device_of(port)
+        self._lasting_names = {name for name, device in _boards().items() if device == here}
 
     def _open(self) -> None:
         self.unsent = b""
@@ -117,8 +122,9 @@ class SerialTransport(Closing):
             self._serial.open()
         except (OSError, ValueError) as error:
             raise TransportError(
-                f"cannot open serial port {self._port}: {error}; check the name (`vibrocast devices` lists the ports), "
-                "that no other program uses it, and that you may read and write it"
+                f"cannot open serial port {self._port}: {error}; check the name (`vibrocast devices` lists the ports, "
+                f"and on Linux {_BY_ID} has names that stay), that no other program uses it, and that you may read "
+                "and write it"
             ) from error
         # Windows, and some URLs, have no file for which one can wait together with others.
         self.file: Any = None
@@ -208,13 +214,39 @@ class SerialTransport(Closing):
         return first + rest
 
     def reopen(self) -> None:
-        """Close, and open the same port again."""
+        """Close, and open the port again at which the same board is now, as far as the system tells boards apart."""
         self.close()
+        device = next((device for name, device in _boards().items() if name in self._lasting_names), None)
+        if device is not None and device != _device_of(self._port):
+            notes.warning("the board at %s is at %s now", self._port, device)
+            self._port = device
         self._open()
 
     def close(self) -> None:
         """Release the port."""
         self._serial.close()
+
+
+def _device_of(port: str) -> str:
+    """Return the device to which a port's name leads; names of Windows, and URLs, are no paths and stay."""
+    return os.path.realpath(port) if os.path.exists(port) else port
+
+
+def _boards() -> dict[str, str]:
+    """Return the device at which each board is, by a name that it keeps: a link, or USB identifiers and serial number.
+
+    A name that several devices have is left out.
+    """
+    from serial.tools import list_ports
+
+    found = [(str(link), os.path.realpath(link)) for link in _BY_ID.glob("*")]
+    found += [
+        (f"{port.vid:04x}:{port.pid:04x}:{port.serial_number}", port.device)
+        for port in list_ports.comports()
+        if port.vid is not None and port.serial_number
+    ]
+    names = [name for name, _ in found]
+    return {name: device for name, device in found if names.count(name) == 1}
 
 
 class ThreadedTransport(Closing):

@@ -36,6 +36,7 @@ from vibrocast.errors import NO_DEVICE, VibrocastError
 from vibrocast.host import event_loop
 from vibrocast.host.event_loop import Steps
 from vibrocast.host.tracing import TappedTransport
+from vibrocast.progress import notes
 
 if TYPE_CHECKING:
     from vibrocast.output.sound_card import CardUse
@@ -48,6 +49,9 @@ SLOW_BYTES_PER_S = 11_520.0
 """Of a serial port at 115 200 baud: a request may take that much longer to be answered."""
 TRIES = 20
 HELLO_TRIES = 5
+"""Under one sequence number."""
+BOOT_S = 5.0
+"""How long Hello is said: some boards reset when their port is opened, and then take so long to start."""
 MIN_PAYLOAD_LIMIT_BYTES = 256
 MIN_WATCHDOG_MS = 50
 MAX_DAC_RATE_HZ = 1_000_000
@@ -117,6 +121,7 @@ class Controller(Closing):
         self._complaint: Error | None = None
         self._pending: _PendingRequest | None = None
         self.open_session()
+        self._connected_s = clock()
 
     def close(self) -> None:
         """Close the transport."""
@@ -193,17 +198,22 @@ class Controller(Closing):
 
     def _hello_steps(self) -> Steps[HelloResponse]:
         """Return the answer to a Hello under a sequence number that means nothing to the controller yet."""
-        tries_left = TRIES
-        while True:
+        for tries in range(HELLO_TRIES, round(BOOT_S / ANSWER_TIMEOUT_S) + 1, HELLO_TRIES):
             # Drawn at random: a late answer to an earlier session is not taken for an answer to this one. Drawn again
             # if the number was one of the last session's, whose copy the controller ignores or answers as it did then.
             self._sequence = random.randrange(MAX_SEQUENCE)
-            tries_left -= HELLO_TRIES
             try:
                 return (yield from self.request_steps(Hello(), HelloResponse, tries=HELLO_TRIES))
             except ControllerError as error:
-                if tries_left <= 0 or error.code == ErrorCode.UNSUPPORTED_VERSION:
+                is_silent = isinstance(error, ConnectionLost) and error.code is None
+                if error.code == ErrorCode.UNSUPPORTED_VERSION or (tries >= TRIES and not is_silent):
                     raise
+            if is_silent and tries == HELLO_TRIES:
+                notes.warning("no answer yet; waiting up to %g s, as a board may reset when its port is opened", BOOT_S)
+        raise ConnectionLost(
+            f"the controller does not answer within {BOOT_S:g} s; check its power, the address and its baud rate, and "
+            "that a board which resets when its port is opened starts in that time"
+        )
 
     def request_steps(
         self,
@@ -267,23 +277,33 @@ class Controller(Closing):
         return self.run(self.stop_steps())
 
     def reconnect_steps(self, within_s: float) -> Steps[None]:
-        """Open the transport and a session again, as often as it takes.
+        """Open the transport and a session with the same controller again, as often as it takes.
 
-        Raises the last TransportError or ControllerError after `within_s`.
+        Raises the last TransportError or ControllerError after `within_s`, and ControllerError for another controller.
         """
         deadline_s = self.clock() + within_s
-        _log.warning("connection lost; it is opened again for %g s", within_s)
+        lost = f"the connection was lost after {self.clock() - self._connected_s:.1f} s"
+        notes.warning("%s; trying to open it again for %g s", lost, within_s)
+        before = self.description
         while True:
             try:
                 self._transport.reopen()
                 self._bad_frames_before = self.bad_frames
                 self._reader = FrameReader()
                 yield from self.open_session_steps()
-                return
+                break
             except (TransportError, ConnectionLost) as error:
                 if isinstance(error, DeviceGone) or self.clock() >= deadline_s:
+                    error.problem = f"{lost}: {error.problem}"
                     raise
             yield event_loop.Pause(_RECONNECT_PAUSE_S)
+        now = self.description
+        if (now.hardware, now.serial_number) != (before.hardware, before.serial_number):
+            raise ControllerError(
+                f"{lost}, and another controller is there now ({now.hardware} {now.serial_number}); connect "
+                f"{before.hardware} {before.serial_number} again"
+            )
+        notes.warning("the connection is back")
 
     def reconnect(self, within_s: float) -> None:
         """Open the transport and a session again, and wait for it. Raises as `reconnect_steps`."""

@@ -1,5 +1,6 @@
 """Shows on stderr how far long work is: a bar in a terminal, elsewhere a plain line about once a second."""
 
+import logging
 import sys
 import time
 from collections.abc import Iterator
@@ -7,6 +8,8 @@ from contextlib import contextmanager
 from typing import Protocol
 
 LINE_INTERVAL_S = 1.0
+notes = logging.getLogger("vibrocast.notes")
+"""Takes, as warnings, what a person should know while work goes on; the command line prints it on stderr."""
 
 
 class Update(Protocol):

@@ -22,6 +22,7 @@ from vibrocast.host.cli.commands import subcommands
 from vibrocast.host.cli.errors import explained, option_names
 from vibrocast.host.cli.failure_trace import keep_trace
 from vibrocast.host.cli.option_types import OutputFile, reject_overwriting
+from vibrocast.progress import notes
 
 
 class VibrocastCommand(click.Group):
@@ -160,6 +161,17 @@ def keep_log(path: Path) -> None:
         logger.removeHandler(earlier)
     logger.addHandler(handler)
     logger.setLevel(logging.DEBUG)
+
+
+class _Notes(logging.Handler):
+    """Prints what a person should know while work goes on."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print one line on stderr, whatever it quotes."""
+        click.echo(f"note: {plain(record.getMessage())}", err=True)
+
+
+notes.addHandler(_Notes())
 
 
 def fail(message: str, exit_code: int) -> NoReturn:

@@ -7,6 +7,7 @@ import select
 import termios
 import tty
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -125,6 +126,56 @@ def test_unplugged_serial_port_is_an_error_and_not_a_hang() -> None:
     with pytest.raises(TransportError, match="cannot open"):
         transport.reopen()
     transport.close()
+
+
+@pytest.mark.parametrize("name", ["link", "serial number"])
+def test_a_board_is_found_again_under_another_name(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    board, other, again = (os.openpty() for _ in range(3))
+    ports = [os.ttyname(port) for _, port in (board, other, again)]
+    link = tmp_path / "usb-Maker_Board_17-if00"
+    monkeypatch.setattr("vibrocast.device_protocol.transports._BY_ID", tmp_path)
+
+    def plugged(*numbers: tuple[str, str]) -> None:
+        link.unlink(missing_ok=True)
+        listed = [
+            SimpleNamespace(device=port, vid=0x1209, pid=1, serial_number=number)
+            for port, number in ((ports[1], "5"), *numbers)
+        ]
+        monkeypatch.setattr("serial.tools.list_ports.comports", lambda: listed if name == "serial number" else [])
+        for port, _ in numbers if name == "link" else ():
+            link.symlink_to(port)
+
+    plugged((ports[0], "17"))
+    transport = SerialTransport(ports[0])
+    os.close(board[1])
+    os.close(board[0])
+    plugged()
+    with pytest.raises(TransportError, match="names that stay"):
+        transport.reopen()
+    plugged((ports[2], "17"))
+    transport.reopen()
+    os.write(again[0], b"here")
+    assert transport.read(1.0) == b"here"
+    assert f"the board at {ports[0]} is at {ports[2]} now" in caplog.text
+    transport.close()
+    for end in (*other, *again):
+        os.close(end)
+
+
+def test_two_boards_of_one_serial_number_are_not_mistaken_for_each_other(
+    pseudo_terminal: tuple[int, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    listed = [
+        SimpleNamespace(device=port, vid=1, pid=1, serial_number="0001") for port in (pseudo_terminal[1], "/nowhere")
+    ]
+    monkeypatch.setattr("serial.tools.list_ports.comports", lambda: listed)
+    with SerialTransport(pseudo_terminal[1]) as transport:
+        listed.pop(0)
+        transport.reopen()
+        os.write(pseudo_terminal[0], b"here")
+        assert transport.read(1.0) == b"here"
 
 
 def test_serial_port_that_takes_nothing_is_an_error_and_not_a_hang(

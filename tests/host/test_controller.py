@@ -27,7 +27,7 @@ from vibrocast.device_protocol.messages import (
     pack,
 )
 from vibrocast.device_protocol.transports import TransportError
-from vibrocast.host.controller import TRIES, ConnectionLost, ControllerError
+from vibrocast.host.controller import ConnectionLost, ControllerError
 from vibrocast.host.stream_session import Capture
 
 IDLE_STATUS = Status(State.IDLE, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
@@ -55,7 +55,7 @@ def test_hello_that_gets_the_answer_of_an_earlier_session_is_said_again(
     assert scripted.handled == [Hello()]
 
 
-def test_nobody_at_the_other_end_is_known_after_two_seconds() -> None:
+def test_nobody_at_the_other_end_is_known_after_the_time_that_a_board_takes_to_start() -> None:
     scripted = ScriptedController()
     attempts: list[Message] = []
 
@@ -64,10 +64,23 @@ def test_nobody_at_the_other_end_is_known_after_two_seconds() -> None:
         return True
 
     scripted.swallow = swallow
-    with pytest.raises(ConnectionLost, match="does not answer"):
+    with pytest.raises(ConnectionLost, match="does not answer within 5 s"):
         scripted.connect()
-    assert len(attempts) == TRIES
-    assert 2.0 <= scripted.now_s < 2.5
+    assert len(attempts) == 50
+    assert 5.0 <= scripted.now_s < 6.5
+
+
+@pytest.mark.parametrize("starts_s", [0.0, 0.45, 2.5, 4.5])
+def test_a_board_that_resets_when_its_port_is_opened_is_waited_for(
+    starts_s: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    scripted = ScriptedController()
+    scripted.swallow = lambda message: scripted.now_s < starts_s
+    controller = scripted.connect()
+    assert starts_s <= scripted.now_s < starts_s + 0.2
+    assert ("a board may reset when its port is opened" in caplog.text) == (starts_s > 0.5)
+    scripted.swallow = lambda message: scripted.now_s < 2 * starts_s + 0.2  # it resets again
+    controller.reconnect(1.0)
 
 
 def test_lost_answers_are_requested_again_and_requests_carried_out_once() -> None:
@@ -107,7 +120,7 @@ def test_reconnect_waits_until_the_cable_is_back_and_gives_up_in_time() -> None:
     scripted = ScriptedController()
     controller = scripted.connect()
     scripted.unplugged = True
-    with pytest.raises(TransportError):
+    with pytest.raises(TransportError, match=r"lost after 0\.0 s: .*"):
         controller.reconnect(1.0)
     assert 1.0 <= scripted.now_s < 1.5
 
@@ -117,6 +130,26 @@ def test_reconnect_waits_until_the_cable_is_back_and_gives_up_in_time() -> None:
     scripted.at_read = replug
     controller.reconnect(10.0)
     assert 3.0 <= scripted.now_s < 3.5
+
+
+def test_a_lost_connection_is_told_with_its_time_and_its_return(caplog: pytest.LogCaptureFixture) -> None:
+    scripted = ScriptedController()
+    controller = scripted.connect()
+    scripted.now_s += 3.1
+    controller.reconnect(1.0)
+    assert [record.getMessage() for record in caplog.records if record.name == "vibrocast.notes"] == [
+        "the connection was lost after 3.1 s; trying to open it again for 1 s",
+        "the connection is back",
+    ]
+
+
+def test_another_board_in_the_place_of_the_lost_one_is_rejected() -> None:
+    scripted = ScriptedController()
+    scripted.description = replace(scripted.description, serial_number="17")
+    controller = scripted.connect()
+    scripted.description = replace(scripted.description, serial_number="18")
+    with pytest.raises(ControllerError, match=r"another controller is there now \(none 18\); connect none 17 again"):
+        controller.reconnect(1.0)
 
 
 def test_another_major_version_is_rejected_naming_both() -> None:
