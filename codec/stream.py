@@ -223,7 +223,7 @@ class Stream:
         """
         header = self.header
         # First integers; when all are there, also float64 in the header's unit.
-        if lack := shortage(self.samples * header.channels * (2 + 8)):
+        if lack := shortage(self.samples * header.channels * (2 + 8), factor=1):
             raise StreamError(f"decoding {self.samples} samples {lack}")
         decoder = self.decoder()
         decoded = np.empty((len(self.packets), decoder.packet_samples, decoder.channels), dtype=np.int16)

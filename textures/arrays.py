@@ -80,6 +80,8 @@ def chosen_key(names: Sequence[str], key: str | None, path: Path, others: Mappin
 
     `others`: the file's contents other than arrays of numbers, with their kinds.
     """
+    if not names and not others:
+        raise TextureError(f"{path}: holds no array of numbers; give another file")
     if key is None and SAMPLES_KEY in names:
         return SAMPLES_KEY
     if key is None and len(names) == 1:

@@ -14,12 +14,11 @@ from typing import Any
 from vibrocast import textures
 from vibrocast.errors import InputError
 from vibrocast.textures import files, p1918
-from vibrocast.textures.files import ARRAY_SUFFIXES, KEYED_SUFFIXES, TEXT_SUFFIXES
+from vibrocast.textures.files import KEYED_SUFFIXES, SUFFIXES
 from vibrocast.textures.profiles import Profile
 from vibrocast.textures.recording import TextureError, unusable
 from vibrocast.textures.text import known_unit
 
-SUFFIXES = (".wav", *TEXT_SUFFIXES, *ARRAY_SUFFIXES)
 PARTS = ("all", "train", "test")
 SPLITS = ("auto", "recording", "material", "subject")
 """The unit that a split keeps whole. "auto": the manifest's column `split`, else materials, else single entries

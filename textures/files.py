@@ -8,16 +8,18 @@ import numpy as np
 import soundfile
 from numpy.typing import ArrayLike
 
-from vibrocast.textures import arguments, arrays, hdf5, mat, p1918, wav
+from vibrocast.textures import apart, arguments, arrays, hdf5, laboratory, mat, p1918, wav
 from vibrocast.textures.axes import AXES, DFT321, REDUCTIONS, reduced
 from vibrocast.textures.profiles import Profile
 from vibrocast.textures.recording import INPUT_UNITS, Contents, Recording, TextureError, unusable
 from vibrocast.textures.text import Table, column_names, known_unit, read_table, signal_of, uniform_step, write_table
 
 TEXT_SUFFIXES = (".csv", ".txt", ".tsv")
-KEYED_SUFFIXES = (".npz", ".mat", ".h5", ".hdf5")
-ARRAY_SUFFIXES = (".npy", *KEYED_SUFFIXES)
-SAVED_SUFFIXES = (".wav", ".csv", ".npy", ".mat")
+READERS_APART = {".mat": "mat", ".h5": "hdf5", ".hdf5": "hdf5"} | dict.fromkeys(laboratory.SUFFIXES, "laboratory")
+"""Modules that read by a parser of another project, by the suffix of a file."""
+KEYED_SUFFIXES = (".npz", *READERS_APART)
+SUFFIXES = (*wav.FORMATS, *TEXT_SUFFIXES, ".npy", *KEYED_SUFFIXES)
+SAVED_SUFFIXES = (".wav", ".csv", ".npy", ".mat", ".h5")
 POSITION_NAME = "position"
 
 
@@ -32,7 +34,7 @@ def load(
     key: str | None = None,
     hand_speed_mm_s: float | None = None,
 ) -> Recording:
-    """Load a recording from a WAV, CSV, TXT, NPY, NPZ, MAT or HDF5 file, or from an IEEE P1918.1.1 folder.
+    """Load a recording from a file of one of SUFFIXES, an IEEE P1918.1.1 folder, or the folder of a bag of ROS 2.
 
     Give only what the file does not state.
 
@@ -45,7 +47,7 @@ def load(
         axis: Take one of three channels: "X", "Y" or "Z".
         reduce: Make one signal of three channels: "dft321" or "norm"; "none" keeps them. Default: "dft321" for a
             P1918.1.1 folder only.
-        key: Name of the array in an NPZ, MAT or HDF5 file.
+        key: Name of the array, group, stream or topic in a file of one of KEYED_SUFFIXES.
         hand_speed_mm_s: Speed of the hand over a height profile, in mm/s.
 
     Returns:
@@ -71,7 +73,7 @@ def load(
         raise TextureError(f"`reduce`={reduce}", f"not one of {', '.join(REDUCTIONS)}", parameter="reduce")
     if axis is not None and reduce is not None:
         raise TextureError(f"`axis`={axis} and `reduce`={reduce}: give only one of them", parameter=("axis", "reduce"))
-    if key is not None and path.suffix.lower() not in KEYED_SUFFIXES:
+    if key is not None and path.suffix.lower() not in KEYED_SUFFIXES and not laboratory.is_ros_folder(path):
         raise unusable(
             path, f"`key` chooses an array of a {', '.join(KEYED_SUFFIXES)} file", "leave it out here", "key"
         )
@@ -200,6 +202,8 @@ def save(path: str | Path, recording: Recording, sixteen_bit: bool = False, note
             write_table(path, recording)
         elif suffix == ".mat":
             mat.write(path, recording)
+        elif suffix == ".h5":
+            hdf5.write(path, recording)
         else:
             with path.open("wb") as file:
                 np.save(file, recording.samples)
@@ -214,6 +218,8 @@ def read_contents(
     path: Path, rate_hz: float | None, axis: str | None, reduce: str | None, key: str | None
 ) -> Contents | Profile:
     """Read the contents of a file, or of a P1918.1.1 recording; options as for `load`. Raises TextureError."""
+    if laboratory.is_ros_folder(path):
+        return reduced(apart.read("laboratory", path, key, rate_hz), axis, reduce, path)
     if path.is_dir() or not path.exists():
         contents = p1918.read_folder(path, axis, rate_hz)
         return contents if axis else reduced(contents, None, reduce or DFT321, path)
@@ -238,15 +244,13 @@ def read_contents(
 
 
 def _read_binary(path: Path, suffix: str, rate_hz: float | None, key: str | None) -> Contents:
-    if suffix == ".wav":
+    if suffix in wav.FORMATS:
         return wav.read(path)
-    if suffix == ".mat":
-        return mat.read(path, key, rate_hz)
-    if suffix in (".h5", ".hdf5"):
-        return hdf5.read(path, key, rate_hz)
-    if suffix in ARRAY_SUFFIXES:
+    if suffix in READERS_APART:
+        return apart.read(READERS_APART[suffix], path, key, rate_hz)
+    if suffix in SUFFIXES:
         return arrays.read(path, key, rate_hz)
-    raise TextureError(f"{path}: unknown kind of file; known are .wav, {', '.join(TEXT_SUFFIXES + ARRAY_SUFFIXES)}")
+    raise TextureError(f"{path}: unknown kind of file; known are {', '.join(SUFFIXES)}")
 
 
 def _scale(contents: Contents, unit: str | None, full_scale: float | None, path: Path) -> tuple[str, float]:

@@ -1,4 +1,4 @@
-"""Reads HDF5 files, and MATLAB's .mat files of version 7.3, which are HDF5 with MATLAB's attributes."""
+"""Reads and writes HDF5 files; reads MATLAB's .mat files of version 7.3, which are HDF5 with MATLAB's attributes."""
 
 from collections.abc import Collection, Iterable, Mapping
 from math import prod
@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from vibrocast.textures import arrays
-from vibrocast.textures.recording import Contents, TextureError
+from vibrocast.textures.recording import Contents, Recording, TextureError
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
 MATLAB_START_BYTES = 512  # before the magic of a .mat file
@@ -19,6 +19,14 @@ def is_hdf5(path: Path) -> bool:
     with path.open("rb") as file:
         start = file.read(MATLAB_START_BYTES + len(MAGIC))
     return start.startswith(MAGIC) or start[MATLAB_START_BYTES:] == MAGIC
+
+
+def has_tables(path: Path) -> bool:
+    """Return whether a variable of MATLAB is a table or a timetable. Raises TextureError, OSError."""
+    import h5py
+
+    with arrays.parsing(path, "an HDF5 file"), h5py.File(path, "r") as file:
+        return any(item.attrs.get(MATLAB_CLASS) in (b"table", b"timetable") for item in file.values())
 
 
 def read(path: Path, key: str | None, rate_hz: float | None) -> Contents:
@@ -40,7 +48,9 @@ def read(path: Path, key: str | None, rate_hz: float | None) -> Contents:
         file.visititems(keep)  # follows no links to other files
         signals = [name for name, dataset in datasets.items() if _is_of_numbers(dataset) and dataset.size > 1]
         others = {name: _kind(datasets[name]) for name in datasets if name not in signals}
-        chosen = arrays.chosen_key(signals, key and key.strip("/"), path, others)
+        if key is not None and (key := key.strip("/")) not in datasets:
+            key = key.replace(".", "/")  # as MATLAB names the field of a struct
+        chosen = arrays.chosen_key(signals, key, path, others)
         dataset = datasets[chosen]
         if dataset.external or dataset.is_virtual:
             raise TextureError(f"{path}: {chosen} has its numbers in other files; save them in this one")
@@ -59,6 +69,15 @@ def read(path: Path, key: str | None, rate_hz: float | None) -> Contents:
         if MATLAB_CLASS in dataset.attrs and array.ndim == 2:
             array = array if array.shape[1] == 1 else array.T
         return arrays.contents_of(array, path, stated, rate_hz)
+
+
+def write(path: Path, recording: Recording) -> None:
+    """Write samples, with rate_hz and unit as their attributes. Raises OSError."""
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        dataset = file.create_dataset(arrays.SAMPLES_KEY, data=recording.samples)
+        dataset.attrs.update({arrays.RATE_KEY: recording.rate_hz, arrays.UNIT_KEY: recording.unit})
 
 
 def _is_of_numbers(dataset: Any) -> bool:

@@ -7,6 +7,10 @@ CONTROL_GROUPS = Path("/sys/fs/cgroup")
 GROUPS_OF_PROCESS = Path("/proc/self/cgroup")
 MAX_EXPANSION = 1100
 """Most bytes that one byte of a file stands for. Deflate reaches 1032 ("zlib Technical Details", zlib.net)."""
+PIPELINE_FACTOR = 10
+"""How many times the memory of its float64 samples a recording takes from `load` to the end of `encode`."""
+free_at_start_bytes: int | None = None
+"""Most that this process may take, where another one has started it; None = what the machine has."""
 _SMALL_BYTES = 2**20
 _GIB = 2**30
 
@@ -15,12 +19,13 @@ def available_bytes() -> int:
     """Return how much memory a program may still take: free, in caches, within the limit of its control group."""
     import psutil
 
-    return min(int(psutil.virtual_memory().available), *_left_in_control_groups())
+    free_bytes = min(int(psutil.virtual_memory().available), *_left_in_control_groups())
+    return free_bytes if free_at_start_bytes is None else min(free_bytes, free_at_start_bytes)
 
 
-def shortage(needed_bytes: int) -> str | None:
-    """Return the end of an error whose subject needs this much memory; None if there is enough."""
-    free_bytes = available_bytes()
+def shortage(samples_bytes: int, factor: int = PIPELINE_FACTOR) -> str | None:
+    """Return the end of an error whose subject takes `factor` times this size; None if memory is enough for it."""
+    free_bytes, needed_bytes = available_bytes(), factor * samples_bytes
     if needed_bytes <= free_bytes:
         return None
     return (

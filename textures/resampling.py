@@ -33,7 +33,7 @@ def resample(recording: Recording, rate_hz: float) -> Recording:
             f"{recording.name}: {len(recording.samples)} samples at {recording.rate_hz:g} Hz last less than one sample "
             f"at {rate_hz:g} Hz; correct the rate, or record for longer"
         )
-    if lack := shortage(2 * 8 * count * recording.channels):  # also a copy, by a filter or a codec
+    if lack := shortage(8 * count * recording.channels):
         raise TextureError(
             f"{recording.name}: {recording.seconds:.0f} s at {rate_hz:g} Hz {lack}, or choose a lower rate"
         )

@@ -1,4 +1,4 @@
-"""Reads and writes WAV files, with unit and full scale in the file's comment."""
+"""Reads sound files of every common kind, and writes WAV files, with unit and full scale in the file's comment."""
 
 import os
 import re
@@ -13,6 +13,18 @@ from vibrocast.textures.axes import AXES
 from vibrocast.textures.memory import shortage
 from vibrocast.textures.recording import UNITS, Contents, Recording, Signal, TextureError
 
+FORMATS = {
+    ".wav": ("WAV", "WAVEX", "RF64"),
+    ".aif": ("AIFF",),
+    ".aiff": ("AIFF",),
+    ".au": ("AU",),
+    ".caf": ("CAF",),
+    ".flac": ("FLAC",),
+    ".ogg": ("OGG",),
+    ".w64": ("W64",),
+}
+"""By suffix of a file: the formats of libsndfile that it may have."""
+
 # libsndfile's note, in bytes, if a header states more than the file holds: in the data, or in all of an RF64 file.
 _CUT_OFF = re.compile(r"(?:data|Riff size) : (\d+) \(should be (\d+)\)")
 # Programs that write into a pipe state about 2 or 4 GiB, because they cannot correct the header at the end.
@@ -25,11 +37,12 @@ _FLOAT_FORMAT = 3  # WAVE_FORMAT_IEEE_FLOAT: Microsoft, Multimedia Registration 
 
 
 def read(path: Path) -> Contents:
-    """Read a WAV file of any sample format, whole. Raises TextureError."""
+    """Read a sound file of any sample format, whole. Raises TextureError."""
+    suffix = path.suffix.lower()
     try:
         with soundfile.SoundFile(path) as file:
-            if file.format not in ("WAV", "WAVEX", "RF64"):
-                raise TextureError(f"{path}: {file.format} in a .wav file; convert it to WAV")
+            if file.format not in FORMATS[suffix]:
+                raise TextureError(f"{path}: {file.format} in a {suffix} file; correct its suffix, or convert it")
             _reject_cut_off(file.extra_info, path)
             if lack := shortage(8 * file.frames * file.channels):
                 raise TextureError(f"{path}: {lack}")
@@ -38,7 +51,9 @@ def read(path: Path) -> Contents:
     except UnicodeEncodeError as error:
         raise TextureError(f"{path}: its name holds bytes that are no characters; rename it") from error
     except soundfile.SoundFileError as error:
-        raise TextureError(f"{path}: not a WAV file that can be read; convert it to plain WAV ({error})") from error
+        raise TextureError(
+            f"{path}: not a {suffix} file that can be read; convert it to plain WAV ({error})"
+        ) from error
     commented = _stated_by_comment(comment)
     beside = sidecar.read(path)
     if beside is not None:

@@ -62,6 +62,11 @@ def parsed_setting(ctx: click.Context, param: click.Parameter, values: Sequence[
             help="Take one of three axes, or reduce them; none keeps three. "
             "Default: dft321 for P1918.1.1 recordings, none for others.",
         ),
+        click.option(
+            "--key",
+            metavar="NAME",
+            help="Choose an array, field, stream or topic of the file: trial.acc, group/channel.",
+        ),
         hand_speed_option,
     ),
 )

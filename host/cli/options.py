@@ -262,6 +262,7 @@ class RecordingOptions:
     unit: str | None = None
     full_scale: float | None = None
     axis: str | None = None
+    key: str | None = None
     hand_speed_mm_s: float | None = None
 
     def facts(self) -> dict[str, Any]:

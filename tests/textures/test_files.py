@@ -99,7 +99,7 @@ def test_integers_of_an_array_are_numbers_or_full_scale(tmp_path: Path) -> None:
     ("arrays", "options", "message"),
     [
         ({"a": [1.0], "b": [2.0]}, {}, "choose an array with `key`; there are a, b"),
-        ({"rate_hz": 5}, {}, "there are none"),
+        ({"rate_hz": 5}, {}, "holds no array of numbers; give another file"),
         ({"samples": [1.0]}, {}, "give `rate_hz`"),
         ({"samples": [1.0], "rate_hz": 5}, {}, "give `unit`"),
         ({"samples": [1.0], "rate_hz": 5, "unit": "volt"}, {}, "unknown unit 'volt'"),

@@ -8,13 +8,15 @@ from typing import Any
 
 import h5py
 import numpy as np
+import pandas
 import pytest
 import soundfile
 from hypothesis import given
 from hypothesis import strategies as st
+from matio import save_to_mat
 from scipy.io import savemat
 
-from vibrocast.textures import Recording, TextureError, load, save
+from vibrocast.textures import Recording, TextureError, apart, load, save
 from vibrocast.textures.memory import available_bytes
 
 NOISE = np.random.default_rng(0).uniform(-0.9, 0.9, (50, 2))
@@ -55,11 +57,20 @@ def write_profile(path: Path) -> None:
     )
 
 
+def write_sound(path: Path) -> None:
+    exact = path.suffix in (".wav", ".au", ".caf", ".w64")
+    kind = "AIFF" if path.suffix == ".aif" else None
+    soundfile.write(path, NOISE, 2800, "DOUBLE" if exact else "PCM_24", format=kind)
+
+
 TABLE = "".join(
     f"{index / 2800:.6f}{{0}}{left!r}{{0}}{right!r}\n" for index, (left, right) in enumerate(NOISE.tolist())
 )
 FORMATS: dict[str, tuple[str, Callable[[Path], Any], dict[str, Any]]] = {
-    "wav": ("a.wav", lambda path: soundfile.write(path, NOISE, 2800, "DOUBLE"), {"unit": "m/s^2", "full_scale": 1}),
+    **{
+        suffix: (f"a.{suffix}", write_sound, {"unit": "m/s^2", "full_scale": 1})
+        for suffix in ("wav", "aif", "aiff", "au", "caf", "flac", "w64")
+    },
     "csv": ("a.csv", lambda path: path.write_text("time_s,left (m/s^2),right (m/s^2)\n" + TABLE.format(",")), {}),
     "txt": ("a.txt", lambda path: path.write_text("# unit: m/s^2\ntime left right\n" + TABLE.format(" ")), {}),
     "tsv": ("a.tsv", lambda path: path.write_text("t\tleft\tright\n" + TABLE.format("\t")), {"unit": "m/s^2"}),
@@ -94,10 +105,26 @@ def test_every_format_is_read(tmp_path: Path, name: str) -> None:
         return
     assert recording.unit == "m/s^2"
     channels = 1 if name == "p1918 folder" else 2
-    np.testing.assert_allclose(recording.samples, NOISE[:, :channels], rtol=1e-12, atol=1e-12)
+    tolerance = 2**-23 if name in ("aif", "aiff", "flac") else 1e-12  # 24 bits
+    np.testing.assert_allclose(recording.samples, NOISE[:, :channels], rtol=1e-12, atol=tolerance)
 
 
-@pytest.mark.parametrize("suffix", [".wav", ".csv", ".npy", ".mat", ".CSV", ".NPY", ".MAT"])
+def test_a_lossy_sound_file_is_read(tmp_path: Path) -> None:
+    tone = np.sin(2 * np.pi * 250 * np.arange(8000) / 8000)
+    soundfile.write(tmp_path / "a.ogg", tone, 8000)
+    recording = load(tmp_path / "a.ogg", unit="drive")
+    assert recording.rate_hz == 8000
+    assert np.std(recording.samples[:, 0] - tone) < 0.1 * np.std(tone)
+
+
+def test_a_sound_file_under_the_suffix_of_another_is_rejected(tmp_path: Path) -> None:
+    soundfile.write(tmp_path / "a.flac", NOISE, 2800)
+    (tmp_path / "a.flac").rename(tmp_path / "a.wav")
+    with pytest.raises(TextureError, match=r"FLAC in a \.wav file; correct its suffix, or convert it"):
+        load(tmp_path / "a.wav", unit="drive")
+
+
+@pytest.mark.parametrize("suffix", [".wav", ".csv", ".npy", ".mat", ".h5", ".CSV", ".NPY", ".MAT", ".H5"])
 @pytest.mark.parametrize(("unit", "rate_hz"), [("m/s^2", 2800), ("um", 44_100), ("full scale", 1000)])
 @pytest.mark.parametrize("channels", [1, 2, 3])
 def test_what_is_saved_loads_again(tmp_path: Path, suffix: str, unit: str, rate_hz: float, channels: int) -> None:
@@ -121,13 +148,13 @@ def test_csv_keeps_axes_and_any_rate_exactly(tmp_path: Path) -> None:
 
 def test_what_no_format_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     recording = Recording(NOISE, 2800, "um", "a")
-    with pytest.raises(TextureError, match=r"saved as \.wav, \.csv, \.npy, \.mat; give one of these"):
+    with pytest.raises(TextureError, match=r"saved as \.wav, \.csv, \.npy, \.mat, \.h5; give one of these"):
         save(tmp_path / "a.flac", recording)
     with pytest.raises(TextureError, match="resample first"):
         save(tmp_path / "a.wav", Recording(NOISE, 2800.5, "um", "a"))
     with pytest.raises(TextureError, match="`sixteen_bit` is for a"):
         save(tmp_path / "a.csv", recording, sixteen_bit=True)
-    for suffix in (".wav", ".csv", ".npy", ".mat"):
+    for suffix in (".wav", ".csv", ".npy", ".mat", ".h5"):
         with pytest.raises(TextureError, match=r"cannot be written .*; free some space, or write elsewhere"):
             save(tmp_path / "missing" / f"a{suffix}", recording)
     monkeypatch.setattr("vibrocast.textures.mat.MAX_BYTES", 100)
@@ -168,9 +195,14 @@ CELL[:] = [NOISE, NOISE]
 @pytest.mark.parametrize(
     ("variables", "options", "message"),
     [
-        ({"trial": {"acc": NOISE}}, {}, "trial is a struct, not an array of numbers; save its numbers as an array"),
-        ({"trial": {"acc": NOISE}, "b": NOISE}, {"key": "trial"}, "trial is a struct, not"),
-        ({"trials": CELL, "name": "oak"}, {}, "trials is a cell, name is a char, not"),
+        (
+            {"trial": {"acc": NOISE}, "b": NOISE},
+            {"key": "trial"},
+            "no array of numbers `key`=trial; there are trial.acc",
+        ),
+        ({"trial": {"acc": NOISE, "gyr": NOISE}}, {}, "choose an array with `key`; there are trial.acc, trial.gyr"),
+        ({"trials": CELL, "name": "oak"}, {}, r"with `key`; there are trials\(1\), trials\(2\)"),
+        ({"trial": {"name": "oak"}}, {}, "holds no array of numbers; give another file"),
         ({"on": np.array([True, False])}, {}, "on is a logical, not"),
         (
             {"a": NOISE, "Fs": 1000, "rate_hz": 2000},
@@ -186,6 +218,59 @@ def test_variables_of_matlab_rejected_with_what_to_do(
     savemat(tmp_path / "a.mat", variables)
     with pytest.raises(TextureError, match=message):
         load(tmp_path / "a.mat", **options)
+
+
+@pytest.mark.parametrize("key", ["trial.acc.x", "trial/acc/x", None])
+def test_a_field_of_a_struct_states_its_rate_next_to_it(tmp_path: Path, key: str | None) -> None:
+    trial = {"fs": 2800, "acc": {"x": NOISE[:, 0], "unit": "g"}}
+    savemat(tmp_path / "a.mat", {"trial": trial, "fs": 100} if key else {"trial": trial})
+    recording = load(tmp_path / "a.mat", key=key, rate_hz=None)
+    assert (recording.rate_hz, recording.unit) == (2800, "m/s^2")
+    np.testing.assert_allclose(recording.samples[:, 0], NOISE[:, 0] * 9.80665)
+
+
+@pytest.mark.parametrize("version", ["v7", "v7.3"])
+@pytest.mark.filterwarnings("ignore:duration_to_mat")
+def test_tables_and_timetables_of_matlab(tmp_path: Path, version: str) -> None:
+    frame = pandas.DataFrame({"x": NOISE[:, 0], "y": NOISE[:, 1], "name": "oak"})
+    timed = frame.set_index(pandas.to_timedelta(np.arange(50) / 1000, unit="s"))
+    save_to_mat(str(tmp_path / "table.mat"), {"trial": frame, "fs": 1000.0}, version=version)
+    save_to_mat(str(tmp_path / "timed.mat"), {"trial": timed}, version=version)
+    for name in ("table.mat", "timed.mat"):
+        for key in (None, "trial"):
+            recording = load(tmp_path / name, unit="um", key=key)
+            assert recording.rate_hz == 1000
+            np.testing.assert_array_equal(recording.samples, NOISE)
+        np.testing.assert_array_equal(load(tmp_path / name, unit="um", key="trial.y").samples, NOISE[:, 1:])
+        with pytest.raises(TextureError, match="no array of numbers `key`=name; there are x, y"):
+            load(tmp_path / name, unit="um", key="trial.name")
+
+
+def test_an_element_of_a_cell_or_of_an_array_of_structs(tmp_path: Path) -> None:
+    structs = np.array([(NOISE[:, 0], 100), (NOISE[:, 1], 200)], [("acc", object), ("fs", object)])
+    savemat(tmp_path / "a.mat", {"trials": structs, "cells": CELL})
+    assert load(tmp_path / "a.mat", key="trials(2).acc", unit="um").rate_hz == 200
+    np.testing.assert_array_equal(load(tmp_path / "a.mat", 100, "um", key="cells(1)").samples, NOISE)
+
+
+@pytest.mark.parametrize("kind", [20, 21, 25, 45, 60, 200, 5000, 65535])
+def test_a_file_that_crashes_its_reader_is_rejected_and_the_next_one_is_read(tmp_path: Path, kind: int) -> None:
+    savemat(tmp_path / "good.mat", {"a": NOISE, "fs": 2800, "unit": "um"})
+    data = bytearray((tmp_path / "good.mat").read_bytes())
+    place = data.index(b"a\0\0\0\x09\0\0\0") + 4  # the type of the array's numbers: 9, double
+    data[place : place + 4] = kind.to_bytes(4, "little")
+    (tmp_path / "bad.mat").write_bytes(data)
+    with pytest.raises(TextureError, match=r"bad\.mat: (its reader crashes|not a \.mat file)"):
+        load(tmp_path / "bad.mat", 2800, "um")
+    np.testing.assert_array_equal(load(tmp_path / "good.mat").samples, NOISE)
+
+
+def test_a_reader_that_takes_too_long_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    savemat(tmp_path / "a.mat", {"a": NOISE, "fs": 2800, "unit": "um"})
+    apart.READERS.end()  # a new process needs time to start
+    monkeypatch.setattr(apart, "SECONDS", 0.0)
+    with pytest.raises(TextureError, match=r"reading it takes longer than 0 s; save it as \.npy or \.wav"):
+        load(tmp_path / "a.mat")
 
 
 def test_one_of_several_stated_rates_is_chosen(tmp_path: Path) -> None:
