@@ -19,6 +19,7 @@ from vibrocast.codec.interface import (
     TargetUnreachable as TargetUnreachable,
     Trial as Trial,
 )
+from vibrocast.codec.metrics import channel_snrs_db as channel_snrs_db, snr_db as snr_db
 from vibrocast.codec.plugins import BlockCodec as BlockCodec, as_codec as as_codec
 from vibrocast.codec.quality_meters import (
     QualityMeter as QualityMeter,
@@ -58,8 +59,6 @@ from vibrocast.codec.stream import Stream as Stream, gain_for as gain_for, neare
 from vibrocast.codec.target_search import (
     RATE_TOLERANCE as RATE_TOLERANCE,
     SNR_TOLERANCE_DB as SNR_TOLERANCE_DB,
-    channel_snrs_db as channel_snrs_db,
     encode_to_rate as encode_to_rate,
     encode_to_snr as encode_to_snr,
-    snr_db as snr_db,
 )

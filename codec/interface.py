@@ -15,6 +15,7 @@ from vibrocast.models import Model as Model
 Signal = NDArray[np.float64]
 Decoded = NDArray[np.int16]
 Value: TypeAlias = float | str | tuple[float, ...]
+_PART_SAMPLES = 1 << 20
 Setting: TypeAlias = Mapping[str, Value]
 """A codec's parameters by name. A tuple has a number for each channel, where a parameter may differ by channel."""
 
@@ -135,6 +136,17 @@ def checked_parts(samples: Signal, channels: int, part_samples: int) -> Iterator
         if not np.all(np.isfinite(part)):
             raise CodecError("the signal holds NaN or infinity; repair the recording first")
         yield np.clip(part, -1.0, 1.0)
+
+
+def parts(samples: int) -> Iterator[slice]:
+    """Yield slices that cover a long signal, so that work on it needs no copy of the whole."""
+    for start in range(0, samples, _PART_SAMPLES):
+        yield slice(start, start + _PART_SAMPLES)
+
+
+def peak_of(channel: Signal) -> float:
+    """Return the largest magnitude of a channel (n,); 0 for no samples."""
+    return max(float(np.max(channel, initial=0.0)), -float(np.min(channel, initial=0.0)))
 
 
 @dataclass(frozen=True)

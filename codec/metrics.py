@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from vibrocast import codec
-from vibrocast.codec import Signal
+from vibrocast.codec.interface import Signal, parts, peak_of
 from vibrocast.codec.threshold import TACTILE_BAND_HZ, band_parts, read_threshold, threshold_amplitude
 
 BLOCK_SAMPLES = 512
@@ -24,6 +23,31 @@ THIRD_OCTAVES = np.arange(-14, 0)
 """Bands by their number x: 1000 * 10^(x / 10) Hz in the middle, 40 to 800 Hz. IEC 61260-1:2014, 5.2 to 5.5."""
 MAX_MAGNITUDE, MIN_PEAK = 2.0**127, 2.0**-120
 """What the codecs take: between them, no square of a ratio overflows."""
+
+
+def channel_snrs_db(reference: Signal, decoded: Signal) -> list[float | None]:
+    """Return the SNR in dB of each channel of two arrays (n, channels): 10 log10(sum x^2 / sum (x - y)^2).
+
+    None if the reference is silent, infinity if both are equal.
+    """
+    if reference.shape != decoded.shape:
+        raise ValueError(f"a reference of shape {reference.shape}, decoded {decoded.shape}")
+    peaks = [peak_of(channel) for channel in reference.T]
+    energy, noise = np.zeros(len(peaks)), np.zeros(len(peaks))
+    scales = np.array([peak or 1.0 for peak in peaks])
+    for part in parts(len(reference)):
+        energy += np.sum(np.square(reference[part] / scales), axis=0)
+        noise += np.sum(np.square((reference[part] - decoded[part]) / scales), axis=0)
+    return [
+        (10 * math.log10(signal / error) if error > 0 else math.inf) if peak > 0 else None
+        for peak, signal, error in zip(peaks, energy.tolist(), noise.tolist(), strict=True)
+    ]
+
+
+def snr_db(reference: Signal, decoded: Signal) -> float | None:
+    """Return the mean of `channel_snrs_db` over the channels that are not silent; None when every channel is silent."""
+    ratios = [ratio for ratio in channel_snrs_db(reference, decoded) if ratio is not None]
+    return sum(ratios) / len(ratios) if ratios else None
 
 
 @dataclass(frozen=True)
@@ -65,7 +89,7 @@ def measure(
     _check(reference, decoded, rate_hz)
     channels = [
         _measure_channel(x, y, rate_hz, unit, ratio, perceptual)
-        for x, y, ratio in zip(reference.T, decoded.T, codec.channel_snrs_db(reference, decoded), strict=True)
+        for x, y, ratio in zip(reference.T, decoded.T, channel_snrs_db(reference, decoded), strict=True)
         if ratio is not None
     ]
     return Quality(

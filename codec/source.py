@@ -1,6 +1,7 @@
 """A signal ready to be coded: its format, how its packets are cut, and the stream that a setting makes of it."""
 
 import copy
+import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -21,6 +22,9 @@ from vibrocast.codec.interface import (
     Setting,
     Signal,
     SignalFormat,
+    number,
+    parts,
+    peak_of,
 )
 from vibrocast.codec.rate_control import RatePolicy, rate_controlled_encoder
 from vibrocast.codec.registry import DEFAULT_CODEC, check_model, codec_by_name
@@ -38,7 +42,8 @@ _WHOLE_FILE_BLOCKS = 1024
 """Blocks over all channels of a recording that becomes one packet, if hosts can split it for a controller."""
 # Every packet fits into one frame of the wire protocol, so a file can be played as it is.
 _MAX_PACKET_BYTES = 4000
-_PART_SAMPLES = 1 << 20
+_STEPS_BETWEEN = 8
+"""Steps from one rate point to the next, if the setting is a fraction."""
 _BEGUN_SAMPLES = 1 << 9
 """Samples per channel that are coded at a time while a stream plays."""
 _ROUNDING_ERROR = 1 / 12 / 32_768**2
@@ -116,17 +121,6 @@ def recording_format(recording: textures.Recording) -> SignalFormat:
     return live_format(round(recording.rate_hz), recording.unit, peaks.tolist(), rms.tolist())
 
 
-def parts(samples: int) -> Iterator[slice]:
-    """Yield slices that cover a long signal, so that work on it needs no copy of the whole."""
-    for start in range(0, samples, _PART_SAMPLES):
-        yield slice(start, start + _PART_SAMPLES)
-
-
-def peak_of(channel: Signal) -> float:
-    """Return the largest magnitude of a channel (n,); 0 for no samples."""
-    return max(float(np.max(channel, initial=0.0)), -float(np.min(channel, initial=0.0)))
-
-
 def shape_setting(
     codec: Codec, touch: float | None, rate_hz: float, unit: str, setting: Setting | None = None
 ) -> Setting:
@@ -157,7 +151,7 @@ _EXCERPT_PIECE = 1024
 class Source:
     """A signal ready to be coded at any setting, as a file or as a live stream.
 
-    `format`: its properties for the encoder. `silent`: whether every channel is.
+    `format`: its properties for the encoder. `heard`: the channels that are not silent.
     """
 
     def __init__(
@@ -200,7 +194,7 @@ class Source:
         # A height profile is loaded whole, however short its packets are.
         length = None if live and unit != PROFILE_UNIT else len(samples)
         self.format = SignalFormat(rate_hz, unit, gains, rms, length)
-        self.silent = not np.any(energies)
+        self.heard: list[int] = np.flatnonzero(energies).tolist()
         self._shape = shape or {}
         self._trials = 0
         self._whole = self
@@ -239,6 +233,13 @@ class Source:
         excerpt.format = replace(self.format, samples=None if self.format.samples is None else len(excerpt.samples))
         excerpt._progress = lambda part: None
         return excerpt
+
+    def squared_errors(self, coded: Stream) -> Signal:
+        """Return the sum of squared errors of each channel (channels,) in a stream of it, relative to full scale."""
+        decoded, gains, errors = coded.decode(), np.array(self.format.gains), np.zeros(self.format.channels)
+        for part in parts(len(decoded)):
+            errors += np.sum(np.square((self.samples[part] - decoded[part]) / gains), axis=0)
+        return errors
 
     def encode_rate_controlled(self, setting: Setting, policy: RatePolicy, framing: Framing) -> Stream:
         """Code in one pass, like a live stream, with a policy that controls the rate.
@@ -283,7 +284,37 @@ class Source:
         scaled.format = replace(self.format, gains=gains, rms=tuple(rms * own / gain for rms, own, gain in each))
         return scaled
 
-    def takes(self, setting: Setting) -> bool:
+    def settings(self, given: Setting) -> list[Setting]:
+        """Return the settings that a search for a quality tests, the coarsest first: `rate_points`, and steps between.
+
+        There is nothing between them if a parameter that varies is no fraction. Raises CodecError.
+        """
+        rate_points = self.rate_points(given)
+        pairs = list(itertools.pairwise(rate_points))
+        varied = {name for low, high in pairs for name in low if low[name] != high[name]}
+        if not all(self.codec.parameters[name].fractional for name in varied):
+            return rate_points
+        finer: list[Setting] = []
+        for (low, high), step in itertools.product(pairs, range(_STEPS_BETWEEN)):
+            part = step / _STEPS_BETWEEN
+            between = {name: (1 - part) * number(low, name) + part * number(high, name) for name in varied}
+            finer.append({**low, **between})
+        return [*finer, rate_points[-1]]
+
+    def rate_points(self, given: Setting) -> list[Setting]:
+        """Return the rate points of the codec's first set, with the given part of a setting in place of theirs.
+
+        Leaves out those that the codec rejects. If it rejects all, returns all: the first one then raises the error.
+        Raises CodecError for an invalid part.
+        """
+        given, rate_point_set = self.codec.checked(given), next(iter(self.codec.rate_point_sets.values()))
+        rate_points: list[Setting] = []
+        for rate_point in ({**rate_point, **given} for rate_point in rate_point_set):
+            if rate_point not in rate_points:
+                rate_points.append(rate_point)
+        return [rate_point for rate_point in rate_points if self._takes(rate_point)] or rate_points
+
+    def _takes(self, setting: Setting) -> bool:
         """Return whether the codec accepts this setting with this model."""
         try:
             complete = self.codec.complete({**self._shape, **setting})
@@ -301,11 +332,11 @@ class Source:
         choice = self._whole._choice(words)
         return {name: choice[name] if value == AUTO else value for name, value in setting.items()}
 
-    def estimate(self) -> Estimate | None:
-        """Return an estimate of coding with default parameters, by the step; None where the codec has none."""
+    def estimate(self, given: Setting) -> Estimate | None:
+        """Return an estimate of coding with a part of the setting, by the step; None where the codec has none."""
         if self.codec.estimate is None:
             return None
-        setting, count = self.resolved({}), len(self.samples)
+        setting, count = self.resolved(given), len(self.samples)
         estimates = [
             (len(self.samples[part]) / count, self.codec.estimate(self.samples[part], self.format, setting, self.model))
             for part in parts(count)

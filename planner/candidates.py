@@ -12,7 +12,6 @@ from vibrocast.codec.rate_control import DEFAULT_RATE_BUFFER_S
 from vibrocast.codec.rate_controlled import RateTarget, added_bytes
 from vibrocast.codec.shaping import DEFAULT_TOUCH, FLAT
 from vibrocast.codec.source import LIVE_REFRESH_S
-from vibrocast.codec.target_search import settings
 from vibrocast.codec.threshold import read_threshold
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT, StreamHeader
 from vibrocast.errors import InputError, located
@@ -260,7 +259,7 @@ class Evaluator:
                 for model in members:
                     source = Source(part.samples, round(part.rate_hz), option.codec, part.unit, True, model)
                     name = None if model is None else model.name
-                    found += [(name, chosen.complete(setting)) for setting in settings(source, self._given(option))]
+                    found += [(name, chosen.complete(setting)) for setting in source.settings(self._given(option))]
             except CodecError:
                 found = []
             self._settings[option] = found
