@@ -10,10 +10,12 @@ from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.timing import cpu_name
 from vibrocast.harness import fidelity, latency, load, response
 from vibrocast.harness.sensors import Recorder, recorder
-from vibrocast.host import bench_file, devices, playback, player
+from vibrocast.host import bench_file, devices, player
 from vibrocast.host.bench_file import Bench
 from vibrocast.host.controller import Controller
 from vibrocast.host.session import Session
+from vibrocast.host.track_player import PlayedList, play_list
+from vibrocast.host.tracks import TrackOptions
 from vibrocast.textures import Recording
 
 Progress = Callable[[float], None]
@@ -122,14 +124,15 @@ def together(bench: Bench) -> list[Together]:
     stream = encode_recording(bench.scene()[0], live=True).stream
     sessions = {each.name: bench_file.connect(bench, each) for each in bench.controllers}
     with devices.open_all(sessions) as (opened, failures):
-        played = playback.play_together(opened, bench.texture_names[0], stream)
+        played = play_list(opened, [stream], TrackOptions())
     measured = []
     for name in sessions:
         result = failures.get(name) or played[name]
-        if isinstance(result, Exception):
-            measured.append(Together(name, None, None, str(result)))
+        if isinstance(result, PlayedList) and result.playback is not None:
+            report = result.playback.report
+            measured.append(Together(name, report.dac_equals_offline, report.underruns, None))
         else:
-            measured.append(Together(name, result.report.dac_equals_offline, result.report.underruns, None))
+            measured.append(Together(name, None, None, str(result)))
     return measured
 
 

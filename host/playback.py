@@ -1,10 +1,9 @@
 """Plays coded streams on controllers, reads back what they did, compares with the same computed here, and reports."""
 
 import math
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +13,8 @@ from vibrocast.codec.stream import Stream
 from vibrocast.codec.threshold import PHYSICAL_UNITS, felt_error, over_threshold_db, read_threshold
 from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader
 from vibrocast.device_protocol.messages import Status
-from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import devices, player, uploader
 from vibrocast.host.controller import ControllerError
-from vibrocast.host.event_loop import run_all
 from vibrocast.host.limits import fitted
 from vibrocast.host.picture import Trace
 from vibrocast.host.report import ActuatorUse, DeviceDescription, Latency, Provenance, Report, Touch
@@ -27,8 +24,6 @@ from vibrocast.host.tracks import Track
 from vibrocast.output.actuator import SKIN_OVERSAMPLING, Actuator, Codes, followed_band_hz, octave_gains_db
 from vibrocast.output.rendering import Drive, displacement_filter, render
 from vibrocast.textures import Recording
-
-_Key = TypeVar("_Key", bound=Hashable)
 
 # Decoded samples of all channels and loops, positions that are not played included: 1.6 h at 2800 Hz. Computing the
 # same here takes about 80 bytes for each.
@@ -74,70 +69,27 @@ def play(
     progress: Callable[[player.Progress], None] | None = None,
     provenance: Provenance | None = None,
 ) -> Playback:
-    """Play a stream on one controller, as `play_together` does. Raises CodecError, and as `player.play`."""
-    tell = None if progress is None else lambda _, now: progress(now)
-    (played,) = play_together({None: session}, file_name, stream, encoding, loops, tell, provenance).values()
-    if isinstance(played, Exception):
-        raise played
-    return played
+    """Play a stream to its end on one controller, and return what it did. Raises CodecError, and as `player.play`.
 
-
-def play_together(
-    sessions: Mapping[_Key, Session],
-    file_name: str,
-    stream: Stream,
-    encoding: Encoding | None = None,
-    loops: int = 1,
-    progress: Callable[[_Key, player.Progress], None] | None = None,
-    provenance: Provenance | None = None,
-) -> dict[_Key, Playback | Exception]:
-    """Play a stream to its end on all controllers at once; return by key what each did, or why it failed.
-
-    Packets that are too long for a controller are split (`limits.fitted`). The decoded samples and the DAC codes are
+    Packets that are too long for the controller are split (`limits.fitted`). The decoded samples and the DAC codes are
     compared with those computed here. Both are read back from the controller, unless it captures nothing, or there
     would be more than MAX_COMPARED_SAMPLES: then nothing is compared, and the skin is computed from one pass. Nor is a
     capture compared that the controller overwrites before it is read. A simulated controller of this session gets the
     stream's model first.
     `encoding`: how the stream was made from a recording, None for a file that was coded before; the stream may have
-    another level (`Stream.with_gain`). `file_name`, `provenance`: for the report. Raises CodecError.
+    another level (`Stream.with_gain`). `file_name`, `provenance`: for the report.
     """
-    played: dict[_Key, Playback | Exception] = {}
-    works, sent, underruns_before = {}, {}, {}
-    for key, session in sessions.items():
-        controller = session.controller
-        try:
-            output_delay_s(stream.header, session.driven)
-            fitting = fitted(controller, stream)
-            if stream.image is not None:
-                uploader.provide(controller, session.address, stream.image)
-        except (ControllerError, TransportError, StreamError) as error:
-            played[key] = error
-            continue
-        sent[key] = fitting
-        underruns_before[key] = controller.sound_card.underruns if controller.sound_card else 0
-        settings = player.PlaybackSettings(
-            loops=loops,
-            capture=_unread_reason(session, fitting, loops) is None,
-            progress=progress and partial(progress, key),
-        )
-        works[key] = controller, player.play_steps(controller, fitting, settings)
-    offline = {each: each.decode_integers() for each in set(sent.values())}
-    for key, result in run_all(works).items():
-        if isinstance(result, Exception):
-            played[key] = result
-            continue
-        played[key] = _compared(
-            sessions[key],
-            file_name,
-            sent[key],
-            encoding,
-            loops,
-            offline[sent[key]],
-            result,
-            underruns_before[key],
-            provenance or Provenance(),
-        )
-    return {key: played[key] for key in sessions}
+    controller = session.controller
+    output_delay_s(stream.header, session.driven)
+    sent = fitted(controller, stream)
+    if stream.image is not None:
+        uploader.provide(controller, session.address, stream.image)
+    underruns_before = controller.sound_card.underruns if controller.sound_card else 0
+    settings = player.PlaybackSettings(
+        loops=loops, capture=_unread_reason(session, sent, loops) is None, progress=progress
+    )
+    result = controller.run(player.play_steps(controller, sent, settings))
+    return _compared(session, file_name, sent, encoding, loops, result, underruns_before, provenance or Provenance())
 
 
 def compared_track(
@@ -154,8 +106,7 @@ def compared_track(
         encoding = stream.finished()
         stream = encoding.stream
     stream = stream.with_gain(track.gain_db)
-    offline = stream.decode_integers()
-    return _compared(session, track.name, stream, encoding, loops, offline, result, card_underruns_before, provenance)
+    return _compared(session, track.name, stream, encoding, loops, result, card_underruns_before, provenance)
 
 
 def _compared(
@@ -164,16 +115,16 @@ def _compared(
     stream: Stream,
     encoding: Encoding | None,
     loops: int,
-    offline: NDArray[np.int16],
     result: player.PlaybackResult,
     underruns_before: int,
     provenance: Provenance,
 ) -> Playback:
     """Return what a controller did, compared with the same computed here.
 
-    `offline`: one pass, decoded here. `underruns_before`: of the sound card, before it played.
+    `underruns_before`: of the sound card, before it played.
     """
     header, driven = stream.header, session.driven
+    offline = stream.decode_integers()
     read_back = result.dac_codes is not None
     codes, _ = render(header, offline, stream.delay_samples, driven, loops=loops if read_back else 1)
     played_codes = result.dac_codes if result.dac_codes is not None else codes

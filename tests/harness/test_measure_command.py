@@ -55,6 +55,17 @@ def test_a_run_is_written_and_compared_with_itself_and_a_better_one(tmp_path: Pa
     assert f"error: not as in {earlier}: rough: SNR without the codec, dB (worse)" in worse.output
 
 
+def test_controllers_of_a_bench_play_at_once_and_each_as_computed(tmp_path: Path) -> None:
+    path = bench_file(tmp_path)
+    path.write_text('[[controllers]]\nname = "other"\naddress = "sim"\n' + path.read_text())
+    result = run("--bench", path, "--only", "together", "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    document = json.loads((tmp_path / "out" / "measured.json").read_text())
+    assert document["measured"]["together"] == [
+        {"name": name, "as_computed": True, "underruns": 0, "failure": None} for name in ("other", "it")
+    ]
+
+
 def test_a_missed_limit_fails_and_is_named_and_the_fitted_actuator_is_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
