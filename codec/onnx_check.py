@@ -32,7 +32,15 @@ _VARINT, _BYTES = 0, 2
 _Fields = Mapping[str, list[int | bytes]]
 
 # The fields that a message may have, by number. A name with a star may come several times.
-_MODEL = {1: "ir_version", 2: "producer", 3: "producer_version", 6: "description", 7: "graph", 8: "opset"}
+_MODEL = {
+    1: "ir_version",
+    2: "producer",
+    3: "producer_version",
+    6: "description",
+    7: "graph",
+    8: "opset",
+    14: "metadata*",
+}
 _OPSET = {1: "domain", 2: "version"}
 _GRAPH = {1: "node*", 2: "name", 5: "initializer*", 10: "description", 11: "input", 12: "output"}
 _NODE = {1: "input*", 2: "output", 3: "name", 4: "operator", 5: "attribute*"}

@@ -66,6 +66,18 @@ def graphs_of(model: Eva, lengths: Sequence[int] = PARITY_LENGTHS) -> Graphs:
     return Graphs(analysis, synthesis, *map(float, largest))
 
 
+def described(graph: bytes, rate_hz: float) -> bytes:
+    """Return a graph whose metadata state what another program needs to run it; examples/onnx_runtime.py does.
+
+    `rate_hz`: of the signals. `samples_per_column`: of latents. `scaling`: what a signal is divided by before the
+    analysis, and multiplied by after the synthesis. `latent_step`: the distance of the quantised latents.
+    """
+    model = onnx.load_from_string(graph)
+    stated = {"rate_hz": f"{rate_hz:g}", "samples_per_column": f"{HOP_SAMPLES}", "scaling": "rms", "latent_step": "1"}
+    onnx.helper.set_model_props(model, stated)
+    return bytes(model.SerializeToString(deterministic=True))
+
+
 def padded_noise(samples: int) -> NDArray[np.float32]:
     """Return white noise of RMS value 1 as a signal (1, 1, 16 n): `samples` of noise, then zeros."""
     noise = np.random.default_rng(samples).standard_normal(samples)

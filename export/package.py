@@ -14,7 +14,7 @@ from vibrocast.codec.interface import Signal
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.export.checkpoint import Checkpoint
 from vibrocast.export.configuration import parsed
-from vibrocast.export.graphs import Graphs, graphs_of
+from vibrocast.export.graphs import Graphs, described, graphs_of
 from vibrocast.export.pruning import living_latents, pruned
 from vibrocast.export.quantise import quantise
 
@@ -37,6 +37,7 @@ class Package:
     prior: PriorKind
     living: NDArray[np.intp]
     graphs: Graphs
+    rate_hz: int
     image: bytes
     full: bytes
 
@@ -45,8 +46,8 @@ class Package:
         """The files of the model's folder, except its card, by name."""
         return {
             f"{self.name}.vcmi": self.image,
-            "analysis.onnx": self.graphs.analysis,
-            "synthesis.onnx": self.graphs.synthesis,
+            "analysis.onnx": described(self.graphs.analysis, self.rate_hz),
+            "synthesis.onnx": described(self.graphs.synthesis, self.rate_hz),
         }
 
 
@@ -79,4 +80,5 @@ def make(
 
     # NAME-1, NAME-2, ... are a family: they have one lambda each, and make a curve together.
     family = re.sub(r"-\d+$", "", name)
-    return Package(name, version, family, contents, prior, living, graphs, packed(payload), packed(full))
+    rate_hz = checkpoint.training["training"]["rate_hz"]
+    return Package(name, version, family, contents, prior, living, graphs, rate_hz, packed(payload), packed(full))

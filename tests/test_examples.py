@@ -1,4 +1,4 @@
-"""The notebooks and the example for PsychoPy run, in copies of their folders; the notebooks hold no outputs."""
+"""The notebooks and other examples run, in copies of their folders; the notebooks hold no outputs."""
 
 import os
 import runpy
@@ -7,6 +7,9 @@ import sys
 from pathlib import Path
 
 import pytest
+
+import vibrocast
+from vibrocast import codec, textures
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"
@@ -51,6 +54,18 @@ def test_the_notebooks_hold_no_outputs() -> None:
         nbformat.validate(notebook)
         for cell in notebook.cells:
             assert not cell.get("outputs") and cell.get("execution_count") is None, f"clear the outputs of {path.name}"
+
+
+@pytest.mark.parametrize("name", ["eva-16-4", "eva-128-2"])
+def test_plain_onnx_runtime_has_the_quality_of_the_product(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = textures.load(EXAMPLES / "oak.wav")
+    stream = vibrocast.encode(recording, model=name, setting={"level": 1.0}, highpass_hz=None, touch=0)
+    product_db = codec.snr_db(recording.samples, stream.decode())
+    monkeypatch.setattr(sys, "argv", ["", str(ROOT / "models" / name), str(EXAMPLES / "oak.wav")])
+    runpy.run_path(str(EXAMPLES / "onnx_runtime.py"))
+    assert float(capsys.readouterr().out.split()[1]) == pytest.approx(product_db, abs=0.3)  # a stream rounds the scale
 
 
 @pytest.mark.slow
