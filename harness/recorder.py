@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from vibrocast.device_protocol.transports import SERIAL_FORM, TransportError, serial_port
 from vibrocast.files import atomic_write
-from vibrocast.harness.serial_sensor import Losses, SerialSensor
+from vibrocast.host.serial_sensor import Losses, SerialSensor
 from vibrocast.textures import LiveHighPass, TextureError, sidecar, wav
 from vibrocast.textures.recording import Signal
 from vibrocast.textures.sensitivity import EXAMPLES, Sensitivity
@@ -70,6 +70,10 @@ class AnalogueSensor:
             self.losses.add(self._frames / self.rate_hz, None)
         self._frames += len(samples)
         return samples[:, self._columns].astype(np.float64) * (self.full_scale or 1.0)
+
+    def introduction(self) -> list[str]:
+        """Return lines for people on what came first: none."""
+        return []
 
     def warnings(self) -> list[str]:
         """Return remarks for people: none."""

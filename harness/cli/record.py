@@ -6,6 +6,7 @@ import click
 
 from vibrocast import progress
 from vibrocast.errors import InputError
+from vibrocast.files import plain
 from vibrocast.harness import recorder
 from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import OutputFile, Whole, positive
@@ -61,8 +62,11 @@ def record(
     beside = sidecar.path_of(out)
     if beside.exists() and not sidecar.is_one(beside):
         raise click.UsageError(f"{beside} is another file than a sidecar; give OUT another name")
+    click.echo(plain(f"listening to {address}"), err=True)
     opened = recorder.open_source(address, sensitivity, volts_full_scale, axes=axes, rate_hz=rate_hz)
     with opened as source, progress.bar("recording", details_only=True) as update:
+        for line in source.introduction():
+            click.echo(plain(line), err=True)
         recorded = recorder.record(
             source,
             out,

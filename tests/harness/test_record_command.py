@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import sys
 import threading
@@ -16,7 +17,7 @@ import pytest
 
 from tests import command
 from tests.command import started, succeeds
-from tests.harness.test_serial_sensor import FACTS, description, frames, line
+from tests.host.test_serial_sensor import FACTS, description, frames, line
 from tests.sound_server import PAD, SoundServer
 from vibrocast import textures
 from vibrocast.output.actuator import Codes
@@ -103,13 +104,16 @@ def test_a_signal_ends_a_recording_and_keeps_it(tmp_path: Path, number: signal.S
     with sensor(lines) as address:
         process = started("record", "--input", address, path)
         assert process.stderr is not None
-        meter = process.stderr.readline()
+        told = [process.stderr.readline()]
+        while not told[-1].startswith("recording"):
+            told.append(process.stderr.readline())
         process.send_signal(number)
         out, rest = process.communicate(timeout=60)
     assert process.returncode == 0, rest
-    assert meter.startswith("recording 1 s")
-    assert " g " not in meter
-    assert "m/s^2" in meter
+    assert told[0] == f"listening to {address}\n"
+    assert re.fullmatch(r"  \d+,-?[\d.]+,0.000000,1.000000\n", told[2])
+    assert told[-2] == "understood as text: time in us; x, y, z in g; 1000 Hz\n"
+    assert re.match(r"recording \d+ s  x .* m/s\^2", told[-1])
     assert "channel(s)" in out
     assert textures.load(path).seconds > 0.5
 

@@ -1,6 +1,7 @@
 """Serial sensors: both formats, lost samples, and devices that send something else."""
 
 import struct
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -12,11 +13,12 @@ from numpy.typing import NDArray
 
 from vibrocast.device_protocol.frames import write_frame
 from vibrocast.device_protocol.transports import Closing, TransportError
-from vibrocast.harness import serial_sensor
-from vibrocast.harness.serial_sensor import (
+from vibrocast.host import serial_sensor
+from vibrocast.host.serial_sensor import (
     DESCRIPTION,
     MAX_LINE_BYTES,
     SAMPLES,
+    Clock,
     Description,
     Frames,
     Lines,
@@ -32,13 +34,15 @@ Counts = NDArray[Any]
 RATE_HZ = 1000
 G = 9.80665
 HEADER = b"# rate_hz=1000 unit=g axes=xyz\n"
+TRUE_TIMES = partial(Clock, [1000.0 * step for step in range(32)], 1.0, "PORT", None)
 
 
 class Port(Closing):
-    """Bytes that come in pieces, then nothing, and at last a broken cable."""
+    """Bytes that come in pieces, then nothing, and at last a broken cable. `now_s`: the time that passes meanwhile."""
 
-    def __init__(self, data: bytes, size: int = 1000, silence: int = 0) -> None:
+    def __init__(self, data: bytes, size: int = 1000, silence: int = 0, byte_s: float = 1 / 40_000) -> None:
         self.pieces = [data[start : start + size] for start in range(0, len(data), size)] + [b""] * silence
+        self.now_s, self._byte_s = 0.0, byte_s
 
     def write(self, data: bytes) -> None:
         raise AssertionError("a sensor is not written to")
@@ -46,7 +50,9 @@ class Port(Closing):
     def read(self, timeout_s: float) -> bytes:
         if not self.pieces:
             raise TransportError("serial port broke off")
-        return self.pieces.pop(0)
+        piece = self.pieces.pop(0)
+        self.now_s += len(piece) * self._byte_s if piece else timeout_s
+        return piece
 
     def reopen(self) -> None:
         raise AssertionError("a sensor is not opened again")
@@ -55,9 +61,10 @@ class Port(Closing):
         self.closed = True
 
 
-def opened(data: bytes, size: int = 1000, **options: Any) -> SerialSensor:
-    port = Port(data, size)
-    return SerialSensor("PORT", open_port=lambda name, baud: port, **options)
+def opened(data: bytes, size: int = 1000, line_s: float = 1e-3, silence: int = 0, **options: Any) -> SerialSensor:
+    """Open a sensor that sends a line in so many seconds."""
+    port = Port(data, size, silence, line_s * data.count(b"\n") / max(1, len(data)) or 1e-4)
+    return SerialSensor("PORT", open_port=lambda name, baud: port, clock=lambda: port.now_s, **options)
 
 
 def heard(sensor: SerialSensor, ends_as: str = "broke off") -> Signal:
@@ -158,7 +165,7 @@ def test_a_count_that_jumps_ends_the_recording(jump: int) -> None:
 def test_times_with_jitter_become_a_uniform_grid() -> None:
     jitter_us = np.random.default_rng(1).integers(-150, 151, 4000)
     times_us = (1000 * np.arange(4000) + jitter_us + 1000).tolist()
-    timed = TimedSamples(Lines(), RATE_HZ, 1000.0)
+    timed = TimedSamples(Lines(), RATE_HZ, TRUE_TIMES())
     timed._samples = np.zeros((0, 3))
     samples = timed.place(list(zip(times_us, map(tuple, signal(np.array(times_us) / 1e6).tolist()), strict=True)))
     grid_s = times_us[0] / 1e6 + np.arange(len(samples)) / RATE_HZ
@@ -203,7 +210,13 @@ def test_a_rate_that_is_not_stated_comes_from_the_times() -> None:
         (b"x" * 100_000, {}, "neither lines of samples nor frames; check the @BAUD"),
         (bytes(range(256)) * 400, {}, "neither lines of samples nor frames; check the @BAUD"),
         (frames(np.zeros((20_000, 3))), {}, "no frame that states its axes"),
-        (b"nan,nan,nan\n1,inf,nan,3\n" * 5000, {}, "neither lines of samples nor frames"),
+        (b"nan,nan,nan\n1,inf,nan,3\n" * 5000, {}, "lines that hold no samples: '1,inf,nan,3'"),
+        (b"1,,3\n" * 20_000, {}, "lines that hold no samples"),
+        (b"sensor not found\n" * 20_000, {}, "lines that hold no samples: 'sensor not found'"),
+        (b"1 2 3 4 5 6\n" * 3000, {}, "no axis is known: '1 2 3 4 5 6'"),
+        (b"volume: 1 tone: 2\n" * 3000, {}, "no axis is known"),
+        (b"ax:1 ay:2\nx:1 y:2\n" * 3000, {}, "several kinds of lines: 'x:1 y:2', 'ax:1 ay:2', 'x:1 y:2'; let it"),
+        (b"# unit=g\n" + b"1.5 2.5\n" * 3000, {}, "sends no time: '# unit=g', '1.5 2.5'"),
     ],
 )
 def test_a_wrong_sensor_is_rejected(
@@ -214,11 +227,13 @@ def test_a_wrong_sensor_is_rejected(
         opened(data, **options)
 
 
-def test_a_sensor_that_is_silent_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
-    now_s = iter(np.arange(0.0, 1000.0, 0.1).tolist())
-    monkeypatch.setattr("time.monotonic", lambda: next(now_s))
-    with pytest.raises(TransportError, match="sends nothing"):
-        SerialSensor("PORT", open_port=lambda name, baud: Port(b"", silence=1000))
+def test_a_sensor_that_is_silent_or_slow_is_rejected() -> None:
+    for data, error in (
+        (b"", "sends nothing"),
+        (b"# unit=g\n" + b"1 2 3\n" * 100, r"only 1\.\d lines a second.*: '# unit=g', '1 2 3'"),
+    ):
+        with pytest.raises(TransportError, match=error):
+            opened(data, size=6, line_s=0.6, silence=1000)
 
 
 def test_a_sensor_that_begins_to_send_rubbish_ends_the_recording() -> None:
@@ -232,6 +247,107 @@ def test_some_axes_may_be_chosen_and_are_put_in_order() -> None:
     header = b"# rate_hz=1000 unit=m/s^2 axes=zyx\n"
     assert heard(opened(header + values))[100] == pytest.approx([1.0, 2.0, 3.0])
     assert heard(opened(header + values, axes="z"))[100] == pytest.approx([3.0])
+
+
+def arduino(form: str, header: str = "# unit=g axes=xyz\n", burst: int = 1) -> bytes:
+    """Return 4 s of lines of a form at 800 Hz, read in bursts of so many samples, 60 us apart."""
+    times_us = np.asarray(1_000_000 + 1250.0 * np.arange(3200), np.float64)
+    read_us = times_us[np.arange(3200) // burst * burst] + np.arange(3200) % burst * 60 * (burst > 1)
+    facts = {"us": read_us, "ms": read_us // 1000, "s": read_us / 1e6, "ns": read_us * 1000, "count": np.arange(3200)}
+    x, y, z = signal(times_us / 1e6).T
+    rows = [
+        form.format(x=x[at], y=y[at], z=z[at], **{key: each[at] for key, each in facts.items()}) for at in range(3200)
+    ]
+    return (header + "\r\n".join(rows) + "\r\n").encode()
+
+
+@pytest.mark.parametrize(
+    ("form", "options", "understood"),
+    [
+        # millis()
+        ("{ms:.0f},{x:.4f},{y:.4f},{z:.4f}", {}, "time in ms of few digits, taken as evenly spaced; x, y, z in g"),
+        ("{ms:.0f} {x:.4f} {y:.4f} {z:.4f}", {"rate_hz": 800}, "time in ms"),
+        ("t={ms:.0f} ms, x={x:.4f}, y={y:.4f}, z={z:.4f}", {}, "time in ms"),
+        ("{s:.3f}, {x:.4f}, {y:.4f}, {z:.4f}", {}, "time in s of few digits"),
+        # separators
+        ("{us:.0f}\t{x:.4f}\t{y:.4f}\t{z:.4f}", {}, "time in us; x, y, z in g"),
+        ("{us:.0f}; {x:.4f}; {y:.4f}; {z:.4f};", {}, "time in us"),
+        ("{s:.6f}  {x:.4f}  {y:.4f}  {z:.4f}", {}, "time in s;"),
+        ("{ns:.0f} | {x:.4f} | {y:.4f} | {z:.4f}", {}, "time in ns;"),
+        ("[{us:.0f}, {x:.4f}, {y:.4f}, {z:.4f}]", {}, "time in us"),
+        # labels
+        ("x:{x:.4f},y:{y:.4f},z:{z:.4f}", {"rate_hz": 800}, "no time, taken as evenly spaced; x, y, z in g"),
+        ("X: {x:.4f}  Y: {y:.4f}  Z: {z:.4f}  g ", {"rate_hz": 800}, "no time"),
+        ("temp:20.5\taz:{z:.4f}\tay:{y:.4f}\tax:{x:.4f}\tgx:{y:.4f}\tmillis:{ms:.0f}", {}, "left out: temp, gx"),
+        ('{{"time_us":{us:.0f},"x":{x:.4f},"y":{y:.4f},"z":{z:.4f}}}', {}, "time in us"),
+        (
+            "Acceleration X: {x:.4f}, Y: {y:.4f}, Z: {z:.4f} g\nRotation X: {z:.4f}, Y: 1, Z: 2 rad/s\nLux: 7",
+            {"rate_hz": 800},
+            "no time",
+        ),
+        # no time
+        ("{x:.4f},{y:.4f},{z:.4f}", {"rate_hz": 800}, "no time"),
+        ("({x:.4f}, {y:.4f}, {z:.4f})", {"rate_hz": 800}, "no time"),
+        ("{count},{x:.4f},{y:.4f},{z:.4f}", {"rate_hz": 800}, "no time"),
+    ],
+)
+def test_usual_output_of_boards_is_read(form: str, options: dict[str, Any], understood: str) -> None:
+    data = arduino(form)
+    sensor = opened(data, line_s=4 / data.count(b"\n"), **options)
+    assert (sensor.rate_hz, sensor.unit, sensor.axes) == (800, "m/s^2", "xyz")
+    assert understood in sensor.understood
+    assert "# unit=g axes=xyz" in sensor.introduction()[0]
+    samples = heard(sensor)
+    assert len(samples) > 3000
+    assert sensor.losses.gaps == 0
+    assert_is_the_signal(samples)
+
+
+@pytest.mark.parametrize("burst", [5, 25, 32])
+@pytest.mark.parametrize("form", ["{us:.0f},{x:.4f},{y:.4f},{z:.4f}", "{ms:.0f} {x:.4f} {y:.4f} {z:.4f}"])
+def test_a_memory_of_samples_that_is_read_at_once_has_the_rate_of_its_samples(burst: int, form: str) -> None:
+    sensor = opened(arduino(form, burst=burst), line_s=1 / 800)
+    assert (sensor.rate_hz, sensor.axes) == (800, "xyz")
+    assert "taken as evenly spaced" in sensor.understood
+    samples = heard(sensor)
+    assert sensor.losses.gaps == 0
+    assert_is_the_signal(samples)
+
+
+def test_samples_that_are_lost_between_times_in_ms_are_counted() -> None:
+    lines = arduino("{ms:.0f},{x:.4f},{y:.4f},{z:.4f}").splitlines(keepends=True)
+    sensor = opened(b"".join(lines[:2000] + lines[2040:]), line_s=1 / 800)
+    heard(sensor)
+    assert sensor.losses.gaps == 1
+    assert sensor.losses.samples == pytest.approx(40, abs=1)
+
+
+def test_a_header_that_a_board_prints_names_the_columns() -> None:
+    sensor = opened(
+        arduino("{ms:.0f},20.5,{x:.4f},{y:.4f},{z:.4f}", "boot\nmillis,temp,ax,ay,az\n# unit=g\n"), line_s=1 / 800
+    )
+    assert "time in ms" in sensor.understood
+    assert sensor.understood.endswith("x, y, z in g; 800 Hz; left out: temp")
+
+
+def test_a_unit_behind_the_numbers_is_taken_and_a_missing_rate_is_asked_for() -> None:
+    form = "X: {x:.2f}  Y: {y:.2f}  Z: {z:.2f}  m/s^2 "
+    assert opened(arduino(form, ""), line_s=1 / 800, rate_hz=800).description.unit == "m/s^2"
+    with pytest.raises(TextureError, match=r"give `rate_hz`; about 8\d\d lines came in a second"):
+        opened(arduino(form, ""), line_s=1 / 800)
+    with pytest.raises(TransportError, match=r"gives its rate as 1600 Hz, and its lines say 8\d\d"):
+        opened(arduino(form, ""), line_s=1 / 800, rate_hz=1600)
+
+
+def assert_is_the_signal(samples: Signal) -> None:
+    """Assert that samples at 800 Hz are those of `signal`, in m/s^2, up to where they begin."""
+    times_s = np.arange(len(samples) - 400) / 800
+    tones = np.concatenate([f(2 * np.pi * np.outer(times_s, [20.0, 31.0, 43.0])) for f in (np.sin, np.cos)], axis=1)
+    design = np.column_stack([tones, np.ones(len(tones))])
+    recorded = samples[400:] / G
+    fitted = design @ np.linalg.lstsq(design, recorded, rcond=None)[0]
+    assert np.sqrt(np.mean(np.square(recorded - fitted))) < 0.02
+    assert np.abs(fitted[:, 0]).max() == pytest.approx(1.0, abs=0.03)
 
 
 @given(st.lists(st.one_of(st.binary(max_size=400), st.sampled_from([b"\n", HEADER, b"1,2,3,4\n", b"9,1e5\n"]))))
@@ -287,12 +403,12 @@ def test_numbered_samples_are_as_many_as_the_numbers_say(pieces: list[tuple[int,
 @given(st.lists(st.integers(1, 60_000), min_size=8, max_size=60), st.integers(1, 9))
 def test_timed_samples_do_not_depend_on_the_pieces(steps_us: list[int], size: int) -> None:
     times_us = np.cumsum(steps_us).tolist()
-    samples: list[tuple[int, tuple[float, ...]]] = [
+    samples: list[tuple[float, tuple[float, ...]]] = [
         (time_us, (float(index % 7),)) for index, time_us in enumerate(times_us)
     ]
 
     def placed(parts: list[int]) -> Signal:
-        timed = TimedSamples(Lines(), RATE_HZ, 1000.0)
+        timed = TimedSamples(Lines(), RATE_HZ, TRUE_TIMES())
         timed._samples = np.zeros((0, 1))
         return np.concatenate([timed.place(samples[start:stop]) for start, stop in pairwise(parts)])
 

@@ -1,0 +1,907 @@
+"""Serial accelerometers: reads lines of text and binary frames (docs/reference/serial_sensors.md)."""
+
+import math
+import re
+import struct
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from vibrocast.device_protocol.frames import FrameReader
+from vibrocast.device_protocol.transports import BAUD, Closing, SerialTransport, Transport, TransportError
+from vibrocast.files import plain
+from vibrocast.textures import INPUT_UNITS, TextureError, sidecar
+from vibrocast.textures.recording import Signal
+from vibrocast.textures.sensitivity import Sensitivity
+from vibrocast.textures.text import OTHER_SPELLINGS, known_unit
+
+MAX_LINE_BYTES = 200
+MAX_CHANNELS = 3
+MAX_RATE_HZ = 100_000
+MAX_FILLED_S = 1.0
+"""Lost samples are interpolated over so much; after a longer gap, a recording ends."""
+DESCRIPTION, SAMPLES = 1, 2
+"""The first byte of a binary frame: says what it holds."""
+
+_SILENT_S = 5.0  # opening the port restarts some boards, which then need seconds
+_UNKNOWN_BYTES = 1 << 16  # of which nothing was understood
+_STATED_WITHIN_S = 2.0  # a sensor of text should repeat its comment every second
+_LINES = 8  # of one form make it text
+_FRAMES = 2  # make it binary
+_MEASURED_S = 1.0  # by this computer's clock, or by the times
+_MEASURED_LINES = 32
+_MAX_MEASURED_LINES = 20_000
+_MAX_NUMBERS = 16  # in a line
+_SHOWN_LINES, _SHOWN_CHARACTERS = 3, 60
+_MAX_BAD_LINES = 200  # in a row
+_LEAST_BURSTS = 3
+_RATE_TOLERANCE = 0.05  # the clocks of accelerometers are that inaccurate
+_GAP_STEPS = 1.5
+_WRAP = 1 << 32  # of micros() and millis() on a board
+_US = {"s": 1e6, "ms": 1e3, "us": 1.0, "ns": 1e-3}
+_COUNT_TOLERANCE = 0.05  # a count of samples that steps by 1 is no time in ms unless 1000 a second come
+_COARSE = 0.1  # times of fewer digits, in periods, are smoothed
+_BURST = 0.5  # lines come in bursts if most steps are shorter than this part of the mean
+_ARRIVAL_TOLERANCE = 0.25  # of the lines that come in a second, by this computer's clock
+_SMOOTHING = 1 / 16
+_MAX_PLACES = 100
+_MAX_VALUE = 1e9
+
+_NUMBER = re.compile(r"(?<![\w.^/])[+-]?(?:\d{1,20}\.?\d{0,20}|\.\d{1,20})(?:[eE][+-]?\d{1,2})?(?=[^\d.]|$)(?!\.)")
+_BRACKETS = str.maketrans(dict.fromkeys("(){}[]\"'", " "))
+_FACT = re.compile(r"(\w+)\s*=\s*(\S+)")
+
+
+@dataclass(frozen=True)
+class Description:
+    """The facts that a sensor states of its samples; None = not stated.
+
+    Attributes:
+        rate_hz: Samples per second, a whole number.
+        unit: One of INPUT_UNITS.
+        counts_per_unit: The number that it sends for one `unit`.
+        full_scale: The highest value that it can measure, in `unit`.
+        axes: One small letter of x, y and z for each channel.
+    """
+
+    rate_hz: int | None = None
+    unit: str | None = None
+    counts_per_unit: float | None = None
+    full_scale: float | None = None
+    axes: str | None = None
+
+    def with_facts(self, text: str) -> "Description":
+        """Return this description with those of a text such as `rate_hz=3200 unit=g axes=xyz`.
+
+        Words without a known name are comments. Raises TransportError for wrong values, and for changed ones.
+        """
+        given: dict[str, int | float | str] = {}
+        known = [each.name for each in fields(self)]
+        for name, value in _FACT.findall(text):
+            if name in known:
+                given[name] = _fact(name, value)
+        for name, fact in given.items():
+            if getattr(self, name) not in (None, fact):
+                raise TransportError(
+                    f"the sensor states {name}={getattr(self, name)}, and then {name}={fact}; correct its program"
+                )
+        return replace(self, **given)  # type: ignore[arg-type]
+
+
+def _fact(name: str, text: str) -> int | float | str:
+    try:
+        if name == "unit":
+            unit = known_unit(text, "unit")
+            if INPUT_UNITS[unit][0] == "full scale":
+                raise ValueError
+            return unit
+        if name == "axes":
+            if not sidecar.is_axes("".join(sorted(text))):
+                raise ValueError
+            return text.lower()
+        number = float(text)
+        if name == "rate_hz" and (number != int(number) or number > MAX_RATE_HZ):
+            raise ValueError
+        if not 1 / _MAX_VALUE < number < _MAX_VALUE:
+            raise ValueError
+    except (ValueError, OverflowError):
+        raise TransportError(
+            f"the sensor states {name}={plain(text[:40])}, which cannot be; correct its program"
+        ) from None
+    return int(number) if name == "rate_hz" else number
+
+
+@dataclass
+class Losses:
+    """Lost samples of a recording. `places`: start in s and number of samples, None = unknown; only the first ones."""
+
+    gaps: int = 0
+    samples: int = 0
+    places: list[tuple[float, int | None]] = field(default_factory=list)
+
+    def add(self, at_s: float, samples: int | None) -> None:
+        """Note a gap."""
+        self.gaps += 1
+        self.samples += samples or 0
+        if len(self.places) < _MAX_PLACES:
+            self.places.append((round(at_s, 4), samples))
+
+
+def axis_of(name: str) -> str:
+    """Return the axis of an accelerometer that a name states, x, y or z; empty for any other name."""
+    match = re.fullmatch(r"(?:accelerometer|acceleration|accel|acc|a|linear)?[ _.]*([xyz])", name.lower())
+    return match[1] if match else ""
+
+
+def is_time(name: str) -> bool:
+    """Return whether a name is that of a time."""
+    return bool(re.search(r"time|stamp|\b(?:t|millis|micros)\b", name.lower()))
+
+
+def spelt(text: str) -> str | None:
+    """Return the unit that a text is, None for any other text."""
+    text = OTHER_SPELLINGS.get(text, text)
+    return text if text in INPUT_UNITS or text in _US else None
+
+
+def name_and_unit(name: str) -> tuple[str, str | None]:
+    """Return a name without its unit, and the unit: `time_ms`, `ms`."""
+    for unit in (*_US, *INPUT_UNITS):
+        if name.endswith(f"_{unit}"):
+            return name[: -len(unit) - 1], unit
+    return name, spelt(name)
+
+
+class Form(NamedTuple):
+    """The name and the unit of each number in a line; "" = none."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+
+
+def read_line(text: str) -> tuple[Form, tuple[float, ...]] | None:
+    """Return the form of a line and its numbers, None where a field holds no number or two.
+
+    Numbers stand between commas, semicolons, tabs, blanks, brackets or quotes. A name may stand before a number, and a
+    unit behind it: `12,0.1,0.2`, `x:0.1 y:0.2`, `X: 0.04  Y: 0.12  m/s^2`.
+    """
+    between, values, end = [], [], 0
+    text = text.translate(_BRACKETS)
+    for match in _NUMBER.finditer(text):
+        between.append(text[end : match.start()])
+        values.append(float(match[0]))
+        end = match.end()
+    between.append(text[end:])
+    if not 0 < len(values) <= _MAX_NUMBERS:
+        return None
+    names, units = [], []
+    for place, each in enumerate(between):
+        parts = [part.strip(" :=") for part in re.split(r" *[,;|] *|\t+", each)]
+        if len(parts) == 1 and place:
+            first, _, rest = parts[0].partition(" ")
+            parts = [first, rest.strip(" :=")] if spelt(first) else ["", *parts]
+        unit, name = parts if place and len(parts) == 2 else ("", "".join(parts))
+        if len(parts) > 2 or not all(re.fullmatch(r"(?:[^\W\d]|[%°]).*|", part) for part in parts):
+            return None
+        units.append(unit or name if place == len(values) else unit)
+        names.append(name)
+    return Form(tuple(names[:-1]), tuple(units[1:])), tuple(values)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the numbers of a line belong.
+
+    `time`: the column of the time, None = there is none, and `us`: one of its counts in us. `columns`: of the channels,
+    with their `axes` as far as they are named, and their `unit`. `left_out`: names of the other columns.
+    """
+
+    form: Form
+    time: int | None
+    us: float
+    columns: tuple[int, ...]
+    axes: str
+    unit: str | None
+    left_out: tuple[str, ...]
+
+    def sample(self, values: tuple[float, ...]) -> tuple[float, tuple[float, ...]]:
+        """Return the time in us, NaN without one, and the values of the channels."""
+        time_us = math.nan if self.time is None else values[self.time] * self.us
+        return time_us, tuple(values[column] for column in self.columns)
+
+
+class Lines:
+    """Finds samples in lines of text; holds at most one line, whatever arrives.
+
+    `settle` chooses the form of line whose numbers are samples; before that, rows are gathered. `shown`: the first
+    lines. `bad`: lines that were neither samples nor comments, without the first line. `bad_in_a_row`: how many of
+    these have come since the last sample. `channels`: of a sample.
+    """
+
+    def __init__(self) -> None:
+        self.description = Description()
+        self.shown: list[str] = []
+        self.layout: Layout | None = None
+        self.bad = self.bad_in_a_row = 0
+        self.channels = 0
+        self._rows: dict[Form, list[tuple[float, ...]]] = {}
+        self._arrivals_s: dict[Form, list[float]] = {}
+        self._headers: dict[int, tuple[str, ...]] = {}
+        self._pending = bytearray()
+        self._whole = False  # the first line may have begun before the port was open
+
+    @property
+    def gathered(self) -> int:
+        """How many rows of one form there are, 0 while they are too few to be text."""
+        most = max(map(len, self._rows.values()), default=0)
+        return most if most >= _LINES else 0
+
+    def feed(self, data: bytes, now_s: float = 0.0) -> list[tuple[float, tuple[float, ...]]]:
+        """Take bytes that arrived at a time; return the times in us and values of the lines that they complete.
+
+        None before `settle`. Raises TransportError for a comment that states wrong facts.
+        """
+        samples = []
+        *closed, rest = data.split(b"\n")
+        for piece in closed:
+            self._keep(piece)
+            line, whole = bytes(self._pending), self._whole
+            self._pending.clear()
+            self._whole = True
+            if (whole or line.startswith(b"#")) and (sample := self._sample(line, now_s)):
+                samples.append(sample)
+        self._keep(rest)
+        return samples
+
+    def _keep(self, piece: bytes) -> None:
+        # Keep one byte more than the longest line, as a mark that the line is too long.
+        self._pending += piece[: MAX_LINE_BYTES + 1 - len(self._pending)]
+
+    def _sample(self, line: bytes, now_s: float) -> tuple[float, tuple[float, ...]] | None:
+        text = line.decode("utf-8", "replace").strip()
+        if not text:
+            return None
+        if len(self.shown) < _SHOWN_LINES:
+            self.shown.append(text[:_SHOWN_CHARACTERS])
+        if text.startswith("#") and len(line) <= MAX_LINE_BYTES:
+            self.description = self.description.with_facts(text)
+            return None
+        row = read_line(text) if len(line) <= MAX_LINE_BYTES else None
+        if row is not None and self.layout is None:
+            form, values = row
+            self._rows.setdefault(form, []).append(values)
+            self._arrivals_s.setdefault(form, []).append(now_s)
+            return None
+        if row is not None and self.layout is not None and row[0] == self.layout.form:
+            sample = self.layout.sample(row[1])
+            if max(map(abs, sample[1])) <= _MAX_VALUE:
+                self.bad_in_a_row = 0
+                return sample
+        elif row is not None and len(self._rows.get(row[0], ())) >= _LINES:
+            return None  # of another measurement
+        elif self.layout is None and len(line) <= MAX_LINE_BYTES:
+            names = tuple(re.split(r"\s*[,;\t]\s*|\s+", text))
+            if any(axis_of(name) for name in names):
+                self._headers[len(names)] = names
+        self.bad += 1
+        self.bad_in_a_row += 1
+        return None
+
+    def settle(self, name: str) -> list[tuple[float, tuple[float, ...]]]:
+        """Choose the form of the samples, and return those so far. `name`: of the sensor.
+
+        Raises TransportError where no form, or more than one, holds an acceleration or a displacement.
+        """
+        layouts = [self._layout(form) for form, rows in self._rows.items() if len(rows) >= _LINES]
+        most = max(len(layout.axes) for layout in layouts)
+        chosen = [layout for layout in layouts if len(layout.axes) == most]
+        chosen = [layout for layout in chosen if layout.unit] or chosen
+        chosen = [layout for layout in chosen if 0 < len(layout.columns) <= MAX_CHANNELS]
+        if len(chosen) != 1:
+            problem = "sends several kinds of lines" if chosen else "sends lines in which no axis is known"
+            raise TransportError(
+                f"{name} {problem}: {self.told()}; let it send a time and up to {MAX_CHANNELS} numbers in each line, "
+                "or name them: x:0.1,y:0.2,z:0.9"
+            )
+        self.layout = layout = chosen[0]
+        self.channels = len(layout.columns)
+        if layout.unit is not None and self.description.unit is None:
+            self.description = replace(self.description, unit=layout.unit)
+        return [layout.sample(values) for values in self._rows[layout.form]]
+
+    def told(self) -> str:
+        """Return the first lines, for people."""
+        return ", ".join(f"'{plain(line)}'" for line in self.shown) or "no line"
+
+    def per_second(self) -> float:
+        """Return how many of the lines with samples came in a second; infinite where they came at once."""
+        arrivals_s = self._arrivals_s[self.layout.form] if self.layout else [0.0]
+        elapsed_s = arrivals_s[-1] - arrivals_s[0]
+        return sum(each > arrivals_s[0] for each in arrivals_s) / elapsed_s if elapsed_s else math.inf
+
+    def _layout(self, form: Form) -> Layout:
+        """Return where the numbers of lines of a form belong."""
+        count = len(form.names)
+        own = [
+            name_and_unit(name) for name in (form.names if any(form.names) else self._headers.get(count, form.names))
+        ]
+        names = [name for name, _ in own]
+        units = [spelt(unit or "") or stated for unit, (_, stated) in zip(form.units, own, strict=True)]
+        time, us = self._time(form, names, units)
+        others = [column for column in range(count) if column != time]
+        axes = {column: axis for column in others if (axis := axis_of(names[column]))}
+        if len(set(axes.values())) < len(axes):
+            axes = {}
+        columns = sorted(axes, key=axes.__getitem__) if axes else [] if any(names) and len(others) > 1 else others
+        found = {unit for column in columns if (unit := units[column]) in INPUT_UNITS}
+        if units[-1] in INPUT_UNITS:
+            found.add(units[-1])
+        left_out = tuple(names[column] or f"column {column + 1}" for column in others if column not in columns)
+        unit = found.pop() if len(found) == 1 else None
+        return Layout(
+            form,
+            time if us else None,
+            us,
+            tuple(columns),
+            "".join(axes[each] for each in axes and columns),
+            unit,
+            left_out,
+        )
+
+    def _time(self, form: Form, names: list[str], units: list[str | None]) -> tuple[int | None, float]:
+        """Return the column of the time, and one of its counts in us; None where there is none, 0 if it counts lines.
+
+        Without a name, it is the first column if that rises. Without a unit, this computer's clock tells it.
+        """
+        rows, count = np.array(self._rows[form]), len(names)
+        axes = len(self.description.axes or "")
+        named = [column for column in range(count) if is_time(names[column]) or units[column] in _US]
+        if len(named) > 1 or (named and count == 1):
+            named = named[:1] if count > 1 else []
+        time = named[0] if named else 0 if count > 1 and not names[0] else None
+        if time is None or (not named and axes == count):
+            return None, 0.0
+        steps = np.diff(rows[:, time])
+        if not named and axes != count - 1 and (steps < 0).any() | (not steps.any()):
+            return None, 0.0
+        if units[time] in _US:
+            return time, _US[units[time] or ""]
+        elapsed_us = 1e6 * (self._arrivals_s[form][-1] - self._arrivals_s[form][0])
+        counts = rows[-1, time] - rows[0, time]
+        if not (elapsed_us > 0 and counts > 0):
+            return time, 1.0
+        us = min(_US.values(), key=lambda each: abs(math.log(each * counts / elapsed_us)))
+        is_count = bool((steps == 1).all()) and us == _US["ms"] and abs(us * counts / elapsed_us - 1) > _COUNT_TOLERANCE
+        return time, 0.0 if is_count else us
+
+
+class Clock:
+    """Turns the times of lines into those of a clock that rises evenly, in us.
+
+    True times stay as they are, except that boards begin again at 2^32. Times that are whole ms, or those at which a
+    sensor's memory was read in bursts, are smoothed by a critically damped phase-locked loop of the second order (F. M.
+    Gardner, Phaselock Techniques, 2005, chapter 2). It follows the first line behind each long step. Lines without a
+    time are a period apart.
+
+    Attributes:
+        period_us: From one sample to the next.
+        kind: In words, for people.
+    """
+
+    def __init__(self, times_us: Sequence[float], us: float, name: str, rate_hz: int | None) -> None:
+        """`times_us`: the first ones, NaN = none. `us`: of one count.
+
+        Raises TransportError for times that do not rise.
+        """
+        self._wrap_us = _WRAP * us
+        self._wraps_us = 0.0
+        self._before_us = self._now_us = self._offset_us = math.nan
+        self._rows = 0
+        if math.isnan(times_us[0]):
+            assert rate_hz is not None, "asked for"
+            self.period_us, self.kind, self._begins_us = 1e6 / rate_hz, "no time, taken as evenly spaced", math.inf
+            return
+        steps_us = np.diff(times_us)
+        steps_us[steps_us < -self._wrap_us / 2] += self._wrap_us
+        mean_us, median_us = float(np.mean(steps_us)), float(np.median(steps_us))
+        if mean_us < 1e6 / MAX_RATE_HZ:
+            raise TransportError(f"{name}: its times do not rise; correct its program")
+        in_bursts = median_us < _BURST * mean_us
+        self.kind = f"time in {next(unit for unit, each in _US.items() if each == us)}"
+        self._begins_us = 0.0
+        if not in_bursts and _resolution(np.asarray(times_us) / us) * us <= _COARSE * mean_us:
+            self.period_us = float(np.mean(steps_us[(steps_us > 0) & (steps_us <= _GAP_STEPS * median_us)]))
+            return
+        self.kind += (" in bursts" if in_bursts else " of few digits") + ", taken as evenly spaced"
+        self._begins_us = 0.99 * mean_us
+        rows = np.flatnonzero(steps_us >= self._begins_us) + 1
+        if len(rows) < _LEAST_BURSTS:
+            raise TransportError(f"{name}: its times come in bursts of over 0.3 s; let it send its samples more often")
+        at_us = np.cumsum(steps_us)[rows - 1]
+        self.period_us = float((at_us[-1] - at_us[0]) / (rows[-1] - rows[0]))
+        errors_us = at_us - at_us[0] - self.period_us * (rows - rows[0])
+        self._limit_us = float(np.max(np.abs(errors_us))) + _GAP_STEPS * self.period_us
+
+    def __call__(self, time_us: float) -> float:
+        """Return the time of the next line."""
+        if time_us + self._wraps_us - self._before_us < -self._wrap_us / 2 and self._before_us < self._wrap_us:
+            self._wraps_us += self._wrap_us
+        time_us += self._wraps_us
+        step_us, self._before_us = time_us - self._before_us, time_us
+        if not self._begins_us:
+            return time_us
+        if math.isnan(self._now_us):
+            self._now_us = 0.0 if math.isnan(time_us) else time_us
+            return self._now_us
+        self._now_us += self.period_us
+        self._rows += 1
+        if step_us >= self._begins_us:
+            if math.isnan(self._offset_us):
+                self._offset_us = time_us - self._now_us
+            error_us = time_us - self._now_us - self._offset_us
+            if abs(error_us) > self._limit_us:
+                self._now_us += error_us
+            else:
+                self._now_us += _SMOOTHING * error_us
+                self.period_us += _SMOOTHING**2 / 4 * error_us / self._rows
+            self._rows = 0
+        return self._now_us
+
+
+def _resolution(counts: Signal) -> float:
+    """Return the smallest step that times (n,) can show by their digits, down to 1e-9."""
+    for digits in range(10):
+        scaled = counts * 10.0**digits
+        if np.all(np.abs(scaled - np.rint(scaled)) < 1e-3):
+            return 10.0**-digits
+    return 0.0
+
+
+class Frames:
+    """Finds samples in binary frames; holds at most one frame, whatever arrives. `bad`: frames that were damaged."""
+
+    def __init__(self) -> None:
+        self.description = Description()
+        self.found = 0
+        self._reader = FrameReader()
+        self._wrong = 0
+
+    @property
+    def bad(self) -> int:
+        """How many frames were damaged, or of a wrong length."""
+        return self._reader.bad_frames + self._wrong
+
+    def feed(self, data: bytes) -> list[tuple[int, Signal]]:
+        """Take bytes that arrived; return the number of the first sample and the samples (n, channels) of each frame.
+
+        Frames before a description with axes are left out. Raises TransportError for a description with wrong facts.
+        """
+        pieces = []
+        for payload in self._reader.feed(data):
+            kind, content = payload[0], payload[1:]
+            if kind == DESCRIPTION:
+                self.description = self.description.with_facts(content.decode("ascii", "replace"))
+            elif kind == SAMPLES:
+                self.found += 1
+                width = 2 * len(self.description.axes or "")
+                if not width:
+                    continue
+                if len(content) <= 4 or (len(content) - 4) % width:
+                    self._wrong += 1
+                    continue
+                (number,) = struct.unpack_from("<I", content)
+                pieces.append((number, np.frombuffer(content[4:], "<i2").reshape(-1, width // 2).astype(np.float64)))
+            else:
+                self._wrong += 1
+        return pieces
+
+
+class NumberedSamples:
+    """Puts samples of binary frames, whose numbers count them, on a uniform grid.
+
+    A gap is interpolated from its two ends. `losses`: the samples that were lost.
+    """
+
+    def __init__(self, frames: Frames, rate_hz: int) -> None:
+        self.losses = Losses()
+        self._frames, self._rate_hz = frames, rate_hz
+        self._expected: int | None = None
+        self._last = np.zeros(0)
+        self._placed = 0
+        self._bad_before = frames.bad
+
+    def feed(self, data: bytes) -> Signal:
+        """Take bytes that arrived; return the samples (n, channels) that are now known. Raises TransportError."""
+        return self.place(self._frames.feed(data))
+
+    def place(self, pieces: list[tuple[int, Signal]]) -> Signal:
+        """Return the samples of frames in a row, those of gaps between them filled in. Raises TransportError."""
+        placed = [np.zeros((0, len(self._frames.description.axes or "")))]
+        for number, samples in pieces:
+            missing = 0 if self._expected is None else (number - self._expected) % 2**32
+            if missing > MAX_FILLED_S * self._rate_hz:
+                raise TransportError(
+                    f"the sensor's count of samples jumps from {self._expected} to {number}, which is more than "
+                    f"{MAX_FILLED_S:g} s; check its cable and that it does not restart"
+                )
+            if missing:
+                self.losses.add(self._placed / self._rate_hz, missing)
+                part = np.arange(1, missing + 1)[:, None] / (missing + 1)
+                placed.append(self._last + part * (samples[0] - self._last))
+            placed.append(samples)
+            self._placed += missing + len(samples)
+            self._expected = (number + len(samples)) % 2**32
+            self._last = samples[-1]
+        return np.concatenate(placed)
+
+    def warnings(self) -> list[str]:
+        """Return remarks on the stream, for people."""
+        damaged = self._frames.bad - self._bad_before
+        return [f"{damaged} damaged frame(s)"] if damaged else []
+
+
+class TimedSamples:
+    """Puts samples of lines on a uniform grid, interpolated from their times. `losses`: the samples that were lost.
+
+    Between samples by the cubic polynomial with the parabolic slope at either end (C. de Boor, A Practical Guide to
+    Splines, 1978, chapter IV: Bessel interpolation), over gaps by a line.
+    """
+
+    def __init__(self, lines: Lines, rate_hz: int, clock: Clock) -> None:
+        self.losses = Losses()
+        self.worst_jitter_us = 0.0
+        self._lines, self._rate_hz, self._clock, self._period_us = lines, rate_hz, clock, clock.period_us
+        self._times_us = np.zeros(0)  # since the first sample; the last ones, whose surroundings are not all known
+        self._samples = np.zeros((0, lines.channels))
+        self._first_us: float | None = None
+        self._last_us = 0.0
+        self._placed = 0
+        self._late = self._all_late = 0
+        self._squares = 0.0
+        self._steps = 0
+        self._bad_before = lines.bad
+        self._slowest_hz = self._fastest_hz = 1e6 / clock.period_us
+        self._second: list[float] = []
+
+    def feed(self, data: bytes) -> Signal:
+        """Take bytes that arrived; return the samples (n, channels) that are now known. Raises TransportError."""
+        found = self._lines.feed(data)
+        if self._lines.bad_in_a_row > _MAX_BAD_LINES:
+            raise TransportError(
+                f"the sensor has sent {self._lines.bad_in_a_row} lines in a row that hold no sample; check its "
+                "program, its cable and the @BAUD of its address"
+            )
+        return self.place(found)
+
+    def place(self, found: list[tuple[float, tuple[float, ...]]]) -> Signal:
+        """Return the samples on the grid that further lines determine. Raises TransportError."""
+        times_us, samples = [], []
+        for stated_us, values in found:
+            time_us = self._clock(stated_us)
+            if self._first_us is None:
+                self._first_us = self._last_us = time_us
+            else:
+                step_us = time_us - self._last_us
+                if step_us > 1e6 * MAX_FILLED_S:
+                    raise TransportError(
+                        f"the sensor's time jumps by {step_us / 1e6:g} s; check its cable and that it does not restart"
+                    )
+                if step_us <= 0:
+                    self._late += 1
+                    self._all_late += 1
+                    if self._late > _MAX_BAD_LINES:
+                        raise TransportError("the sensor's time runs back; check that it does not restart")
+                    continue
+                self._late = 0
+                self._note_step(step_us, time_us - self._first_us)
+                self._last_us = time_us
+            times_us.append(time_us - self._first_us)
+            samples.append(values)
+        if not samples:
+            return self._samples[:0]
+        self._times_us = np.concatenate((self._times_us, times_us))
+        self._samples = np.concatenate((self._samples, np.asarray(samples, np.float64)))
+        if len(self._times_us) < 4:
+            return self._samples[:0]
+        return self._interpolated()
+
+    def _note_step(self, step_us: float, now_us: float) -> None:
+        steps = step_us / self._period_us
+        if steps > _GAP_STEPS:
+            self.losses.add((now_us - step_us) / 1e6, max(1, round(steps) - 1))
+            return
+        jitter_us = abs(step_us - self._period_us)
+        self.worst_jitter_us = max(self.worst_jitter_us, jitter_us)
+        self._squares += jitter_us**2
+        self._steps += 1
+        self._second.append(step_us)
+        if len(self._second) >= self._rate_hz:
+            # Slow drift of the sensor's clock is no jitter.
+            rate_hz = 1e6 * len(self._second) / sum(self._second)
+            self._slowest_hz, self._fastest_hz = min(self._slowest_hz, rate_hz), max(self._fastest_hz, rate_hz)
+            self._period_us = 1e6 / rate_hz
+            self._second.clear()
+
+    def _interpolated(self) -> Signal:
+        """Return the grid up to the last but one sample, whose slope is known, and forget what it needs no more."""
+        t, x = self._times_us, self._samples
+        step_us = 1e6 / self._rate_hz
+        end = math.floor(t[-2] / step_us) + 1
+        grid_us = step_us * np.arange(self._placed, max(end, self._placed))
+        h = np.diff(t)[:, None]
+        secants = np.diff(x, axis=0) / h
+        slopes = np.concatenate(
+            (secants[:1], (h[1:] * secants[:-1] + h[:-1] * secants[1:]) / (h[1:] + h[:-1]), secants[-1:])
+        )
+        at = np.clip(np.searchsorted(t, grid_us, side="right") - 1, 0, len(h) - 1)
+        part = (grid_us - t[at])[:, None] / h[at]
+        slope_before, slope_after = slopes[at], slopes[at + 1]
+        gap = h[at] > _GAP_STEPS * self._period_us
+        slope_before, slope_after = np.where(gap, secants[at], slope_before), np.where(gap, secants[at], slope_after)
+        # The cubic Hermite polynomial of both values and slopes.
+        result: Signal = (
+            (1 + 2 * part) * (1 - part) ** 2 * x[at]
+            + part**2 * (3 - 2 * part) * x[at + 1]
+            + h[at] * part * (1 - part) * ((1 - part) * slope_before - part * slope_after)
+        )
+        self._placed = max(end, self._placed)
+        keep = max(0, int(np.searchsorted(t, step_us * self._placed, side="right")) - 2)
+        self._times_us, self._samples = t[keep:], x[keep:]
+        return result
+
+    def warnings(self) -> list[str]:
+        """Return remarks on the stream, for people."""
+        remarks = []
+        if damaged := self._lines.bad - self._bad_before:
+            remarks.append(f"{damaged} line(s) without a sample")
+        if self._all_late:
+            remarks.append(f"{self._all_late} line(s) whose time did not rise")
+        if self._fastest_hz > (1 + _RATE_TOLERANCE) * self._slowest_hz:
+            remarks.append(f"the sensor's rate changed between {self._slowest_hz:.1f} and {self._fastest_hz:.1f} Hz")
+        return remarks
+
+    @property
+    def jitter_us(self) -> float:
+        """The RMS deviation of the steps in time from their mean, without gaps."""
+        return math.sqrt(self._squares / max(1, self._steps))
+
+
+class SerialSensor(Closing):
+    """A serial sensor that sends samples.
+
+    `rate_hz`, `sensitivity` and `axes`: needed where the sensor does not state them. `axes` may also choose some of
+    those that it states. Raises TransportError, and TextureError for options that are missing or contradict the sensor.
+
+    Attributes:
+        rate_hz: Of the samples that `read` returns.
+        unit: "m/s^2" or "um".
+        axes: One letter for each channel, or none.
+        channels: How many there are.
+        full_scale: The highest value that the sensor can measure, in `unit`; None = unknown.
+        description: What the sensor states.
+        understood: How what it sends is read, in words.
+    """
+
+    def __init__(
+        self,
+        port: str,
+        *,
+        baud: int = BAUD,
+        rate_hz: int | None = None,
+        sensitivity: Sensitivity | None = None,
+        axes: str = "",
+        open_port: Callable[[str, int], Transport] = SerialTransport,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.name = f"serial:{port}"
+        self.sensitivity = None if sensitivity is None else sensitivity.text
+        self._transport = open_port(port, baud)
+        self._clock = clock
+        try:
+            self._heard_s = clock()
+            reader = self._recognised()
+            found = reader.settle(self.name) if isinstance(reader, Lines) else []
+            self.description = reader.description
+            self.format = "text" if isinstance(reader, Lines) else "binary"
+            self._scale, self.unit = self._scaled(sensitivity)
+            self._columns, self.axes = self._chosen(axes, reader)
+            self.channels = len(self._columns)
+            limit = self.description.full_scale
+            if limit is not None and self.description.unit is not None:
+                self.full_scale: float | None = limit * INPUT_UNITS[self.description.unit][1]
+            else:
+                # int16 ends at 32767; what ends a number in text is not known.
+                self.full_scale = 32767 * self._scale if self.format == "binary" else None
+            self._placing, self._first = self._placed(reader, rate_hz, found)
+            self._shown = reader.shown if isinstance(reader, Lines) else []
+            self.understood = self._in_words(reader)
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Release the port; may be called again."""
+        self._transport.close()
+
+    @property
+    def losses(self) -> Losses:
+        """The samples that were lost on the way, which `read` has interpolated."""
+        return self._placing.losses
+
+    def introduction(self) -> list[str]:
+        """Return the first lines that came, and how they are read, for people."""
+        return [*(f"  {line}" for line in self._shown), f"understood as {self.understood}"]
+
+    def warnings(self) -> list[str]:
+        """Return remarks on the stream so far, for people."""
+        return self._placing.warnings()
+
+    def facts(self) -> dict[str, object]:
+        """Return what is known of the stream, for the sidecar."""
+        facts: dict[str, object] = {"format": self.format, "understood": self.understood}
+        if isinstance(self._placing, TimedSamples):
+            facts |= {
+                "jitter_us": round(self._placing.jitter_us, 2),
+                "worst_jitter_us": round(self._placing.worst_jitter_us, 2),
+            }
+        return facts
+
+    def read(self, timeout_s: float) -> Signal:
+        """Return the samples (n, channels) since the last call; none after `timeout_s`.
+
+        Raises TransportError if the port breaks off, and if the sensor sends no samples any more.
+        """
+        first, self._first = self._first, self._first[:0]
+        if len(first):
+            return self._finished(first)
+        return self._finished(self._placing.feed(self._bytes(timeout_s)))
+
+    def _finished(self, samples: Signal) -> Signal:
+        return samples[:, self._columns] * self._scale
+
+    def _bytes(self, timeout_s: float) -> bytes:
+        data = self._transport.read(timeout_s)
+        now_s = self._clock()
+        if data:
+            self._heard_s = now_s
+        elif now_s - self._heard_s > _SILENT_S:
+            raise TransportError(f"{self.name} sends nothing; check that the sensor runs, and that this is its port")
+        return data
+
+    def _recognised(self) -> Lines | Frames:
+        """Read until format and rate can be known, and return the reader, which knows the description."""
+        lines, frames = Lines(), Frames()
+        received = 0
+        first_s = math.inf  # of text, or else of bytes
+        while True:
+            data = self._bytes(0.1)
+            now_s = self._clock()
+            if data and not (received and lines.gathered):
+                first_s = min(first_s, now_s)
+            received += len(data)
+            lines.feed(data, now_s)
+            frames.feed(data)
+            if lines.gathered:
+                elapsed_s = now_s - first_s
+                known = lines.description != Description() or elapsed_s >= _STATED_WITHIN_S
+                enough = lines.gathered >= _MEASURED_LINES and elapsed_s >= _MEASURED_S
+                if (known and enough) or lines.gathered > _MAX_MEASURED_LINES:
+                    return lines
+                if elapsed_s > _SILENT_S:
+                    raise TransportError(
+                        f"{self.name} sends only {lines.gathered / elapsed_s:.1f} lines a second, too few for a "
+                        f"vibration: {lines.told()}; raise its rate"
+                    )
+            elif frames.found >= _FRAMES and frames.description.axes:
+                return frames
+            elif received > _UNKNOWN_BYTES or now_s - first_s > 2 * _SILENT_S:
+                raise TransportError(f"{self.name} {self._unknown(lines, frames)}")
+
+    def _unknown(self, lines: Lines, frames: Frames) -> str:
+        """Return what was not understood of the bytes that came, and what to do."""
+        if frames.found >= _FRAMES:
+            return "sends samples in frames, and no frame that states its axes; let it send one every second"
+        garbled = sum(not line.isprintable() or "\ufffd" in line for line in lines.shown)
+        if lines.shown and 2 * garbled < len(lines.shown):
+            return (
+                f"sends lines that hold no samples: {lines.told()}; let it send a time and up to {MAX_CHANNELS} "
+                "numbers in each line"
+            )
+        return (
+            "sends neither lines of samples nor frames; check the @BAUD of its address (many boards use 115200 or "
+            "9600), and that this is the sensor's port"
+        )
+
+    def _scaled(self, sensitivity: Sensitivity | None) -> tuple[float, str]:
+        """Return the value of one count, and its unit. Raises TextureError."""
+        stated = self.description
+        if stated.unit is not None:
+            if sensitivity is not None:
+                raise TextureError(
+                    f"{self.name} states its unit, {stated.unit}; leave out `sensitivity`", parameter="sensitivity"
+                )
+            unit, factor = INPUT_UNITS[stated.unit]
+            return factor / (stated.counts_per_unit or 1.0), unit
+        if sensitivity is None:
+            raise TextureError(
+                f"{self.name} does not state its unit",
+                action="give `sensitivity`, such as 256/g where 256 is one g",
+                parameter="sensitivity",
+            )
+        if sensitivity.in_volts:
+            raise TextureError(
+                f"{self.name} sends numbers, not volts",
+                action="give `sensitivity` in counts, such as 256/g where 256 is one g",
+                parameter="sensitivity",
+            )
+        return 1 / sensitivity.per_unit, sensitivity.unit
+
+    def _chosen(self, axes: str, reader: Lines | Frames) -> tuple[list[int], str]:
+        """Return the columns to record, in the order x, y, z, and their axes. Raises TextureError."""
+        width = reader.channels if isinstance(reader, Lines) else len(reader.description.axes or "")
+        named = reader.layout.axes if isinstance(reader, Lines) and reader.layout else ""
+        stated = self.description.axes or named or (axes if axes else "xyz" if width == MAX_CHANNELS else "")
+        if stated and len(stated) != width:
+            raise TextureError(
+                f"{self.name} sends {width} channels, and {len(stated)} axes are named",
+                f"`axes`={stated}",
+                parameter="axes",
+            )
+        if missing := [axis for axis in axes if axis not in stated]:
+            raise TextureError(
+                f"{self.name} has the axes {stated}", action=f"leave {missing[0]} out of `axes`", parameter="axes"
+            )
+        chosen = "".join(sorted(axes or stated))
+        return ([stated.index(axis) for axis in chosen] if chosen else list(range(width))), chosen
+
+    def _placed(
+        self, reader: Lines | Frames, rate_hz: int | None, found: list[tuple[float, tuple[float, ...]]]
+    ) -> tuple[NumberedSamples | TimedSamples, Signal]:
+        """Return what places the samples, and those `found`. Raises TextureError and TransportError."""
+        stated_hz = self.description.rate_hz
+        if rate_hz is not None and stated_hz not in (None, rate_hz):
+            raise TextureError(
+                f"{self.name} states {stated_hz} Hz", action=f"leave out `rate_hz`={rate_hz}", parameter="rate_hz"
+            )
+        wanted_hz = rate_hz or stated_hz
+        if isinstance(reader, Frames):
+            if wanted_hz is None:
+                raise TextureError(
+                    f"{self.name} does not state its sample rate", action="give `rate_hz`", parameter="rate_hz"
+                )
+            self.rate_hz = wanted_hz
+            numbered = NumberedSamples(reader, wanted_hz)
+            return numbered, np.zeros((0, len(reader.description.axes or "")))
+        assert reader.layout is not None, "settled"
+        has_time = reader.layout.time is not None
+        arriving_hz = reader.per_second()
+        if not has_time and wanted_hz is None:
+            raise TextureError(
+                f"{self.name} sends no time: {reader.told()}",
+                action=f"give `rate_hz`; about {arriving_hz:.0f} lines came in a second",
+                parameter="rate_hz",
+            )
+        clock = Clock([time_us for time_us, _ in found], reader.layout.us, self.name, wanted_hz)
+        measured_hz = 1e6 / clock.period_us if has_time else arriving_hz
+        tolerance = _RATE_TOLERANCE if has_time else _ARRIVAL_TOLERANCE
+        if wanted_hz is not None and abs(measured_hz - wanted_hz) > tolerance * wanted_hz:
+            raise TransportError(
+                f"{self.name} gives its rate as {wanted_hz} Hz, and its {'times' if has_time else 'lines'} say "
+                f"{measured_hz:.1f} Hz; correct one of them, or raise the @BAUD of its address if it loses lines"
+            )
+        self.rate_hz = wanted_hz or max(1, round(measured_hz))
+        self._kind = clock.kind
+        timed = TimedSamples(reader, self.rate_hz, clock)
+        return timed, timed.place(found)
+
+    def _in_words(self, reader: Lines | Frames) -> str:
+        """Return how the samples are read, for people."""
+        what = f"{', '.join(self.axes) or f'{self.channels} channel(s)'} in {self.description.unit or self.sensitivity}"
+        if isinstance(reader, Frames):
+            return f"binary frames: {what}, {self.rate_hz} Hz"
+        left_out = reader.layout.left_out if reader.layout else ()
+        without = f"; left out: {', '.join(left_out)}" if left_out else ""
+        return f"text: {self._kind}; {what}; {self.rate_hz} Hz{without}"
