@@ -183,7 +183,7 @@ def read_source(source: Source, options: TrackOptions) -> Stream | textures.Reco
             f"{place}: three axes of one texture; encode it with --axis x, y or z, dft321 or norm, or none for one "
             "actuator for each axis; then play the .vct file"
         )
-    check_unit(recording.unit, options.facts.get("unit"))
+    check_unit(recording.unit, "drive" if recording.drive else options.facts.get("unit"))
     return recording
 
 

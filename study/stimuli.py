@@ -59,7 +59,7 @@ def prepare(study: Study, actuator: Actuator, progress: Callable[[float], None] 
     recordings = study.recordings()
     count = sum(len(study.conditions_of(name)) for name in recordings)
     for name, recording in recordings.items():
-        check_unit(recording.unit, None)
+        check_unit(recording.unit, "drive" if recording.drive else None)
         cut = _cut(recording, study.stimulus_seconds)
         ordered = sorted(study.conditions_of(name), key=lambda each: each.role != REFERENCE)
         first: Stimulus | None = None

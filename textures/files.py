@@ -8,7 +8,7 @@ import numpy as np
 import soundfile
 from numpy.typing import ArrayLike
 
-from vibrocast.textures import apart, arguments, arrays, hdf5, laboratory, mat, p1918, wav
+from vibrocast.textures import apart, arguments, arrays, clips, hdf5, laboratory, mat, p1918, wav
 from vibrocast.textures.axes import AXES, DFT321, REDUCTIONS, reduced
 from vibrocast.textures.profiles import Profile
 from vibrocast.textures.recording import INPUT_UNITS, Contents, Recording, TextureError, unusable
@@ -18,7 +18,7 @@ TEXT_SUFFIXES = (".csv", ".txt", ".tsv")
 READERS_APART = {".mat": "mat", ".h5": "hdf5", ".hdf5": "hdf5"} | dict.fromkeys(laboratory.SUFFIXES, "laboratory")
 """Modules that read by a parser of another project, by the suffix of a file."""
 KEYED_SUFFIXES = (".npz", *READERS_APART)
-SUFFIXES = (*wav.FORMATS, *TEXT_SUFFIXES, ".npy", *KEYED_SUFFIXES)
+SUFFIXES = (*wav.FORMATS, *TEXT_SUFFIXES, ".npy", *KEYED_SUFFIXES, *clips.SUFFIXES)
 SAVED_SUFFIXES = (".wav", ".csv", ".npy", ".mat", ".h5")
 POSITION_NAME = "position"
 
@@ -40,7 +40,7 @@ def load(
 
     Args:
         path: The file, or the folder of an IEEE P1918.1.1 trace.
-        rate_hz: Sample rate in Hz.
+        rate_hz: Sample rate in Hz. A clip is rendered at 8000 Hz, or at this rate.
         unit: Unit of the values, one of INPUT_UNITS, such as "m/s^2" or "um".
         full_scale: Value, in `unit`, of 1.0 in the file, or of the largest number of its type in an array of integers.
             A plain WAV file needs it with every `unit` but "drive".
@@ -110,8 +110,9 @@ def load(
     samples = contents.samples
     if scale != 1:
         samples *= scale
+    drive = (unit or contents.unit) == "drive"
     # An error in the samples names the path; the recording has the file's name.
-    checked = Recording(samples, rate_hz, output_unit, str(path), contents.axes)
+    checked = Recording(samples, rate_hz, output_unit, str(path), contents.axes, drive, contents.notes)
     return replace(checked, name=path.stem if path.is_file() else path.name)
 
 
@@ -246,6 +247,8 @@ def read_contents(
 def _read_binary(path: Path, suffix: str, rate_hz: float | None, key: str | None) -> Contents:
     if suffix in wav.FORMATS:
         return wav.read(path)
+    if suffix in clips.SUFFIXES:
+        return clips.read(path, rate_hz)
     if suffix in READERS_APART:
         return apart.read(READERS_APART[suffix], path, key, rate_hz)
     if suffix in SUFFIXES:

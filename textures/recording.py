@@ -42,7 +42,7 @@ class Contents:
 
     `samples`: float64 (n, channels), as numbers in the file. `rate_hz`, `unit` (one of INPUT_UNITS): None if the file
     does not state them. `full_scale`: the number that stands for full scale if the unit is "full scale"; None if the
-    file's type of integers states none. `axes`: as in Recording.
+    file's type of integers states none. `axes`, `notes`: as in Recording.
     """
 
     samples: Signal
@@ -50,6 +50,7 @@ class Contents:
     unit: str | None
     full_scale: float | None = 1.0
     axes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,9 +60,11 @@ class Recording:
     Attributes:
         samples: float64 (n, channels) with n >= 1. Each channel drives one actuator.
         rate_hz: Sample rate in Hz.
-        unit: "m/s^2" (acceleration), "um" (displacement) or "full scale", where 1.0 is the full stroke of the actuator.
+        unit: "m/s^2" (acceleration), "um" (displacement) or "full scale".
         name: A name for people.
         axes: The axis of each channel, where the channels are the axes of one texture; empty otherwise.
+        drive: Whether the samples are the actuator's drive signal, so that 1.0 in "full scale" is its full stroke.
+        notes: How a clip was rendered and what was left out, for people; empty for other files.
 
     Raises:
         TextureError: An attribute is none of these.
@@ -72,6 +75,8 @@ class Recording:
     unit: str
     name: str
     axes: tuple[str, ...] = ()
+    drive: bool = False
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.samples.ndim != 2 or self.samples.dtype != np.float64:

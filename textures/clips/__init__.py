@@ -1,0 +1,25 @@
+"""Reads haptic clips, which describe a vibration by events and envelopes, as signals at a stated rate."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from vibrocast.textures.arrays import parsing
+from vibrocast.textures.clips import ahap
+from vibrocast.textures.clips.synthesis import RATE_HZ, Clip, rendered
+from vibrocast.textures.recording import Contents, unusable
+
+READERS: Mapping[str, Callable[[bytes], Clip]] = {".ahap": ahap.read}
+"""The reader of each suffix. It may raise any error for a file of another kind."""
+SUFFIXES = tuple(READERS)
+MAX_BYTES = 5_000_000
+"""Of a clip; those of programs have some kilobytes."""
+
+
+def read(path: Path, rate_hz: float | None) -> Contents:
+    """Read a clip as its signal at `rate_hz`, by default RATE_HZ. Raises TextureError, OSError."""
+    if path.stat().st_size > MAX_BYTES:
+        raise unusable(path, f"longer than {MAX_BYTES} bytes, the most in a clip", "cut it into parts")
+    suffix = path.suffix.lower()
+    with parsing(path, f"a clip ({suffix})"):
+        clip = READERS[suffix](path.read_bytes())
+        return rendered(clip, rate_hz or RATE_HZ, path)
