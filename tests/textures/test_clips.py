@@ -16,6 +16,7 @@ from vibrocast.textures import Recording, TextureError, clips, dataset, load
 from vibrocast.textures.clips import synthesis
 
 RATE_HZ = 8000
+EXAMPLES = sorted((Path(__file__).parents[2] / "examples" / "clips").iterdir())
 Json = dict[str, Any]
 
 
@@ -36,6 +37,34 @@ def curve(name: str, time: float, *points: tuple[float, float]) -> Json:
 
 def ahap(*entries: Json) -> Json:
     return {"Version": 1, "Metadata": {"Project": "test"}, "Pattern": list(entries)}
+
+
+def haptic(amplitude: list[Json], frequency: list[tuple[float, float]], version: int = 1) -> Json:
+    points = [{"time": time_s, "frequency": value} for time_s, value in frequency]
+    envelopes = {"amplitude": amplitude, "frequency": points}
+    signals = {"continuous": {"envelopes": envelopes}}
+    return {"version": {"major": version, "minor": 0, "patch": 0}, "metadata": {"tags": []}, "signals": signals}
+
+
+def point(time: float, amplitude: float, *emphasis: float) -> Json:
+    """Return a point of an envelope of amplitude, and the amplitude and frequency of its emphasis, if any."""
+    content = {"time": time, "amplitude": amplitude}
+    return content | ({"emphasis": dict(zip(("amplitude", "frequency"), emphasis, strict=True))} if emphasis else {})
+
+
+def haps(*melodies: list[Json], **keys: Any) -> Json:
+    listed = [{"m_mute": 0, "m_gain": 0.5, "m_notes": notes} for notes in melodies]
+    vibration = {"m_loop": 0, "m_gain": 1.0, "m_melodies": listed}
+    return {"m_version": "5", "m_gain": 1.0, "m_vibration": vibration, **keys}
+
+
+def note(start: float, length: float, gain: float, **modulations: list[tuple[float, float]]) -> Json:
+    """Return a note, or a transient without modulations."""
+    keyframes = {
+        f"m_{name}Modulation": {"m_keyframes": [{"m_time": time_s, "m_value": value} for time_s, value in points]}
+        for name, points in modulations.items()
+    }
+    return {"m_startingPoint": start, "m_length": length, "m_gain": gain, "m_hapticEffect": keyframes or {"m_type": 0}}
 
 
 HUM = event("HapticContinuous", 0.1, 0.5, HapticIntensity=1, HapticSharpness=0.5)
@@ -121,6 +150,106 @@ def test_notes_name_the_constants_of_ahap_and_what_is_left_out(loaded: Callable[
     assert notes[-1] == "left out: AttackTime, AudioCustom, AudioVolumeControl"
 
 
+def test_a_haptic_clip_follows_its_envelopes(loaded: Callable[..., Recording]) -> None:
+    amplitude = [point(5e-06, 0.2), point(0.2, 1), point(0.2, 0.3), point(0.6, 0.7)]  # with a step
+    recording = loaded(".haptic", haptic(amplitude, [(0, 0), (0.3, 0.6)]))
+    assert recording.drive and recording.seconds == pytest.approx(0.6)
+    amplitudes, frequencies_hz = course(recording, 0.1, 0.15, 0.3, 0.4, 0.5)
+    np.testing.assert_allclose(amplitudes, [0.6, 0.8, 0.4, 0.5, 0.6], atol=0.03)
+    np.testing.assert_allclose(frequencies_hz, [66, 89, 158, 158, 158], rtol=0.04)
+    notes = loaded(".haptic", haptic(amplitude, [])).notes
+    assert notes[1] == "as on a generic PCM device: frequency 0 to 1 = 20 to 250 Hz"
+
+
+def test_a_haptic_clip_without_frequencies_has_the_middle_one(loaded: Callable[..., Recording]) -> None:
+    content = haptic([point(0, 1), point(0.5, 1)], [])
+    samples = loaded(".haptic", content).samples[:, 0]
+    np.testing.assert_allclose(samples, np.sin(2 * np.pi * 135 * np.arange(4000) / RATE_HZ), atol=1e-9)
+    del content["signals"]["continuous"]["envelopes"]["frequency"]
+    np.testing.assert_array_equal(loaded(".haptic", content).samples[:, 0], samples)
+
+
+def test_an_emphasis_of_a_haptic_clip_ducks_the_rest(loaded: Callable[..., Recording]) -> None:
+    plain, sine, square = (
+        loaded(".haptic", haptic([point(0, 0.4), point(0.1, 0.4, *emphasis), point(0.3, 0.4)], [])).samples[:, 0]
+        for emphasis in ((), (0.8, 0), (0.3, 1))
+    )
+    times_s = np.arange(2400) / RATE_HZ - 0.1
+    during = (times_s > -1e-9) & (times_s < 0.027 - 1e-9)
+    expected = np.where(during, plain / 2 + 0.8 * np.sin(2 * np.pi * 55 * times_s), plain)
+    np.testing.assert_allclose(sine, expected, atol=1e-9)
+    assert times_s[np.flatnonzero(square != plain)[[0, -1]]] == pytest.approx([0, 0.02], abs=2 / RATE_HZ)
+    np.testing.assert_allclose(np.abs(square - plain / 2)[during & (times_s < 0.0199)], 0.3, atol=1e-9)
+
+
+def test_an_emphasis_ends_where_the_next_one_begins(loaded: Callable[..., Recording]) -> None:
+    points = [point(0, 0), point(0.1, 0, 1, 0), point(0.105, 0, 0.5, 1), point(0.11, 0)]
+    samples = loaded(".haptic", haptic(points, [])).samples[:, 0]
+    assert len(samples) == 880
+    np.testing.assert_allclose(samples[800:840], np.sin(2 * np.pi * 55 * np.arange(40) / RATE_HZ), atol=1e-9)
+    assert set(samples[840:]) == {0.5, -0.5}
+
+
+def test_notes_of_haps_play_with_all_gains(loaded: Callable[..., Recording]) -> None:
+    hum = note(0.1, 0.4, 0.8, amplitude=[(0, 0), (0.2, 1), (0.4, 1)], frequency=[(0, 65), (0.2, 265)])
+    content = haps([note(0.02, 0.022, 1)], [hum])
+    recording = loaded(".haps", content)
+    assert recording.drive and recording.seconds == pytest.approx(0.5)
+    times_s = np.arange(0.02 * RATE_HZ, 0.042 * RATE_HZ) / RATE_HZ - 0.02
+    np.testing.assert_allclose(recording.samples[160:336, 0], 0.5 * np.sin(4 * np.pi * times_s / 0.022), atol=1e-9)
+    amplitudes, frequencies_hz = course(recording, 0.2, 0.4)
+    np.testing.assert_allclose(amplitudes, [0.2, 0.4], atol=0.01)
+    np.testing.assert_allclose(frequencies_hz, [165, 265], rtol=0.03)
+    content["m_vibration"]["m_gain"], content["m_gain"] = 0.5, 0.5
+    np.testing.assert_allclose(loaded(".haps", content).samples, recording.samples / 4, atol=1e-12)
+    content["m_vibration"]["m_melodies"][1]["m_mute"] = 1
+    assert loaded(".haps", content).seconds == pytest.approx(0.042, abs=1 / RATE_HZ)
+
+
+def test_notes_name_what_is_left_out_of_haps(loaded: Callable[..., Recording]) -> None:
+    content = haps([note(0, 0.1, 1, amplitude=[(0, 1)])], m_stiffness={"m_melodies": [{"m_notes": [{"any": 1}]}]})
+    content["m_vibration"]["m_loop"] = 1
+    modulation = content["m_vibration"]["m_melodies"][0]["m_notes"][0]["m_hapticEffect"]["m_amplitudeModulation"]
+    modulation["m_keyframes"][0]["m_inSlope"] = 2
+    recording = loaded(".haps", content)
+    assert recording.notes[-1] == "left out: m_inSlope and m_outSlope, m_loop, m_stiffness"
+    assert recording.notes[1].endswith("a note without frequencies has 182.5 Hz")
+    np.testing.assert_allclose(course(recording, 0.05), [[0.5], [182.5]], rtol=0.03)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "content", "words"),
+    [
+        (".haptic", haptic([point(0, 1), point(1, 1)], [], version=0), "version 0 of the format, and only 1 is known"),
+        (
+            ".haptic",
+            {"version": {"major": 0}, "vij": 1},
+            "version 0 of the format, and only 1 is known; open it in Meta",
+        ),
+        (".haptic", haptic([point(0, 1)], []), "length >= 2"),
+        (".haptic", haptic([point(0, 1), point(-1, 1)], []), ">= 0.0"),
+        (".haptic", haptic([point(1, 1), point(0.5, 1)], []), "the times of its amplitude fall"),
+        (".haptic", haptic([point(0, 1), point(0, 1)], []), "without a vibration"),
+        (".haptic", haptic([point(0, 1), point(1, 1.1)], []), "<= 1.0"),
+        (
+            ".haps",
+            haps() | {"m_version": "4"},
+            "version 4 of the format, and only 5 is known; open it in Haptic Composer",
+        ),
+        (".haps", haps(), "without a vibration"),
+        (".haps", haps([note(-1, 1, 1)]), ">= 0.0"),
+        (".haps", haps([note(0, 1, 1, amplitude=[(1, 1), (0, 1)])]), "the times of its amplitudes fall"),
+        (".haps", haps([note(0, 1, -1)]), ">= 0.0"),
+    ],
+)
+def test_other_clips_that_cannot_be_rendered(
+    suffix: str, content: Json, words: str, loaded: Callable[..., Recording]
+) -> None:
+    with pytest.raises(TextureError, match=rf"clip\{suffix}: ") as caught:
+        loaded(suffix, content)
+    assert words in str(caught.value) and str(caught.value).count(f"clip{suffix}") == 1
+
+
 def test_a_clip_is_rendered_at_your_rate_and_scaled_to_your_unit(loaded: Callable[..., Recording]) -> None:
     recording = loaded(".ahap", ahap(HUM), rate_hz=2800, unit="m/s^2", full_scale=3)
     assert (recording.rate_hz, recording.unit, recording.drive) == (2800, "m/s^2", False)
@@ -180,12 +309,15 @@ def test_a_hostile_clip_is_rejected_in_little_memory(words: str, loaded: Callabl
     assert words in str(caught.value)
 
 
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.suffix)
 @given(data=st.data())
-def test_a_damaged_clip_is_rejected_or_rendered(data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
-    whole = bytearray(json.dumps(ahap(HUM, curve("HapticIntensityControl", 0, (0, 1), (0.1, 0)))).encode())
+def test_a_damaged_clip_is_rejected_or_rendered(
+    example: Path, data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    whole = bytearray(example.read_bytes())
     for _ in range(data.draw(st.integers(1, 3))):
-        whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.sampled_from(b'019-e.,:[]{}" nN'))
-    path = tmp_path_factory.mktemp("clips") / "clip.ahap"
+        whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.sampled_from(b'019-e.,:[]{}" nN\x00\xff'))
+    path = tmp_path_factory.mktemp("clips") / example.name
     path.write_bytes(whole)
     try:
         recording = load(path)
@@ -196,4 +328,4 @@ def test_a_damaged_clip_is_rejected_or_rendered(data: st.DataObject, tmp_path_fa
 
 
 def test_every_reader_is_listed() -> None:
-    assert set(clips.SUFFIXES) == {".ahap"}
+    assert set(clips.SUFFIXES) == {path.suffix for path in EXAMPLES}

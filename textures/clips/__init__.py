@@ -4,11 +4,11 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from vibrocast.textures.arrays import parsing
-from vibrocast.textures.clips import ahap
+from vibrocast.textures.clips import ahap, haps, haptic
 from vibrocast.textures.clips.synthesis import RATE_HZ, Clip, rendered
-from vibrocast.textures.recording import Contents, unusable
+from vibrocast.textures.recording import Contents, TextureError, unusable
 
-READERS: Mapping[str, Callable[[bytes], Clip]] = {".ahap": ahap.read}
+READERS: Mapping[str, Callable[[bytes], Clip]] = {".ahap": ahap.read, ".haptic": haptic.read, ".haps": haps.read}
 """The reader of each suffix. It may raise any error for a file of another kind."""
 SUFFIXES = tuple(READERS)
 MAX_BYTES = 5_000_000
@@ -21,5 +21,9 @@ def read(path: Path, rate_hz: float | None) -> Contents:
         raise unusable(path, f"longer than {MAX_BYTES} bytes, the most in a clip", "cut it into parts")
     suffix = path.suffix.lower()
     with parsing(path, f"a clip ({suffix})"):
-        clip = READERS[suffix](path.read_bytes())
+        try:
+            clip = READERS[suffix](path.read_bytes())
+        except TextureError as error:
+            error.problem = f"{path}: {error.problem}"
+            raise
         return rendered(clip, rate_hz or RATE_HZ, path)

@@ -13,6 +13,7 @@ from vibrocast.textures.recording import Signal
 
 Kind = TypeVar("Kind")
 Seconds = Annotated[float, Meta(ge=0, le=MAX_SECONDS)]
+Unit = Annotated[float, Meta(ge=0, le=1)]
 
 _MAX_NAMED, _MAX_CHARACTERS = 10, 40
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"

@@ -1,0 +1,135 @@
+"""Reads `.haptic` clips of version 1 (Lofelt, now Meta): envelopes of amplitude and frequency, with emphases."""
+
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from msgspec import Meta, Struct
+
+from vibrocast.textures.clips.documents import Seconds, Unit, polyline, read_json
+from vibrocast.textures.clips.synthesis import MAX_PARTS, Channel, Clip, Part, wave
+from vibrocast.textures.recording import Signal, TextureError
+
+
+class Device(NamedTuple):
+    """What a device makes of the numbers 0 and 1 in a clip: pairs of values, linear between.
+
+    An emphasis is a sine, mixed with a square wave by its own frequency of 0 to 1 times `emphasis_square`. Meanwhile
+    the continuous vibration is multiplied by `ducking`.
+    """
+
+    name: str
+    frequency_hz: tuple[float, float]
+    ducking: float
+    emphasis_hz: tuple[float, float]
+    emphasis_s: tuple[float, float]
+    emphasis_square: tuple[float, float]
+
+
+GENERIC = Device("generic PCM device", (20, 250), 0.5, (55, 130), (0.027, 0.020), (0, 1))
+"""As in the configuration files of Meta's Haptics SDK."""
+MISSING_FREQUENCY = 0.5
+"""Of a clip without an envelope of frequency: the format's specification."""
+
+
+class _Emphasis(Struct):
+    amplitude: Unit
+    frequency: Unit
+
+
+class _AmplitudePoint(Struct):
+    time: Seconds
+    amplitude: Unit
+    emphasis: _Emphasis | None = None
+
+
+class _FrequencyPoint(Struct):
+    time: Seconds
+    frequency: Unit
+
+
+class _Envelopes(Struct):
+    amplitude: Annotated[list[_AmplitudePoint], Meta(min_length=2, max_length=MAX_PARTS)]
+    frequency: list[_FrequencyPoint] = []
+
+
+class _Continuous(Struct):
+    envelopes: _Envelopes
+
+
+class _Signals(Struct):
+    continuous: _Continuous
+
+
+class _Version(Struct):
+    major: int
+    minor: int = 0
+
+
+class _Versioned(Struct):
+    version: _Version
+
+
+class _Document(_Versioned):
+    signals: _Signals
+
+
+def read(data: bytes, device: Device = GENERIC) -> Clip:
+    """Return what a `.haptic` file of version 1 describes, on a device.
+
+    Raises ValueError, TextureError, msgspec.DecodeError and RecursionError.
+    """
+    version = read_json(data, _Versioned).version
+    if version.major != 1:
+        raise TextureError(
+            f"version {version.major} of the format, and only 1 is known",
+            action="open it in Meta Haptics Studio, and export it again",
+        )
+    envelopes = read_json(data, _Document).signals.continuous.envelopes
+    amplitude = polyline(((each.time, each.amplitude) for each in envelopes.amplitude), "amplitude")
+    frequency = polyline(
+        [(each.time, each.frequency) for each in envelopes.frequency] or [(0, MISSING_FREQUENCY)], "frequency"
+    )
+    end_s = envelopes.amplitude[-1].time
+    emphases = _emphases(envelopes.amplitude, end_s, device)
+    starts, ends = (np.array([getattr(part, name) for part in emphases]) for name in ("start_s", "end_s"))
+
+    def values(times_s: Signal) -> Signal:
+        before = np.searchsorted(starts, times_s, "right") - 1
+        ducked = (before >= 0) & (times_s < np.append(ends, 0.0)[before])
+        amplitudes = np.interp(times_s, *amplitude) * np.where(ducked, device.ducking, 1.0)
+        return wave(times_s, amplitudes, np.interp(np.interp(times_s, *frequency), (0, 1), device.frequency_hz))
+
+    notes = (
+        f"as on a {device.name}: frequency 0 to 1 = {_range(device.frequency_hz, 1)} Hz",
+        f"an emphasis of frequency 0 to 1 = {_range(device.emphasis_hz, 1)} Hz, sine to square wave, for "
+        f"{_range(device.emphasis_s, 1000)} ms; the rest is multiplied by {device.ducking:g} meanwhile",
+        *((f"version 1.{version.minor} is read as 1.0",) if version.minor else ()),
+    )
+    return Clip([Channel([[Part(0.0, end_s, values), *emphases]])], notes)
+
+
+def _emphases(points: list[_AmplitudePoint], end_s: float, device: Device) -> list[Part]:
+    """Return the emphases. Each ends where the next one begins, and with the clip."""
+    emphasised = [(point.time, point.emphasis) for point in points if point.emphasis is not None]
+    limits_s = [*(time_s for time_s, _ in emphasised[1:]), end_s]
+    return [
+        _emphasis(time_s, limit_s, each, device) for (time_s, each), limit_s in zip(emphasised, limits_s, strict=False)
+    ]
+
+
+def _emphasis(start_s: float, limit_s: float, emphasis: _Emphasis, device: Device) -> Part:
+    frequency_hz, duration_s, square = (
+        float(np.interp(emphasis.frequency, (0, 1), pair))
+        for pair in (device.emphasis_hz, device.emphasis_s, device.emphasis_square)
+    )
+
+    def values(times_s: Signal) -> Signal:
+        sine = np.sin(2 * np.pi * frequency_hz * times_s)
+        mixed: Signal = emphasis.amplitude * ((1 - square) * sine + square * np.where(sine >= 0, 1, -1))
+        return mixed
+
+    return Part(start_s, min(start_s + duration_s, limit_s), values)
+
+
+def _range(pair: tuple[float, float], factor: float) -> str:
+    return f"{factor * pair[0]:g} to {factor * pair[1]:g}"
