@@ -50,13 +50,11 @@ def figure_file(path: Path, width_in: float, height_in: float) -> "Iterator[Figu
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    # Matplotlib names the parts of an SVG file by chance, unless it gets a salt.
-    with rc_context({"font.size": _PAGE_POINTS, "axes.titlesize": _PAGE_POINTS, "svg.hashsalt": "vibrocast"}):
+    with rc_context({"font.size": _PAGE_POINTS, "axes.titlesize": _PAGE_POINTS}):
         figure = Figure((width_in, height_in), dpi=_DPI, layout="constrained")
         FigureCanvasAgg(figure)
         yield figure
-        with atomic_write(path) as partial:
-            figure.savefig(partial, metadata={"Date": None} if path.suffix == ".svg" else None)
+        write(figure, path)
 
 
 def write(figure: "Figure", path: Path) -> None:
@@ -70,5 +68,5 @@ def write(figure: "Figure", path: Path) -> None:
         "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial"],
     }
     is_svg = path.suffix == ".svg"
-    with rc_context(settings):
-        figure.savefig(path, metadata={"Date": None, "Creator": None} if is_svg else None)
+    with rc_context(settings), atomic_write(path) as partial:
+        figure.savefig(partial, metadata={"Date": None, "Creator": None} if is_svg else None)

@@ -51,7 +51,7 @@ def stability(
     from vibrocast.evaluation.stability.peers import read_peers
 
     chosen = methods(None if names is None else names.split(","), trained.known_models(model_folders))
-    peers = read_peers(peers_edge) if peers_edge else []
+    peers = read_peers(peers_edge) if peers_edge else None
     chosen_maps = [] if map_names is None else map_names.split(",")
     if unknown := set(chosen_maps) - {each.name for each in MAPS}:
         raise InputError(f"no map {min(unknown)!r}; choose from {', '.join(each.name for each in MAPS)}")
@@ -60,14 +60,18 @@ def stability(
     own = load_all(recordings) if recordings else ()
     page.folder_in(out)  # so that a folder that cannot be written is an error before the measurement
     with progress.bar("testing") as update:
-        cells, failures = make_maps(out, Scope(chosen, quick, own), command_run(), peers, update, chosen_maps)
-    outcomes = Counter("as required" if cell.sound else OUTCOMES[cell.outcome] for cell in cells)
+        results, failures = make_maps(out, Scope(chosen, quick, own), command_run(), peers, update, chosen_maps)
+    outcomes = Counter(
+        "as required" if outcome == required else OUTCOMES[outcome]
+        for cells in results.values()
+        for outcome, required in cells.select("outcome", "required").iter_rows()
+    )
     counts = ", ".join(f"{outcomes[name]} {name}" for name in ("as required", *OUTCOMES.values()) if outcomes[name])
     for each in failures[:MAX_FAILURES]:
         tell(f"{each.failure}: {each.methods} ({each.boundary})\n  remedy: {each.remedy}")
     if len(failures) > MAX_FAILURES:
         tell(f"{len(failures) - MAX_FAILURES} more failures are on the page")
-    tell(f"{len(cells)} conditions: {counts}", conditions=len(cells), outcomes=dict(outcomes))
+    tell(f"{outcomes.total()} conditions: {counts}", conditions=outcomes.total(), outcomes=dict(outcomes))
     tell(f"page: {out / page.PAGE}", page=str(out / page.PAGE), failures=[vars(each) for each in failures])
 
 

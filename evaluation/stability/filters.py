@@ -1,23 +1,23 @@
 """Synthesis filters of linear prediction after quantisation, in three forms of their coefficients."""
 
 from collections.abc import Callable, Mapping
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import numpy as np
 
 from vibrocast.codec import linear_prediction
 from vibrocast.errors import InputError
-from vibrocast.evaluation.stability.maps import Group, Map, Place, Rule, Scope, figure, with_methods
+from vibrocast.evaluation.stability.maps import Map, Row
 from vibrocast.evaluation.stability.signals import RATE_HZ, Signal
 from vibrocast.evaluation.stability.trials import Measured, Trial, graded
 from vibrocast.textures.generate import grating, stick_slip, wood
 
 CODEC = "slp"
-ORDERS = (2, 4, 8, 12, 16)
+ORDERS = {f"order {order}": order for order in (2, 4, 8, 12, 16)}
 BITS = (3, 4, 5, 6, 7, 8, 10, 12)
 WINDOW_SAMPLES, HOP_SAMPLES = 512, 64
 SECONDS = 2.0
-FEW = 0.01
+FEW_PERCENT = 1.0
 
 
 def predictors_of(reflections: Signal) -> Signal:
@@ -107,35 +107,26 @@ def predictors(order: int) -> Signal:
     return predictors_of(np.concatenate(fitted))
 
 
-def measure(form: str, order: int, bits: int) -> Measured:
+def measure(trial: Trial) -> Measured:
     """Quantise every predictor and grade the share of filters with a pole on or outside the unit circle."""
-    radii = quantised_pole_radii(predictors(order), form, bits)
+    radii = quantised_pole_radii(predictors(ORDERS[trial.case]), trial.method, int(trial.value))
     share, max_radius = float(np.mean(radii > 1 - 1e-9)), float(np.max(radii))
     figures = {"unstable_share": share, "max_pole_radius": max_radius, "predictors": len(radii)}
     effect = f"{100 * share:.1f} % of the filters unstable, largest pole {max_radius:.3f}" if share else ""
-    return graded(share, 0.0, FEW, figures, effect)
-
-
-def _trials(scope: Scope) -> list[Trial]:
-    return [
-        Trial(form, f"order {order}", partial(measure, form, order, bits), value=float(bits))
-        for form in (QUANTISERS if scope.has(CODEC) else ())
-        for order in scope.some(ORDERS, 4)
-        for bits in scope.some(BITS, 4)
-    ]
+    return graded(share, 0.0, FEW_PERCENT / 100, figures, effect)
 
 
 FILTERS = Map(
-    name="filter_stability",
-    group=Group.SETTINGS,
-    title="Quantised filters",
-    tried=f"Predictors of generated textures, fitted as `{CODEC}` does, are quantised in three forms.",
-    rule=Rule("filters with a pole on or outside the unit circle", "none", f"more than {100 * FEW:g} %"),
-    conditions=_trials,
-    message=lambda cells: f"Quantised filters stay stable {with_methods(cells, 'form')}",
-    place=lambda cell: Place(f"{cell.method}, {cell.case}", cell.value or 0.0),
-    caption="bits for each coefficient; unstable filters in %",
-    label=figure("unstable_share", factor=100),
-    value_name="bits",
-    varied="{} bits",
+    "filter_stability",
+    globals(),
+    [
+        Row(
+            measure,
+            lambda scope: map(Trial, QUANTISERS if scope.has(CODEC) else ()),
+            tuple(ORDERS),
+            BITS,
+            case_step=4,
+            value_step=4,
+        )
+    ],
 )

@@ -12,15 +12,14 @@ from numpy.typing import NDArray
 
 from vibrocast.codec.eva_image import EvaImage
 from vibrocast.codec.graphs import HOP, LATENTS, SIGNAL
-from vibrocast.evaluation.stability import maps
-from vibrocast.evaluation.stability.maps import Group, Map, Place, RatePoint, Rule, Scope, figure
+from vibrocast.evaluation.stability.maps import Map, Row, Scope, at_level
 from vibrocast.evaluation.stability.signals import RATE_HZ, encoded, texture
-from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, graded
+from vibrocast.evaluation.stability.trials import Measured, Outcome, RatePoint, Trial, graded
 from vibrocast.evaluation.trained import runtimes
 
 Values = NDArray[np.float32]
 
-HELD, FAILED = 1e-5, 1e-3
+HELD_MILLIONTHS, FAILED_MILLIONTHS = 10.0, 1000.0
 """Largest difference of two runs, relative to the peak: the limit for ONNX graphs against torch, and -60 dB."""
 PIECE_COLUMNS, MARGIN_COLUMNS = 16, 4
 _WAYS: dict[str, tuple[str, int, bool]] = {
@@ -66,16 +65,18 @@ def _latents(rate_point: RatePoint) -> tuple[Values, Values]:
     return signal, run(rate_point.trained.analysis, SIGNAL, LATENTS, signal)
 
 
-def measure_analysis(rate_point: RatePoint, way: str) -> Measured:
+def measure_analysis(trial: Trial) -> Measured:
     """Run the analysis in another way; count the latents that are rounded to other integers."""
+    rate_point, way = trial.rate_point, trial.case.removeprefix("analysis, ")
     signal, latents = _latents(rate_point)
     other = _otherwise(way, partial(run, rate_point.trained.analysis, SIGNAL, LATENTS), signal, HOP, 1)
     rounded = float(np.mean(np.rint(latents) != np.rint(other)))
     return _judged(latents, other, {"rounded_otherwise_per_million": 1e6 * rounded})
 
 
-def measure_synthesis(rate_point: RatePoint, way: str) -> Measured:
+def measure_synthesis(trial: Trial) -> Measured:
     """Run the synthesis in another way on the same integers."""
+    rate_point, way = trial.rate_point, trial.case.removeprefix("synthesis, ")
     _, latents = _latents(rate_point)
     synthesis = partial(run, EvaImage.unpack(rate_point.trained.tables).graph, LATENTS, SIGNAL)
     values = np.rint(latents)
@@ -94,15 +95,21 @@ def _judged(values: Values, other: Values, figures: dict[str, float | None]) -> 
     effect = f"{difference:.1e} of the peak"
     if "rounded_otherwise_per_million" in figures:
         effect += f", {figures['rounded_otherwise_per_million']:.0f} of a million latents rounded otherwise"
-    return graded(difference, HELD, FAILED, {"difference_millionths": 1e6 * difference, **figures}, effect)
+    return graded(
+        1e6 * difference,
+        HELD_MILLIONTHS,
+        FAILED_MILLIONTHS,
+        {"difference_millionths": 1e6 * difference, **figures},
+        effect,
+    )
 
 
-def measure_core(rate_point: RatePoint) -> Measured:
+def measure_core(trial: Trial) -> Measured:
     """Decode with the integer core while ONNX Runtime cannot be imported; the samples must not differ.
 
     Raises CodecError.
     """
-    stream = replace(encoded(texture(), RATE_HZ, rate_point), runtime="core")
+    stream = replace(encoded(texture(), RATE_HZ, trial.rate_point), runtime="core")
     wanted = stream.decode_integers()
     with patch.dict(sys.modules, {"onnxruntime": None}):
         decoded = stream.decode_integers()
@@ -110,35 +117,25 @@ def measure_core(rate_point: RatePoint) -> Measured:
     return Measured(Outcome.HOLDS if off == 0 else Outcome.FAILS, {"difference_millionths": 1e6 * off / 32768})
 
 
-def _graphs(scope: Scope) -> Iterator[Trial]:
-    for method in scope.learned:
-        rate_point = maps.middle_rate_point(method)
-        if not rate_point.trained.analysis:
-            continue
-        parts: dict[str, Callable[[RatePoint, str], Measured]] = {"analysis": measure_analysis}
-        if "onnx" in runtimes(rate_point.trained):
-            parts["synthesis"] = measure_synthesis
-        for part, measure in parts.items():
-            for way in scope.some(list(_WAYS), 4):
-                yield Trial(method.name, f"{part}, {way}", partial(measure, rate_point, way), rate_point.text)
-        if "core" in runtimes(rate_point.trained):
-            core = partial(measure_core, rate_point)
-            yield Trial(method.name, "integer core, without ONNX Runtime", core, rate_point.text)
+def _with_analysis(scope: Scope, runtime: str | None = None) -> Iterator[Trial]:
+    """Yield the beginnings of trials of models with an analysis, of those that a runtime decodes if one is given."""
+    for begun in at_level("middle", scope.learned):
+        trained = begun.rate_point.trained
+        if trained.analysis and (runtime is None or runtime in runtimes(trained)):
+            yield begun
 
 
 PARITY = Map(
-    name="float_parity",
-    group=Group.LEARNED,
-    title="Other machines",
-    tried="Other optimisations and threads of ONNX Runtime stand for other machines.",
-    rule=Rule(
-        "largest difference, of the peak", f"up to {1e6 * HELD:g} millionths", f"above {1e6 * FAILED:g} millionths"
-    ),
-    conditions=_graphs,
-    message=lambda cells: (
-        f"Floating point differs by at most {1e6 * HELD:g} millionths of the peak {maps.with_methods(cells, 'model')}"
-    ),
-    place=lambda cell: Place(cell.case, cell.method),
-    caption="largest difference, millionths of the peak",
-    label=figure("difference_millionths", ".1f"),
+    "float_parity",
+    globals(),
+    [
+        Row(measure_analysis, _with_analysis, [f"analysis, {way}" for way in _WAYS], case_step=4),
+        Row(
+            measure_synthesis,
+            lambda scope: _with_analysis(scope, "onnx"),
+            [f"synthesis, {way}" for way in _WAYS],
+            case_step=4,
+        ),
+        Row(measure_core, lambda scope: _with_analysis(scope, "core"), ["integer core, without ONNX Runtime"]),
+    ],
 )

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from vibrocast.evaluation.points import read_rows
-from vibrocast.evaluation.stability.trials import Outcome, Verdict
+from vibrocast.evaluation.stability.trials import Outcome
 
 TABLE = Path(__file__).parent / "known_causes.csv"
 
@@ -21,11 +21,8 @@ class Explanation(NamedTuple):
 
 
 CRASH = Explanation("The program crashes", "a fault in the program", "Report it")
-_UNKNOWN = {
-    Outcome.REJECTED: Explanation("Rejected", "", "Do as the error says"),
-    Outcome.DEGRADED: Explanation("Quality is lost", "", "Use a finer setting or another codec"),
-    Outcome.FAILS: Explanation("Quality is lost", "", "Use a finer setting or another codec"),
-}
+_LOST = Explanation("Quality is lost", "", "Use a finer setting or another codec")
+_UNKNOWN = {Outcome.REJECTED: Explanation("Rejected", "", "Do as the error says"), Outcome.HOLDS: Explanation()}
 
 
 @dataclass(frozen=True)
@@ -43,11 +40,6 @@ class KnownCause:
     cause: str
     remedy: str
 
-    def explains(self, cell: Verdict) -> bool:
-        """Return whether this is about a cell."""
-        pairs = ((cell.map, self.map), (cell.method, self.method), (cell.case, self.case))
-        return cell.outcome.letter in self.outcomes and all(fnmatchcase(text, pattern) for text, pattern in pairs)
-
 
 @cache
 def known_causes() -> tuple[KnownCause, ...]:
@@ -55,13 +47,12 @@ def known_causes() -> tuple[KnownCause, ...]:
     return tuple(read_rows(TABLE, KnownCause))
 
 
-def explanation(cell: Verdict) -> Explanation:
+def explanation(map_name: str, method: str, case: str, outcome: str, effect: str) -> Explanation:
     """Return what is known of a cell's outcome, a general explanation otherwise, and an empty one where it holds."""
-    if cell.outcome is Outcome.HOLDS:
-        return Explanation()
-    if cell.effect.startswith("CRASH"):
+    if effect.startswith("CRASH"):
         return CRASH
     for known in known_causes():
-        if known.explains(cell):
+        pairs = ((map_name, known.map), (method, known.method), (case, known.case))
+        if Outcome(outcome).letter in known.outcomes and all(fnmatchcase(*pair) for pair in pairs):
             return Explanation(known.failure, known.cause, known.remedy)
-    return _UNKNOWN[cell.outcome]
+    return _UNKNOWN.get(Outcome(outcome), _LOST)

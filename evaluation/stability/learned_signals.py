@@ -1,21 +1,21 @@
 """Signals that trained models may not know: of other kinds, quieter in parts, far from the stated level."""
 
-import dataclasses
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import lru_cache, partial
 
 import numpy as np
 from scipy.signal import butter, sosfilt
 
 from vibrocast import codec
-from vibrocast.codec import CODECS, Signal
+from vibrocast.codec import CODECS, Setting, Signal
 from vibrocast.codec.stream import Stream
 from vibrocast.evaluation.bd_rate import fewest_bits
 from vibrocast.evaluation.stability import maps, signals
-from vibrocast.evaluation.stability.maps import Group, Map, Place, RatePoint, Rule, Scope, figure, rate_points
+from vibrocast.evaluation.stability.maps import Map, Row, Scope, at_level, rate_points
 from vibrocast.evaluation.stability.signals import FAILED_SNR_DB, FAR_LOUDER_DB, RATE_HZ, SECONDS, encoded, texture
-from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict, graded
+from vibrocast.evaluation.stability.trials import Measured, Outcome, RatePoint, Trial, graded
 from vibrocast.evaluation.trained import runtimes
 from vibrocast.textures.generate import grating, ridges, rough, stick_slip, taps, wood
 
@@ -89,11 +89,11 @@ def _own_bits(name: str) -> float:
     return bits_to_reach(rate_points(*maps.methods([OWN], ())), signal(name), WANTED_SNR_DB)
 
 
-def measure_kind(rate_point_set: Sequence[RatePoint], name: str) -> Measured:
+def measure_kind(trial: Trial) -> Measured:
     """Compare the bits that a set of rate points needs for a signal at WANTED_SNR_DB with those of OWN. Raises
     CodecError.
     """
-    bits, own = bits_to_reach(rate_point_set, signal(name), WANTED_SNR_DB), _own_bits(name)
+    bits, own = bits_to_reach(trial.rate_points, signal(trial.case), WANTED_SNR_DB), _own_bits(trial.case)
     if math.isinf(bits):
         return Measured(Outcome.FAILS, {"ratio": None, "own_bits": own}, f"{WANTED_SNR_DB:g} dB are not reached")
     ratio = bits / own
@@ -102,26 +102,23 @@ def measure_kind(rate_point_set: Sequence[RatePoint], name: str) -> Measured:
     return graded(ratio, HELD_RATIO, FAILED_RATIO, figures, effect)
 
 
-def measure_quiet(rate_point: RatePoint, quieter_db: float) -> Measured:
+def measure_quiet(trial: Trial) -> Measured:
     """Code a texture whose second half is quieter, and grade that half as a signal. Raises CodecError."""
     samples = texture(seconds=2 * SECONDS)
     second = slice(len(samples) // 2, len(samples))
-    samples[second] *= 10 ** (-quieter_db / 20)
-    heard, stream = signals.decoded(samples, RATE_HZ, rate_point)
-    return signals.with_bits(
-        signals.judge(samples[second], heard[second], signals.texture_snr_db(rate_point)), stream, heard
-    )
+    samples[second] *= 10 ** (-trial.value / 20)
+    heard, stream = signals.decoded(samples, RATE_HZ, trial.rate_point)
+    measured = signals.judge(samples[second], heard[second], signals.texture_snr_db(trial.rate_point))
+    return signals.with_bits(measured, stream, heard)
 
 
-def measure_level(rate_point: RatePoint, runtime: str, name: str) -> Measured:
+def measure_level(trial: Trial) -> Measured:
     """Code a texture at a wrong level, and grade it by the SNR at the right one. Raises CodecError."""
-    samples = _clicks(texture()) if name == "texture with clicks" else texture()
+    rate_point, runtime = trial.rate_point, trial.method.rpartition(", ")[2]
+    samples = _clicks(texture()) if trial.case == "texture with clicks" else texture()
     stream = encoded(samples, RATE_HZ, rate_point)
     heard = {each: _by_runtime(stream, each) for each in {runtime, "core"}}
-    own = _by_runtime(
-        encoded(samples, RATE_HZ, RatePoint(rate_point.codec, {**rate_point.setting, "level": 1.0}, rate_point.model)),
-        runtime,
-    )
+    own = _by_runtime(encoded(samples, RATE_HZ, replace(rate_point, setting=_levelled(rate_point, 0.0))), runtime)
     snr_db, own_db = codec.snr_db(samples, heard[runtime]), codec.snr_db(samples, own)
     assert snr_db is not None and own_db is not None, "a texture is not silent"
     louder = signals.louder_db(samples, heard[runtime])
@@ -141,94 +138,33 @@ def measure_level(rate_point: RatePoint, runtime: str, name: str) -> Measured:
 
 
 def _by_runtime(stream: Stream, runtime: str) -> Signal:
-    return dataclasses.replace(stream, runtime=runtime).decode()
+    return replace(stream, runtime=runtime).decode()
 
 
-def _kinds(scope: Scope) -> list[Trial]:
-    return [
-        Trial(method.name, name, partial(measure_kind, rate_points(method), name))
-        for method in scope.learned
-        for name in scope.some(list(SIGNALS), 5)
-    ]
+def _levelled(rate_point: RatePoint, off_db: float) -> Setting:
+    return {**rate_point.setting, "level": 10 ** (off_db / 20)}
 
 
-def _quiet_passages(scope: Scope) -> Iterator[Trial]:
-    compared = [method for method in scope.methods if method.name == OWN] if scope.learned else []
-    for method in (*scope.learned, *compared):
-        middle = maps.middle_rate_point(method)
-        for quieter_db in scope.some(QUIETER_DB, 3):
-            quiet = partial(measure_quiet, middle, quieter_db)
-            yield Trial(method.name, "texture", quiet, middle.text, quieter_db)
+def _families(scope: Scope) -> Iterator[Trial]:
+    return (Trial(method.name, rate_points=rate_points(method)) for method in scope.learned)
+
+
+def _compared(scope: Scope) -> Iterator[Trial]:
+    """Yield the beginnings of trials of models at their middle rate point, and of OWN, if there are models."""
+    own = [method for method in scope.methods if method.name == OWN]
+    return at_level("middle", [*scope.learned, *own] if scope.learned else [])
 
 
 def _levels(scope: Scope) -> Iterator[Trial]:
-    for method in scope.learned:
-        middle = maps.middle_rate_point(method)
-        if "level" not in CODECS[middle.codec].parameters:
-            continue
-        for off_db in scope.some(OFF_LEVEL_DB, 5):
-            rate_point = RatePoint(middle.codec, {**middle.setting, "level": 10 ** (off_db / 20)}, middle.model)
-            for runtime in runtimes(middle.trained):
-                for name in ("texture", "texture with clicks"):
-                    level = partial(measure_level, rate_point, runtime, name)
-                    yield Trial(f"{method.name}, {runtime}", name, level, rate_point.text, off_db)
+    for begun in at_level("middle", scope.learned):
+        if "level" in CODECS[begun.rate_point.codec].parameters:
+            for runtime in runtimes(begun.rate_point.trained):
+                for off_db in scope.some(OFF_LEVEL_DB, 5):
+                    off = replace(begun.rate_point, setting=_levelled(begun.rate_point, off_db))
+                    yield Trial(f"{begun.method}, {runtime}", "", off.text, off_db, (off,))
 
 
-def _quiet_message(cells: Sequence[Verdict]) -> str:
-    limit_db = maps.most_hold_up_to(cells)
-    return f"Half of the codecs hold up to {limit_db:g} dB quieter" if limit_db else "Few codecs hold a quieter passage"
-
-
-def _level_message(cells: Sequence[Verdict]) -> str:
-    values_db = maps.sound_values(cells)
-    return f"A level that is off by {maps.ranges(values_db, OFF_LEVEL_DB) or 'no'} dB does no harm with any model"
-
-
-KINDS = Map(
-    name="learned_kinds",
-    group=Group.LEARNED,
-    title="Other signals",
-    tried=f"Bits are compared with those of `{OWN}`, whose tables adapt to any signal.",
-    rule=Rule(
-        f"bits at {WANTED_SNR_DB:g} dB SNR, relative to `{OWN}`",
-        f"up to {HELD_RATIO:g} times",
-        f"more than {FAILED_RATIO:g} times, or not reached",
-    ),
-    conditions=_kinds,
-    message=lambda cells: f"Bits stay near those of {OWN} on every signal {maps.with_methods(cells, 'model')}",
-    place=lambda cell: Place(cell.case, cell.method),
-    caption=f"bits relative to {OWN}",
-    label=figure("ratio", ".1f"),
-)
-QUIET = Map(
-    name="learned_quiet",
-    group=Group.LEARNED,
-    title="A quiet passage",
-    tried=f"The second half of a texture is quieter, and alone counts. `{OWN}` has a fixed step too.",
-    rule=signals.SIGNALS.rule,
-    conditions=_quiet_passages,
-    message=_quiet_message,
-    caption="quieter by, dB; SNR of the quiet half in dB",
-    label=figure("snr_db"),
-    value_name="quieter_db",
-    varied="{} dB quieter",
-)
-LEVEL = Map(
-    name="learned_level",
-    group=Group.LEARNED,
-    title="A wrong level",
-    tried="The encoder states a level other than the signal's. The integer core and ONNX Runtime decode.",
-    rule=Rule(
-        "SNR; level",
-        f"SNR at most {LOST_DB:g} dB below the right level's",
-        f"SNR below {FAILED_SNR_DB:g} dB; more than {FAR_LOUDER_DB:g} dB louder",
-    ),
-    conditions=_levels,
-    message=_level_message,
-    place=maps.by_value_and_case,
-    caption="level relative to the signal's, dB; SNR in dB",
-    label=figure("snr_db"),
-    value_name="level_error_db",
-    varied="{} dB",
-)
+KINDS = Map("learned_kinds", globals(), [Row(measure_kind, _families, tuple(SIGNALS), case_step=5)])
+QUIET = Map("learned_quiet", globals(), [Row(measure_quiet, _compared, ["texture"], QUIETER_DB, value_step=3)])
+LEVEL = Map("learned_level", globals(), [Row(measure_level, _levels, ["texture", "texture with clicks"])])
 MAPS = (KINDS, QUIET, LEVEL)

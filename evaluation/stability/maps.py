@@ -1,58 +1,32 @@
-"""The parts of a map: its trials, its rule, its picture's rows and columns, and its words."""
+"""The parts of a map: rows of trials, the rule of their outcomes, its words, and the table of what they showed."""
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import NamedTuple, TypeVar
+from pathlib import Path
+from typing import Any, TypeAlias, TypeVar
+
+import polars as pl
 
 from vibrocast.codec import CODECS
-from vibrocast.codec.interface import Setting
 from vibrocast.errors import InputError
-from vibrocast.evaluation import trained
-from vibrocast.evaluation.cells import Method, families, setting_text
-from vibrocast.evaluation.stability.trials import Outcome, Trial, Verdict
+from vibrocast.evaluation.cells import Method, families
+from vibrocast.evaluation.stability.known_causes import explanation
+from vibrocast.evaluation.stability.trials import Measured, Outcome, RatePoint, Trial
 from vibrocast.models import Model
 from vibrocast.pages import listed
 from vibrocast.textures import Recording
+from vibrocast.toml_tables import Table, convert, read_toml
 
 LEVELS = ("low", "middle", "high")
-"""The names of a method's three rate points."""
+"""The names of a method's three rate points: a quarter of the way up, half of it, and the finest."""
+WORDS = Path(__file__).with_name("maps.toml")
 _MAX_NAMED = 4
 Item = TypeVar("Item")
-
-
-@dataclass(frozen=True, eq=False)
-class RatePoint:
-    """A codec at a setting, perhaps with a trained model; equal where all three are equal."""
-
-    codec: str
-    setting: Setting
-    model: Model | None = None
-
-    @property
-    def text(self) -> str:
-        """The setting as text."""
-        return setting_text(self.setting)
-
-    @property
-    def image(self) -> bytes | None:
-        """The packed model image, None without a model."""
-        return self.model.image if self.model else None
-
-    @property
-    def trained(self) -> Model:
-        """The model, at a rate point of a learned method."""
-        assert self.model is not None, "a learned method has models"
-        return self.model
-
-    def _key(self) -> tuple[str, str, str]:
-        return self.codec, self.text, trained.digest(self.model) if self.model else ""
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, RatePoint) and self._key() == other._key()
-
-    def __hash__(self) -> int:
-        return hash(self._key())
+Cells: TypeAlias = pl.DataFrame
+"""A row for each trial: `method`, `case`, `setting`, `value`, `required` and `outcome`, a column for each figure, and
+`effect`. Explained ones also have `failure`, `cause`, `remedy`, and `sound`: whether the outcome is the required one.
+"""
 
 
 @dataclass(frozen=True)
@@ -76,11 +50,49 @@ class Scope:
         """Return values: all, or in a quick run every `step`-th of them."""
         return values[::step] if self.quick else values
 
-    def three_rate_points(self) -> Iterator[tuple[str, str, "RatePoint"]]:
-        """Return the name of each method, with each of its three rate points and the name of that."""
-        for method in self.methods:
-            for level, rate_point in three_rate_points(method).items():
-                yield method.name, level, rate_point
+
+def at_levels(scope: Scope) -> Iterator[Trial]:
+    """Yield the beginnings of trials of every method at its three rate points."""
+    for method in scope.methods:
+        for level, rate_point in three_rate_points(method).items():
+            yield Trial(method.name, setting=f"{level}: {rate_point.text}", rate_points=(rate_point,))
+
+
+def at_middle(scope: Scope) -> Iterator[Trial]:
+    """Yield those of at_levels that are of the middle rate point."""
+    return (begun for begun in at_levels(scope) if begun.level == LEVELS[1])
+
+
+def at_level(level: str, methods: Iterable[Method]) -> Iterator[Trial]:
+    """Yield the beginnings of trials of methods at one of LEVELS."""
+    for method in methods:
+        rate_point = three_rate_points(method)[level]
+        yield Trial(method.name, setting=rate_point.text, rate_points=(rate_point,))
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of a map: what `measure` tries, on each beginning of a trial, in each case, with each value.
+
+    Without `cases` or `values`, those of the beginnings count. A quick run tries every `case_step`-th case and every
+    `value_step`-th value. `rejected`: the cases that must be rejected.
+    """
+
+    measure: Callable[[Trial], Measured]
+    beginnings: Callable[[Scope], Iterable[Trial]]
+    cases: Sequence[str] = ()
+    values: Sequence[float] = ()
+    case_step: int = 1
+    value_step: int = 1
+    rejected: Collection[str] = ()
+
+    def trials(self, scope: Scope) -> Iterator[Trial]:
+        """Yield the trials of the row."""
+        for begun in self.beginnings(scope):
+            for case in scope.some(self.cases, self.case_step) or [begun.case]:
+                for value in scope.some(self.values, self.value_step) or [begun.value]:
+                    rejected = case in self.rejected
+                    yield replace(begun, case=case, value=value, measure=self.measure, to_be_rejected=rejected)
 
 
 class Group(StrEnum):
@@ -94,74 +106,116 @@ class Group(StrEnum):
     OTHERS = "Other codecs"
 
 
-class Rule(NamedTuple):
-    """Which figure decides an outcome, and its limits, in words; what lies between them is degraded."""
+class Words(Table, frozen=True):
+    """The words of a map, a table of maps.toml; braces hold constants of the map's module, or what `Map.message` says.
 
-    measured: str
-    holds: str
-    fails: str
-
-
-class Place(NamedTuple):
-    """Where a picture shows a cell. `group`: a heading above several columns."""
-
-    row: str
-    column: str | float
-    group: str = ""
-
-
-def by_value(cell: Verdict) -> Place:
-    """Return the place of a cell: methods downwards, values across."""
-    return Place(cell.method, cell.value or 0.0)
-
-
-def by_value_and_case(cell: Verdict) -> Place:
-    """Return the place of a cell: methods downwards, values across, for each case anew."""
-    return Place(cell.method, cell.value or 0.0, cell.case)
-
-
-def letter(cell: Verdict) -> str:
-    """Return the letter of a cell's outcome, nothing where it holds."""
-    return "" if cell.outcome is Outcome.HOLDS else cell.outcome.letter
-
-
-def figure(name: str, form: str = ".0f", factor: float = 1.0) -> Callable[[Verdict], str]:
-    """Return what writes a figure of a cell into a picture, or the outcome's letter where the figure has no value."""
-
-    def text(cell: Verdict) -> str:
-        value = cell.figures.get(name)
-        return letter(cell) if value is None else f"{factor * value:z{form}}"
-
-    return text
-
-
-@dataclass(frozen=True)
-class Map:
-    """One map.
-
-    `name`: of its files. `tried`: one or two sentences about the trials. `message`: what the cells show, the picture's
-    title. `caption`: of the columns. `conditions`: its trials within a scope. `label`: the text within a cell.
-    `value_name`: the CSV column of the varied value, with its unit; `varied`: how a sentence says such a value, as in
-    "{} dB". Both are empty where nothing is varied. `judged`: corrects outcomes that depend on other cells.
+    `tried`: one or two sentences about the trials. `measured`: which figure decides an outcome, with its limits in
+    words; what lies between them is degraded. `message`: what the cells show, the picture's title; `noun`: a method.
+    `caption`: of the columns. `row`, `column`, `heading`: where the picture shows a cell; without `column`, the value,
+    or else the case. `label`: the figure in a cell; without one, the letter of its outcome. `value_name`: the CSV
+    column of the varied value, with its unit; `varied`: how a sentence says such a value.
     """
 
-    name: str
     group: Group
     title: str
     tried: str
-    rule: Rule
-    conditions: Callable[[Scope], Iterable[Trial]]
-    message: Callable[[Sequence[Verdict]], str]
-    caption: str
-    place: Callable[[Verdict], Place] = by_value
-    label: Callable[[Verdict], str] = letter
-    value_name: str = ""
+    measured: str
+    holds: str
+    fails: str
+    message: str
+    caption: str = ""
+    noun: str = "codec"
+    row: str = "{method}"
+    column: str = ""
+    heading: str = ""
+    label: str = ""
+    value_name: str = "value"
     varied: str = ""
-    judged: Callable[[list[Verdict]], list[Verdict]] = lambda cells: cells
+
+
+_WORDS = {name: convert(table, Words) for name, table in read_toml(WORDS, "table of maps").items()}
+
+
+@dataclass(frozen=True, eq=False)
+class Map:
+    """One map: its name, as of its files; its rows; the constants of its module; its words.
+
+    `judged` corrects outcomes that depend on other cells.
+    """
+
+    name: str
+    constants: Mapping[str, Any]
+    rows: Sequence[Row] = ()
+    judged: Callable[[Cells], Cells] = lambda cells: cells
+
+    @property
+    def words(self) -> Words:
+        """The words of the map, as they stand in maps.toml."""
+        return _WORDS[self.name]
+
+    @property
+    def tried(self) -> str:
+        """One or two sentences about the trials."""
+        return self.words.tried.format_map(self.constants)
+
+    @property
+    def rule(self) -> tuple[str, str, str]:
+        """What is measured, when a trial holds, and when it fails."""
+        measured, holds, fails = (
+            text.format_map(self.constants) for text in (self.words.measured, self.words.holds, self.words.fails)
+        )
+        return measured, holds, fails
 
     def trials(self, scope: Scope) -> list[Trial]:
         """Return the trials of the map."""
-        return [replace(trial, map=self.name) for trial in self.conditions(scope)]
+        return [replace(trial, map=self.name) for row in self.rows for trial in row.trials(scope)]
+
+    def message(self, cells: Cells) -> str:
+        """Return what the cells show, in words.
+
+        {methods}: with which methods all cells are sound. {hardest}: the cases at which most are not. {values}: the
+        values at which every cell is sound; {most}: at which at least half are.
+        """
+        shares = cells.drop_nulls("value").group_by("value").agg(pl.mean("sound")).sort("value")
+        every = shares["value"].to_list()
+        values, most = (
+            self.varied(ranges(shares.filter(pl.col("sound") >= least)["value"].to_list(), every)) for least in (1, 0.5)
+        )
+        found = {"methods": with_methods(cells, self.words.noun), "hardest": hardest(cells)}
+        return self.words.message.format_map({**self.constants, **found, "values": values, "most": most})
+
+    def varied(self, values: str) -> str:
+        """Return how a sentence says values of the map."""
+        return self.words.varied.format(values or "no")
+
+
+def table(trials: Sequence[Trial], measured: Sequence[Measured]) -> Cells:
+    """Return the cells of one map's trials, each with its cause and remedy."""
+    figures = dict.fromkeys(name for each in measured for name in each.figures)
+    rows = [
+        {
+            **{name: getattr(trial, name) for name in ("method", "case", "setting", "value")},
+            "required": Outcome.REJECTED if trial.to_be_rejected else Outcome.HOLDS,
+            "outcome": each.outcome,
+            # A zero is added because a small negative figure would be rounded to -0.0.
+            **{name: None if value is None else round(float(value), 4) + 0.0 for name, value in each.figures.items()},
+            "effect": each.effect,
+        }
+        for trial, each in zip(trials, measured, strict=True)
+    ]
+    before, numbers = ("method", "case", "setting"), dict.fromkeys(figures, pl.Float64)
+    schema = {**dict.fromkeys(before, pl.String), "value": pl.Float64, "required": pl.String, "outcome": pl.String}
+    return pl.DataFrame(rows, {**schema, **numbers, "effect": pl.String}).with_columns(pl.col("value").fill_nan(None))
+
+
+def explained(name: str, cells: Cells) -> Cells:
+    """Return the cells of a map, with what is known of each outcome, and whether it is sound."""
+    known = [explanation(name, *cell) for cell in cells.select("method", "case", "outcome", "effect").iter_rows()]
+    columns = {"failure": 0, "cause": 1, "remedy": 2}
+    return cells.with_columns(
+        *(pl.Series(column, [each[place] for each in known], pl.String) for column, place in columns.items()),
+        sound=pl.col("outcome") == pl.col("required"),
+    )
 
 
 def methods(names: Collection[str] | None, models: Sequence[Model]) -> tuple[Method, ...]:
@@ -182,68 +236,38 @@ def methods(names: Collection[str] | None, models: Sequence[Model]) -> tuple[Met
     return tuple(method for method in every if names is None or {method.name, method.coder} & set(names))
 
 
-def rate_points(method: Method) -> list[RatePoint]:
+def rate_points(method: Method) -> tuple[RatePoint, ...]:
     """Return all rate points of a codec's method, the coarsest first."""
     assert isinstance(method.coder, str), "programs are not tried"
-    return [
-        RatePoint(method.coder, setting, model) for setting, model in method.rate_points if not isinstance(setting, str)
-    ]
+    points = ((setting, model) for setting, model in method.rate_points if not isinstance(setting, str))
+    return tuple(RatePoint(method.coder, *each) for each in points)
 
 
 def three_rate_points(method: Method) -> dict[str, RatePoint]:
-    """Return rate points of a method by LEVELS: a quarter of the way up, half of it, and the finest."""
+    """Return rate points of a method by LEVELS."""
     points = rate_points(method)
     return dict(zip(LEVELS, (points[len(points) // 4], points[len(points) // 2], points[-1]), strict=True))
 
 
-def middle_rate_point(method: Method) -> RatePoint:
-    """Return the middle rate point of a method."""
-    return three_rate_points(method)["middle"]
-
-
-def with_methods(cells: Sequence[Verdict], noun: str = "codec") -> str:
+def with_methods(cells: Cells, noun: str = "codec") -> str:
     """Return in words for which methods all cells are sound: "with every codec", "with flac and g726 only"."""
-    methods = list(dict.fromkeys(cell.method for cell in cells))
-    unsound = {cell.method for cell in cells if not cell.sound}
-    sound = [method for method in methods if method not in unsound]
-    if not unsound or not sound:
-        return f"with every {noun}" if sound else f"with no {noun}"
+    methods = cells.group_by("method", maintain_order=True).agg(pl.all("sound"))
+    sound = methods.filter("sound")["method"].to_list()
+    if len(sound) in (0, len(methods)):
+        return f"with {'every' if sound else 'no'} {noun}"
     if len(sound) > _MAX_NAMED:
         return f"with {len(sound)} of {len(methods)} {noun}s"
     return f"with {listed(sound)} only"
 
 
-def hardest(cells: Sequence[Verdict], noun: str = "codecs", most: int = 3) -> str:
+def hardest(cells: Cells, most: int = 3) -> str:
     """Return the cases at which most methods are not sound, with their counts, in words."""
-    methods = {cell.method for cell in cells}
-    unsound: dict[str, set[str]] = {}
-    for cell in cells:
-        if not cell.sound:
-            unsound.setdefault(cell.case, set()).add(cell.method)
-    ranked = sorted(unsound.items(), key=lambda case: -len(case[1]))[:most]
+    unsound = cells.filter(~pl.col("sound")).group_by("case", maintain_order=True).agg(pl.n_unique("method"))
+    ranked = unsound.sort("method", descending=True, maintain_order=True).head(most).rows()
     if not ranked:
         return "none of them is hard for any"
-    counts = [
-        f"{case} ({len(some)}{f' of {len(methods)} {noun}' if case == ranked[0][0] else ''})" for case, some in ranked
-    ]
-    return listed(counts)
-
-
-def sound_values(cells: Sequence[Verdict]) -> list[float]:
-    """Return the values at which every cell is sound, rising."""
-    unsound = {cell.value for cell in cells if not cell.sound}
-    return sorted({cell.value for cell in cells if cell.value is not None} - unsound)
-
-
-def most_hold_up_to(cells: Sequence[Verdict]) -> float | None:
-    """Return the greatest value up to which at least half of the methods are sound; None where there is no such."""
-    best = None
-    for value in sorted({cell.value for cell in cells if cell.value is not None}):
-        of_value = [cell for cell in cells if cell.value == value]
-        if 2 * sum(cell.sound for cell in of_value) < len(of_value):
-            break
-        best = value
-    return best
+    of = f" of {cells['method'].n_unique()} codecs"
+    return listed(f"{case} ({count}{of if place == 0 else ''})" for place, (case, count) in enumerate(ranked))
 
 
 def ranges(values: Sequence[float], all_values: Sequence[float]) -> str:

@@ -1,9 +1,9 @@
 """Model images that are wrong, damaged or missing: what is rejected, and what plays."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import numpy as np
 
@@ -11,10 +11,10 @@ from vibrocast import codec, models
 from vibrocast.codec import Signal
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.model_image import ModelImage
-from vibrocast.evaluation.stability.maps import Group, Map, Place, RatePoint, Rule, Scope, middle_rate_point
+from vibrocast.evaluation.stability.maps import Map, Row, Scope, at_level
 from vibrocast.evaluation.stability.signals import RATE_HZ, encoded, texture
 from vibrocast.evaluation.stability.transport import flash_with
-from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict
+from vibrocast.evaluation.stability.trials import Measured, Outcome, RatePoint, Trial
 from vibrocast.evaluation.trained import runtimes
 from vibrocast.host.controller import Controller as Host
 from vibrocast.host.player import play
@@ -43,10 +43,11 @@ def _changed(rate_point: RatePoint, place_percent: float) -> bytes:
     return bytes(payload)
 
 
-def measure_changed(rate_point: RatePoint, runtime: str, place_percent: float) -> Measured:
+def measure_changed(trial: Trial) -> Measured:
     """Decode with a changed payload that no CRC or hash reveals, and compare the samples. Raises CodecError."""
-    stream = _stream(rate_point)
-    payloads = rate_point.trained.tables, _changed(rate_point, place_percent)
+    rate_point = trial.rate_point
+    stream, runtime = _stream(rate_point), trial.case.removeprefix(CHANGED).removeprefix(", ")
+    payloads = rate_point.trained.tables, _changed(rate_point, trial.value)
     expected, came = (_decoded(stream, payload, runtime) for payload in payloads)
     snr_db = codec.snr_db(expected, came)
     assert snr_db is not None, "a texture is not silent"
@@ -62,95 +63,77 @@ def _decoded(stream: Stream, payload: bytes, runtime: str) -> Signal:
     return np.concatenate([decoder.decode(packet) for packet in stream.packets]).astype(np.float64)
 
 
-def measure_cut(rate_point: RatePoint, percent: float) -> Measured:
+def measure_cut(trial: Trial) -> Measured:
     """Decode with a part of a payload, in an image whose CRC is right. Raises CodecError."""
-    payload = rate_point.trained.tables
-    cut = payload[: round(percent / 100 * len(payload))]
-    header = _stream(rate_point).header
+    payload, header = trial.rate_point.trained.tables, _stream(trial.rate_point).header
+    cut = payload[: round(trial.value / 100 * len(payload))]
     codec.decoder(header.codec_identifier, header.configuration, header.channels, cut)
     return Measured(Outcome.HOLDS, {})
 
 
-def measure_hash(rate_point: RatePoint) -> Measured:
+def _use_another_hash(rate_point: RatePoint) -> None:
     """Give a changed image, whose CRC is right, for a stream of the right one. Raises CodecError."""
     stream = _stream(rate_point)
     Stream(stream.header, stream.packets, _with_payload(rate_point, _changed(rate_point, 50.0))).decode()
-    return Measured(Outcome.HOLDS, {})
 
 
-def measure_crc(rate_point: RatePoint) -> Measured:
+def _use_another_crc(rate_point: RatePoint) -> None:
     """Read an image with one byte changed. Raises ModelError."""
     image = bytearray(rate_point.trained.image)
     image[len(image) // 2] ^= 0x55
     ModelImage.unpack(bytes(image))
-    return Measured(Outcome.HOLDS, {})
 
 
-def measure_missing(rate_point: RatePoint) -> Measured:
+def _use_none(rate_point: RatePoint) -> None:
     """Decode without the image. Raises CodecError."""
     stream = _stream(rate_point)
     Stream(stream.header, stream.packets).decode()
-    return Measured(Outcome.HOLDS, {})
 
 
-def measure_on_controller(rate_point: RatePoint, image: bytes | None) -> Measured:
+def _play(rate_point: RatePoint, image: bytes | None) -> None:
     """Play on a controller that has another image, or none. Raises ControllerError."""
     stream = _stream(rate_point)
     link = MemoryLink(Controller(flash=flash_with(image)))
     play(Host(link, link.clock, link.sleep), stream)
+
+
+def _play_another(rate_point: RatePoint) -> None:
+    image = rate_point.trained.image
+    _play(rate_point, next(model.image for model in models.shipped() if model.image != image))
+
+
+WRONG: Mapping[str, Callable[[RatePoint], None]] = {
+    "byte changed, CRC wrong": _use_another_crc,
+    "byte changed, hash wrong": _use_another_hash,
+    "no image for the decoder": _use_none,
+    "no image on the controller": lambda rate_point: _play(rate_point, None),
+    "other image on the controller": _play_another,
+}
+"""Uses of a wrong image that are rejected."""
+
+
+def measure_wrong(trial: Trial) -> Measured:
+    """Use a wrong image in one of the ways of WRONG. Raises CodecError, ModelError or ControllerError."""
+    WRONG[trial.case](trial.rate_point)
     return Measured(Outcome.HOLDS, {})
 
 
-def _images(scope: Scope) -> Iterator[Trial]:
-    for method in scope.learned:
-        rate_point = middle_rate_point(method)
-        another = next(model.image for model in models.shipped() if model.image != rate_point.trained.image)
-        rejected: dict[str, Callable[[RatePoint], Measured]] = {
-            "byte changed, CRC wrong": measure_crc,
-            "byte changed, hash wrong": measure_hash,
-            "no image for the decoder": measure_missing,
-            "no image on the controller": partial(measure_on_controller, image=None),
-            "other image on the controller": partial(measure_on_controller, image=another),
-        }
-        trial = partial(Trial, method.name, setting=rate_point.text)
-        for case, measure in rejected.items():
-            yield trial(case, partial(measure, rate_point), to_be_rejected=True)
-        for percent in CUTS_PERCENT:
-            yield trial(CUT, partial(measure_cut, rate_point, percent), value=percent, to_be_rejected=True)
-        for runtime in runtimes(rate_point.trained):
-            for percent in scope.some(PLACES_PERCENT, 4):
-                changed = partial(measure_changed, rate_point, runtime, percent)
-                yield trial(", ".join(filter(None, (CHANGED, runtime))), changed, value=percent)
+def _learned(scope: Scope) -> Iterator[Trial]:
+    return at_level("middle", scope.learned)
 
 
-def _place(cell: Verdict) -> Place:
-    """Return the place of a cell: models and what decodes them downwards, what is wrong across."""
-    if cell.value is None:
-        return Place(cell.method, cell.case)
-    if cell.case == CUT:
-        return Place(cell.method, cell.value, "cut, % left")
-    return Place(cell.method + cell.case.removeprefix(CHANGED), cell.value, "byte changed at, %")
-
-
-def _message(cells: Sequence[Verdict]) -> str:
-    wrong = [cell for cell in cells if cell.required is Outcome.REJECTED]
-    accepted = sum(not cell.sound for cell in wrong)
-    if accepted:
-        return f"{accepted} of {len(wrong)} wrong images are accepted"
-    return "Every wrong image is rejected; a changed byte passes where CRC and hash were made to fit"
+def _by_runtime(scope: Scope) -> Iterator[Trial]:
+    for begun in _learned(scope):
+        for runtime in runtimes(begun.rate_point.trained):
+            yield replace(begun, case=", ".join(filter(None, (CHANGED, runtime))))
 
 
 IMAGES = Map(
-    name="model_images",
-    group=Group.LEARNED,
-    title="Wrong model images",
-    tried="A stream gets an image that it was not coded for. CRC, hash or controller must reject it. Then one byte "
-    "changes, and CRC and hash are made to fit.",
-    rule=Rule("decoded samples", "the same, or rejected as required", "crash (other samples: degraded)"),
-    conditions=_images,
-    message=_message,
-    place=_place,
-    caption="",
-    value_name="place_percent",
-    varied="{} % of the image",
+    "model_images",
+    globals(),
+    [
+        Row(measure_wrong, _learned, tuple(WRONG), rejected=WRONG),
+        Row(measure_cut, _learned, [CUT], CUTS_PERCENT, rejected=[CUT]),
+        Row(measure_changed, _by_runtime, values=PLACES_PERCENT, value_step=4),
+    ],
 )

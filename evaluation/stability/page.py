@@ -1,20 +1,22 @@
 """Writes what the trials showed: CSV files and a picture for each map, and the page with failures and remedies."""
 
-import math
-from collections.abc import Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
+
+import polars as pl
 
 from vibrocast import pages
 from vibrocast.codec import CODECS
 from vibrocast.errors import InputError
 from vibrocast.evaluation.points import read_row, write_rows
 from vibrocast.evaluation.stability import pictures
-from vibrocast.evaluation.stability.cell_files import read_cells, write_cells
-from vibrocast.evaluation.stability.known_causes import CRASH, explanation, known_causes
-from vibrocast.evaluation.stability.maps import Group, Map, ranges
-from vibrocast.evaluation.stability.trials import Outcome, Verdict
-from vibrocast.evaluation.tables import grouped
+from vibrocast.evaluation.stability.known_causes import CRASH, known_causes
+from vibrocast.evaluation.stability.maps import Cells, Map, explained, ranges
+from vibrocast.evaluation.stability.trials import Outcome
+from vibrocast.evaluation.tables import write_table
+from vibrocast.files import atomic_write
 
 PAGE, FOLDER = "stability.md", "stability"
 TITLE = "# Where codecs hold and where they fail"
@@ -23,9 +25,11 @@ WITHOUT_WAVEFORM = tuple(name for name, known in CODECS.items() if not known.kee
 _MAX_CASES = 2
 """Cases that a sentence names; the CSV files have all."""
 _MAX_METHODS = 5
-_FAMILY = 3
-"""So many methods of one prefix are named together."""
-_BAD_FIRST = sorted(Outcome, key=list(Outcome).index, reverse=True)
+_FEW = 3
+"""So many methods are named, rather than the others."""
+_WORST_FIRST = tuple(reversed(Outcome))
+Results: TypeAlias = Mapping[Map, Cells]
+"""The maps that have cells, each with these."""
 
 
 @dataclass(frozen=True)
@@ -46,22 +50,6 @@ class Failure:
     remedy: str
 
 
-@dataclass(frozen=True)
-class Boundary:
-    """Where a method has an outcome for one reason; `conditions` of `all_conditions` of the map."""
-
-    map: str
-    method: str
-    outcome: str
-    conditions: int
-    all_conditions: int
-    where: str
-    worst_effect: str
-    failure: str
-    cause: str
-    remedy: str
-
-
 def folder_in(out: Path) -> Path:
     """Make the folder of the maps in `out` and return it. Raises InputError where a page of other origin stands there,
     OSError where the folder cannot be made.
@@ -74,22 +62,43 @@ def folder_in(out: Path) -> Path:
     return folder
 
 
-def write(
-    out: Path, maps: Sequence[Map], cells: Sequence[Verdict], command: str, redrawn: bool = False
-) -> list[Failure]:
+def write(out: Path, results: Results, command: str, redrawn: bool = False) -> list[Failure]:
     """Write stability.md into `out` and, into a folder there, each map's CSV file and picture; return the failures.
 
     `command`: what was run. `redrawn`: the page there is of these cells. Raises OSError, and as folder_in.
     """
     folder = folder_in(out)
-    drawn = [(each, own) for each in maps if (own := [cell for cell in cells if cell.map == each.name])]
-    for each, own in drawn:
-        write_cells(folder / f"{each.name}.csv", each, own)
-    names = {each.name: pictures.write(folder, each, own) for each, own in drawn}
+    known = {each: explained(each.name, cells) for each, cells in results.items() if len(cells)}
+    for each, cells in known.items():
+        empty = [] if each.words.varied else ["value"]
+        with atomic_write(folder / f"{each.name}.csv") as partial:
+            write_table(
+                partial, cells.drop("failure", "sound", *empty).rename({"value": each.words.value_name}, strict=False)
+            )
+        pictures.write(folder / f"{each.name}.svg", each, cells)
     write_rows(folder / "description.csv", [Description(command)], Description)
-    write_rows(folder / "boundaries.csv", [row for each, own in drawn for row in boundaries(each, own)], Boundary)
-    pages.write_figures(out / PAGE, markdown(drawn, names, command), redrawn)
-    return failures(drawn)
+    write_table(folder / "boundaries.csv", pl.concat([boundaries(*each) for each in known.items()]))
+    pages.write_figures(out / PAGE, markdown(known, command), redrawn)
+    return failures(known)
+
+
+def read_cells(path: Path, each: Map) -> Cells:
+    """Return the cells of a map's CSV file. Raises InputError where it is none, OSError."""
+    try:
+        table = pl.read_csv(path, infer_schema=False).rename({each.words.value_name: "value"}, strict=False)
+        if not each.words.varied:
+            table = table.with_columns(value=pl.lit(None, pl.String))
+        names = ("method", "case", "setting", "value", "required", "outcome")
+        texts = [name for name in table.columns if name in (*names, "effect") and name != "value"]
+        figures = [name for name in table.columns if name not in (*names, "effect", "cause", "remedy")]
+        table = table.select(*names, *figures, "effect").with_columns(
+            pl.col(texts).fill_null(""), pl.col("value", *figures).cast(pl.Float64)
+        )
+        if unknown := {*table["required"], *table["outcome"]}.difference(Outcome):
+            raise ValueError(f"unknown outcomes {unknown}")
+        return table
+    except (pl.exceptions.PolarsError, ValueError) as error:
+        raise InputError(f"{path}: no cells of this map ({error!r}); run `vibrocast stability` again") from error
 
 
 def redraw(out: Path, maps: Sequence[Map]) -> list[Failure]:
@@ -99,20 +108,18 @@ def redraw(out: Path, maps: Sequence[Map]) -> list[Failure]:
     """
     folder = folder_in(out)
     description = read_row(folder / "description.csv", Description)
-    found = [(each, path) for each in maps if (path := folder / f"{each.name}.csv").exists()]
-    cells = [cell for each, path in found for cell in read_cells(path, each)]
-    return write(out, maps, cells, description.command, redrawn=True)
+    found = {each: path for each in maps if (path := folder / f"{each.name}.csv").exists()}
+    return write(out, {each: read_cells(path, each) for each, path in found.items()}, description.command, redrawn=True)
 
 
-def markdown(maps: Sequence[tuple[Map, Sequence[Verdict]]], names: dict[str, str], command: str) -> str:
-    """Return the page. `names`: of the pictures' files, by map."""
-    every = [cell for _, cells in maps for cell in cells]
-    in_group: dict[Group, list[tuple[Map, bool]]] = {}
-    for each, cells in maps:
-        in_group.setdefault(each.group, []).append((each, all(cell.sound for cell in cells)))
+def markdown(results: Results, command: str) -> str:
+    """Return the page."""
+    every = pl.concat([cells.select("method", "sound") for cells in results.values()])
+    groups: dict[str, list[tuple[Map, bool]]] = {}
     rules: dict[tuple[str, str, str], list[str]] = {}
-    for each, _ in maps:
-        rules.setdefault(each.rule, []).append(each.title)
+    for each, cells in results.items():
+        groups.setdefault(each.words.group, []).append((each, cells["sound"].all()))
+        rules.setdefault(each.rule, []).append(each.words.title)
     return pages.render(
         Path(__file__).with_name("stability.md.jinja"),
         title=TITLE,
@@ -120,34 +127,32 @@ def markdown(maps: Sequence[tuple[Map, Sequence[Verdict]]], names: dict[str, str
         folder=FOLDER,
         link=_link,
         conditions=len(every),
-        held=sum(cell.sound for cell in every),
-        shares=_shares(maps),
-        left_out=[name for name in WITHOUT_WAVEFORM if any(cell.method == name for cell in every)],
-        failures=failures(maps),
+        held=every["sound"].sum(),
+        shares=_shares(results),
+        left_out=[name for name in WITHOUT_WAVEFORM if name in every["method"]],
+        failures=failures(results),
         rules=rules,
-        groups=in_group,
-        names=names,
-        messages={each.name: each.message(cells) for each, cells in maps},
+        groups=groups,
+        messages={each.name: each.message(cells) for each, cells in results.items()},
     )
 
 
-def _shares(maps: Sequence[tuple[Map, Sequence[Verdict]]]) -> list[tuple[str, int]]:
+def _shares(results: Results) -> list[tuple[str, int]]:
     """Return in how many percent of the conditions of the maps that all have in common each method holds.
 
     The first method stays first; the others are in the order of their shares. WITHOUT_WAVEFORM is left out.
     """
-    of_maps = [frozenset(cell.method for cell in cells) for _, cells in maps]
-    methods = max(of_maps, key=lambda own: (of_maps.count(own), len(own)), default=frozenset())
-    common = [cell for (_, cells), own in zip(maps, of_maps, strict=True) if methods <= own for cell in cells]
-    kept = [cell for cell in common if cell.method in methods.difference(WITHOUT_WAVEFORM)]
-    shares = [
-        (method, math.floor(100 * sum(cell.sound for cell in own) / len(own)))
-        for method, own in grouped(kept, lambda cell: cell.method).items()
+    of_maps = [frozenset(cells["method"]) for cells in results.values()]
+    methods = max(of_maps, key=lambda own: (of_maps.count(own), len(own)))
+    common = [
+        cells.select("method", "sound") for cells, own in zip(results.values(), of_maps, strict=True) if methods <= own
     ]
+    kept = pl.concat(common).filter(pl.col("method").is_in(methods.difference(WITHOUT_WAVEFORM)))
+    shares = kept.group_by("method", maintain_order=True).agg((100 * pl.mean("sound")).floor().cast(int)).rows()
     return [*shares[:1], *sorted(shares[1:], key=lambda each: -each[1])]
 
 
-def failures(maps: Sequence[tuple[Map, Sequence[Verdict]]]) -> list[Failure]:
+def failures(results: Results) -> list[Failure]:
     """Return the failures that have words: crashes, then in the order of known_causes.csv, then those not known."""
     order = [(known.map, known.failure) for known in known_causes()]
 
@@ -156,108 +161,84 @@ def failures(maps: Sequence[tuple[Map, Sequence[Verdict]]]) -> list[Failure]:
         return -1 if row.failure == CRASH.failure else order.index(key) if key in order else len(order)
 
     found = []
-    for each, cells in maps:
-        unsound = [cell for cell in cells if not cell.sound]
-        for failure, own in grouped(unsound, lambda cell: explanation(cell).failure).items():
-            if failure:
-                methods, remedy = _named(own, cells), explanation(own[0]).remedy
-                found.append(Failure(each, failure, methods, boundary(each, own, cells), remedy))
+    for each, cells in results.items():
+        unsound = cells.filter(~pl.col("sound") & (pl.col("failure") != ""))
+        for (failure,), own in unsound.group_by("failure", maintain_order=True):
+            where = boundary(each, own, cells)
+            found.append(Failure(each, str(failure), _named(own, cells), where, own["remedy"][0]))
     return sorted(found, key=place)
 
 
-def _named(own: Sequence[Verdict], cells: Sequence[Verdict]) -> str:
+def _named(own: Cells, cells: Cells) -> str:
     """Return the methods of some cells in words, against all of the map's."""
-    every = list(dict.fromkeys(cell.method for cell in cells))
-    affected = {cell.method for cell in own}
-    if len(affected) == len(every) > 1:
-        return "both" if len(every) == 2 else f"all {len(every)}"
+    every = cells["method"].unique(maintain_order=True).to_list()
+    affected = [method for method in every if method in own["method"]]
     missing = [method for method in every if method not in affected]
-    if len(missing) < len(affected) and len(missing) <= _MAX_METHODS and len(affected) > _FAMILY:
-        return f"all but {pages.listed(_families(missing, every))}"
-    names = _families([method for method in every if method in affected], every)
-    return pages.listed(names) if len(names) <= _MAX_METHODS else f"{len(affected)} of {len(every)}"
+    if not missing and len(every) > 1:
+        return "both" if len(every) == 2 else f"all {len(every)}"
+    if len(missing) < len(affected) and len(missing) <= _MAX_METHODS and len(affected) > _FEW:
+        return f"all but {pages.listed(missing)}"
+    return pages.listed(affected) if len(affected) <= _MAX_METHODS else f"{len(affected)} of {len(every)}"
 
 
-def _families(methods: Sequence[str], every: Sequence[str]) -> list[str]:
-    """Return methods, those of one prefix together where all of them are among these."""
-    names: dict[str, None] = {}
-    for method in methods:
-        prefix = method.partition("-")[0] + "-"
-        family = [each for each in every if each.startswith(prefix)]
-        together = len(family) >= _FAMILY and set(family) <= set(methods)
-        names[f"{prefix}*" if together else method] = None
-    return list(names)
-
-
-def boundary(each: Map, own: Sequence[Verdict], cells: Sequence[Verdict]) -> str:
+def boundary(each: Map, own: Cells, cells: Cells) -> str:
     """Return in words under which conditions a failure's cells lie, the worst outcome first."""
-    parts, named, cases = [], set(), len({cell.case for cell in cells})
-    for outcome in _BAD_FIRST:
-        of_outcome = [cell for cell in own if cell.outcome is outcome]
-        keys = dict.fromkeys(cell.value if each.varied else cell.case for cell in of_outcome)
-        new = [key for key in keys if key not in named]
+    parts, named, cases = [], set[Hashable](), cells["case"].n_unique()
+    key = "value" if each.words.varied else "case"
+    for outcome in _WORST_FIRST:
+        keys = own.filter(outcome=outcome)[key].unique(maintain_order=True)
+        new = [one for one in keys if one not in named]
         named.update(new)
-        if each.varied and new:
-            values = ranges([key for key in new if isinstance(key, float)], _values(cells))
-            parts.append(f"{outcome}: {each.varied.format(values)}")
+        if each.words.varied and new:
+            parts.append(f"{outcome}: {each.varied(ranges(new, _values(cells)))}")
         elif len(new) > max(_MAX_CASES + 1, cases / 2):
             parts.append(f"{outcome}: {len(new)} of {cases} cases")
         elif new:
             # "1 more" would take the room of the one.
             named_cases = new if len(new) <= _MAX_CASES + 1 else [*new[:_MAX_CASES], f"{len(new) - _MAX_CASES} more"]
-            parts.append(f"{outcome}: {', '.join(map(str, named_cases))}")
+            parts.append(f"{outcome}: {', '.join(named_cases)}")
     return "; ".join(parts)
 
 
-def boundaries(each: Map, cells: Sequence[Verdict]) -> list[Boundary]:
-    """Return a row for each method, outcome and cause."""
+def boundaries(each: Map, cells: Cells) -> pl.DataFrame:
+    """Return a row for each method, outcome and cause: where the method has the outcome for that reason, and how bad.
+
+    `conditions` of `all_conditions` of the map. `worst_effect`: of the lowest SNR, or without one the highest figure.
+    """
+    height = pl.col("snr_db") if "snr_db" in cells.columns else -pl.nth(cells.columns.index("outcome") + 1)
+    known = ("failure", "cause", "remedy")
+    order = (pl.col("outcome").cast(pl.Enum(Outcome)), *known)
     rows = []
-    for method, own in grouped(cells, lambda cell: cell.method).items():
-        kinds = grouped(own, lambda cell: (list(Outcome).index(cell.outcome), explanation(cell)))
-        for (place, known), some in sorted(kinds.items()):
-            worst = min(some, key=_worst_first)
-            rows.append(
-                Boundary(
-                    each.name,
-                    method,
-                    list(Outcome)[place],
-                    len(some),
-                    len(own),
-                    where(each, some, own),
-                    worst.effect,
-                    *known,
-                )
-            )
-    return rows
+    for (method,), every in cells.group_by("method", maintain_order=True):
+        in_order = every.sort(order, maintain_order=True)
+        for (outcome, *causes), own in in_order.group_by("outcome", *known, maintain_order=True):
+            effect = own.sort(height, nulls_last=True, maintain_order=True)["effect"][0]
+            counts = len(own), len(every)
+            rows.append((each.name, method, outcome, *counts, where(each, own, every), effect, *causes))
+    columns = ("map", "method", "outcome", "conditions", "all_conditions", "where", "worst_effect", *known)
+    return pl.DataFrame(rows, columns, orient="row")
 
 
-def where(each: Map, cells: Sequence[Verdict], method_cells: Sequence[Verdict]) -> str:
+def where(each: Map, cells: Cells, method_cells: Cells) -> str:
     """Return in words where some of a method's cells lie: ranges of the varied value by case, or cases by settings."""
     if len(cells) == len(method_cells):
         return "everywhere"
     named: dict[str, list[str]] = {}
-    for case, own in grouped(cells, lambda cell: cell.case).items():
-        of_case = [cell for cell in method_cells if cell.case == case]
-        if each.varied and any(cell.value is not None for cell in own):
-            values = each.varied.format(ranges(_values(own), _values(of_case)))
+    for (case,), own in cells.group_by("case", maintain_order=True):
+        of_case = method_cells.filter(case=case)
+        if _values(own):
+            values = each.varied(ranges(_values(own), _values(of_case)))
         else:
-            values = "" if len(own) == len(of_case) else ", ".join(cell.setting.partition(":")[0] for cell in own)
-        named.setdefault(values, []).append(case)
-    if each.varied and len({cell.case for cell in method_cells}) == 1:
+            values = "" if len(own) == len(of_case) else ", ".join(text.partition(":")[0] for text in own["setting"])
+        named.setdefault(values, []).append(str(case))
+    if each.words.varied and method_cells["case"].n_unique() == 1:
         return next(iter(named))
     return "; ".join(f"{', '.join(some)} ({values})" if values else ", ".join(some) for values, some in named.items())
 
 
-def _values(cells: Sequence[Verdict]) -> list[float]:
-    return [cell.value for cell in cells if cell.value is not None]
+def _values(cells: Cells) -> list[float]:
+    return cells["value"].drop_nulls().to_list()
 
 
 def _link(text: str, title: str) -> str:
     return f"[{text}](#{title.lower().replace(' ', '-')})"
-
-
-def _worst_first(cell: Verdict) -> float:
-    """Return what sorts cells of one outcome by SNR, or where they have none by the first figure."""
-    first = next(iter(cell.figures), "")
-    height = cell.figure("snr_db") if "snr_db" in cell.figures else -cell.figure(first)
-    return math.inf if math.isnan(height) else height

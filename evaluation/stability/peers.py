@@ -6,9 +6,9 @@ import re
 from pathlib import Path
 
 from vibrocast.errors import InputError
-from vibrocast.evaluation.stability.maps import Group, Map, Place, Rule, hardest
+from vibrocast.evaluation.stability.maps import Cells, Map, table
 from vibrocast.evaluation.stability.signals import FAILED_SNR_DB, NEARLY_SILENT, SILENT
-from vibrocast.evaluation.stability.trials import Measured, Outcome, Verdict
+from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial
 
 HELD_SNR_DB, FALL_DB = 3.0, 6.0
 _COLUMNS = ("input", "codec", "setting", "status", "SNR_dB", "maxabs_out", "finite")
@@ -16,7 +16,7 @@ _EXIT_CODE = re.compile(r"rc=(-?\d+)")
 _PATH = re.compile(r"\s?\S*/\S*")
 
 
-def read_peers(path: Path) -> list[Verdict]:
+def read_peers(path: Path) -> Cells:
     """Read a CSV file with at least the columns of _COLUMNS, each codec's settings from coarse to fine.
 
     Raises InputError where it is no such file, OSError where it cannot be read.
@@ -26,44 +26,25 @@ def read_peers(path: Path) -> list[Verdict]:
             rows = list(csv.DictReader(file))
             if not rows or any(row.get(name) is None for row in rows for name in _COLUMNS):
                 raise InputError(f"{path}: a row lacks one of {', '.join(_COLUMNS)}; fill it")
-            return _cells(rows)
+            best_db: dict[tuple[str, str], float] = {}
+            measured = [_measured(row, best_db) for row in rows]
         except (csv.Error, ValueError) as error:
             raise InputError(f"{path}: no table of hard signals ({error}); give a CSV file") from error
+    return table([Trial(row["codec"], row["input"].replace("_", " "), row["setting"]) for row in rows], measured)
 
 
-def _cells(rows: list[dict[str, str]]) -> list[Verdict]:
-    best_db: dict[tuple[str, str], float] = {}
-    cells = []
-    for row in rows:
-        curve = (row["codec"], row["input"])
-        measured = _measured(row, best_db.get(curve, -math.inf))
-        best_db[curve] = max(best_db.get(curve, -math.inf), measured.figures.get("snr_db") or -math.inf)
-        case = row["input"].replace("_", " ")
-        cells.append(
-            Verdict(
-                PEERS.name,
-                row["codec"],
-                case,
-                row["setting"],
-                None,
-                measured.outcome,
-                measured.figures,
-                measured.effect,
-            )
-        )
-    return cells
-
-
-def _measured(row: dict[str, str], coarser_db: float) -> Measured:
-    """Return the outcome of a row by the rules that PEERS states. `coarser_db`: SNR at a coarser setting."""
+def _measured(row: dict[str, str], best_db: dict[tuple[str, str], float]) -> Measured:
+    """Return the outcome of a row by the rules that PEERS states; `best_db`: of each codec and input so far."""
     if row["status"] != "ok":
         died = _EXIT_CODE.search(row["status"])
         if died and int(died[1]) < 0:
             return Measured(Outcome.FAILS, {}, f"the program died of signal {-int(died[1])}")
         return Measured(Outcome.REJECTED, {}, " ".join(_PATH.sub("", row["status"]).split()))
-    largest = float(row["maxabs_out"] or "nan")
-    snr_db = float(row["SNR_dB"] or "nan")
+    largest, snr_db = float(row["maxabs_out"] or "nan"), float(row["SNR_dB"] or "nan")
     figures = {"snr_db": None if math.isnan(snr_db) else snr_db, "peak": None if math.isnan(largest) else largest}
+    curve = row["codec"], row["input"]
+    coarser_db = best_db.get(curve, -math.inf)
+    best_db[curve] = max(coarser_db, figures["snr_db"] or -math.inf)
     if row["finite"] == "False":
         return Measured(Outcome.FAILS, figures, "not finite")
     if figures["snr_db"] is None:
@@ -77,18 +58,4 @@ def _measured(row: dict[str, str], coarser_db: float) -> Measured:
     return Measured(Outcome.HOLDS if snr_db >= HELD_SNR_DB else Outcome.DEGRADED, figures, f"SNR {snr_db:z.1f} dB")
 
 
-PEERS = Map(
-    name="peers",
-    group=Group.OTHERS,
-    title="Imported figures",
-    tried="Others measured these figures, which `--peers-edge` imports.",
-    rule=Rule(
-        "SNR",
-        f"from {HELD_SNR_DB:g} dB; at most {FALL_DB:g} dB below a coarser setting's",
-        f"below {FAILED_SNR_DB:g} dB",
-    ),
-    conditions=lambda scope: [],
-    message=lambda cells: f"Hardest for other codecs: {hardest(cells)}",
-    place=lambda cell: Place(cell.case, cell.setting, cell.method),
-    caption="settings of each codec, from coarse to fine",
-)
+PEERS = Map("peers", globals())

@@ -10,22 +10,9 @@ from numpy.typing import NDArray
 
 from vibrocast import codec
 from vibrocast.codec.stream import Stream
-from vibrocast.evaluation.stability.maps import (
-    LEVELS,
-    Group,
-    Map,
-    Place,
-    RatePoint,
-    Rule,
-    Scope,
-    figure,
-    hardest,
-    middle_rate_point,
-    three_rate_points,
-    with_methods,
-)
-from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, Verdict, graded
-from vibrocast.textures import HIGHPASS_HZ, Recording, highpass
+from vibrocast.evaluation.stability.maps import Map, Row, Scope, at_levels, at_middle
+from vibrocast.evaluation.stability.trials import Measured, Outcome, RatePoint, Trial, graded
+from vibrocast.textures import HIGHPASS_HZ, Recording, highpass  # noqa: F401 - the words of SIGNALS name the first
 from vibrocast.textures.generate import wood
 
 Signal = NDArray[np.float64]
@@ -50,7 +37,7 @@ RATES_HZ = (1000, 1560, 4000, 5600, 8000, 10_000)
 HOUR_S = 3600
 MAX_S = 60.0
 """Of a recording: what is coded."""
-_ONSET_HZ = 250.0
+ONSET_HZ = 250.0
 _ONSET_SHIFTS = (0, 7, 19, 37, 61, 97)  # in samples, so that the onset falls anywhere in a block
 
 
@@ -170,7 +157,6 @@ CONDITIONS: dict[str, Condition] = {
     "peak of 1e-40": Condition(lambda: 1e-40 * texture(), rejected=True),
 }
 LONG_CASE = "texture of 1 hour"
-QUICK_CONDITIONS = ("texture", "silence", "one impulse", "1 sample", "a NaN")
 
 
 def decoded(samples: Signal, rate_hz: int, rate_point: RatePoint, unit: str = "full scale") -> tuple[Signal, Stream]:
@@ -232,34 +218,35 @@ def with_bits(measured: Measured, stream: Stream, heard: Signal) -> Measured:
     return replace(measured, figures={**measured.figures, "bits_per_sample": bits})
 
 
-def measure(rate_point: RatePoint, name: str) -> Measured:
+def measure(trial: Trial) -> Measured:
     """Code one of CONDITIONS and grade the decoded samples. Raises CodecError where the codec rejects it."""
-    condition = CONDITIONS[name]
+    condition = CONDITIONS[trial.case]
     samples = condition.make()
-    heard, stream = decoded(samples, condition.rate_hz, rate_point, condition.unit)
+    heard, stream = decoded(samples, condition.rate_hz, trial.rate_point, condition.unit)
     wanted = samples
     if condition.tactile:
         wanted, heard = (tactile_part(each, condition.rate_hz) for each in (samples, heard))
-    measured = judge(wanted[condition.judged_from :], heard[condition.judged_from :], texture_snr_db(rate_point))
+    judged_from = slice(condition.judged_from, None)
+    measured = judge(wanted[judged_from], heard[judged_from], texture_snr_db(trial.rate_point))
     return with_bits(measured, stream, heard)
 
 
-def measure_hour(rate_point: RatePoint) -> Measured:
+def measure_hour(trial: Trial) -> Measured:
     """Code and decode an hour, and grade its last minute. Raises CodecError."""
     minute = texture(seconds=60)
-    heard, stream = decoded(np.tile(minute, (HOUR_S // 60, 1)), RATE_HZ, rate_point)
-    measured = judge(minute, heard[-len(minute) :], texture_snr_db(rate_point))
+    heard, stream = decoded(np.tile(minute, (HOUR_S // 60, 1)), RATE_HZ, trial.rate_point)
+    measured = judge(minute, heard[-len(minute) :], texture_snr_db(trial.rate_point))
     return with_bits(measured, stream, heard)
 
 
-def measure_onset(rate_point: RatePoint) -> Measured:
+def measure_onset(trial: Trial) -> Measured:
     """Code a sine that begins after silence, and grade the worst of several places within a block."""
     figures: dict[str, float] = {}
     for shift in _ONSET_SHIFTS:
         onset = RATE_HZ // 2 + shift
         samples = np.zeros((RATE_HZ + shift, 1))
-        samples[onset:, 0] = PEAK * np.cos(2 * np.pi * _ONSET_HZ * np.arange(RATE_HZ // 2 + RATE_HZ % 2) / RATE_HZ)
-        heard, _ = decoded(samples, RATE_HZ, rate_point)
+        samples[onset:, 0] = PEAK * np.cos(2 * np.pi * ONSET_HZ * np.arange(RATE_HZ // 2 + RATE_HZ % 2) / RATE_HZ)
+        heard, _ = decoded(samples, RATE_HZ, trial.rate_point)
         error = heard - samples
         first = slice(onset, onset + RATE_HZ // 50)
         level = np.mean(samples[first] ** 2)
@@ -277,85 +264,46 @@ def measure_onset(rate_point: RatePoint) -> Measured:
     return graded(before_db, PRE_ECHO_HELD_DB, PRE_ECHO_FAILED_DB, figures, effect)
 
 
-def measure_recording(rate_point: RatePoint, recording: Recording) -> Measured:
+def measure_recording(trial: Trial) -> Measured:
     """Code a recording, at most its first MAX_S, and grade the decoded samples. Raises CodecError."""
+    recording = trial.recording
+    assert recording is not None, "the map's trials have one"
     rate_hz = round(recording.rate_hz)
     samples = recording.samples[: round(MAX_S * rate_hz)]
-    heard, stream = decoded(samples, rate_hz, rate_point, recording.unit)
-    return with_bits(judge(samples, heard, texture_snr_db(rate_point)), stream, heard)
+    heard, stream = decoded(samples, rate_hz, trial.rate_point, recording.unit)
+    return with_bits(judge(samples, heard, texture_snr_db(trial.rate_point)), stream, heard)
 
 
-def _signals(scope: Scope) -> Iterator[Trial]:
-    for method in scope.methods:
-        if not scope.quick:
-            rate_point = middle_rate_point(method)
-            yield Trial(method.name, LONG_CASE, partial(measure_hour, rate_point), f"middle: {rate_point.text}")
-        for level, rate_point in three_rate_points(method).items():
-            for name in QUICK_CONDITIONS if scope.quick else CONDITIONS:
-                one = partial(measure, rate_point, name)
-                setting = f"{level}: {rate_point.text}"
-                yield Trial(method.name, name, one, setting, to_be_rejected=CONDITIONS[name].rejected)
-
-
-def _onsets(scope: Scope) -> Iterator[Trial]:
-    for method, level, rate_point in scope.three_rate_points():
-        onset = partial(measure_onset, rate_point)
-        yield Trial(method, f"{level} rate point", onset, f"{level}: {rate_point.text}")
-
-
-def _recordings(scope: Scope) -> Iterator[Trial]:
-    for method, level, rate_point in scope.three_rate_points():
+def of_recordings(scope: Scope) -> Iterator[Trial]:
+    """Yield the beginnings of trials of every method with each recording, at its three rate points."""
+    for begun in at_levels(scope):
         for recording in scope.recordings:
-            own = partial(measure_recording, rate_point, recording)
-            yield Trial(method, recording.name, own, f"{level}: {rate_point.text}")
+            yield replace(begun, case=recording.name, recording=recording)
 
 
-def _before_onset(cell: Verdict) -> str:
-    return "lost" if cell.figure("noise_after_db") > -MIN_SNR_DB else figure("pre_echo_5ms_db")(cell)
-
-
-_graded_signals = partial(
-    Map,
-    group=Group.SIGNALS,
-    rule=Rule(
-        "SNR; level",
-        f"SNR from {MIN_SNR_DB:g} dB, and at most {SNR_MARGIN_DB:g} dB below an ordinary texture's, or "
-        f"{ENOUGH_SNR_DB:g} dB; at most {LOUDER_DB:g} dB louder",
-        f"SNR below {FAILED_SNR_DB:g} dB; more than {FAR_LOUDER_DB:g} dB louder",
-    ),
-    message=lambda cells: f"Hardest to code: {hardest(cells)}",
-    place=lambda cell: Place(cell.case, 1.0 + list(LEVELS).index(cell.setting.partition(":")[0]), cell.method),
-    caption="rate points of each codec: 1 a quarter and 2 half of the way up, 3 the finest",
-)
-RECORDINGS = _graded_signals(
-    name="recordings",
-    title="Your recordings",
-    tried=f"The first {MAX_S:g} s of each recording, at its own rate, are coded as a whole stream and decoded.",
-    conditions=_recordings,
-)
-SIGNALS = _graded_signals(
-    name="signals",
-    title="Hard signals",
-    tried=f"Gravity adds {GRAVITY_M_S2:g} m/s² to a texture with a peak of {PEAK:g} m/s². A ramp and a swing of "
-    f"{SWING_HZ:g} Hz reach {DRIFT_RMS:g} times its RMS value. These three count above {HIGHPASS_HZ:g} Hz. Of an hour, "
-    f"the last minute counts; silence must stay below {SILENT:g} of full scale.",
-    conditions=_signals,
+RECORDINGS = Map("recordings", globals(), [Row(measure_recording, of_recordings)])
+SIGNALS = Map(
+    "signals",
+    globals(),
+    [
+        Row(measure_hour, lambda scope: () if scope.quick else at_middle(scope), [LONG_CASE]),
+        Row(
+            measure,
+            at_levels,
+            tuple(CONDITIONS),
+            case_step=17,
+            rejected=[name for name, condition in CONDITIONS.items() if condition.rejected],
+        ),
+    ],
 )
 ONSETS = Map(
-    name="pre_echo",
-    group=Group.SIGNALS,
-    title="Onset after silence",
-    tried=f"A sine of {_ONSET_HZ:g} Hz begins abruptly, at {len(_ONSET_SHIFTS)} places in a block. The worst counts, "
-    "relative to the first 20 ms of the sine.",
-    rule=Rule(
-        "power in the 5 ms before the onset",
-        f"up to {PRE_ECHO_HELD_DB:g} dB",
-        f"above {PRE_ECHO_FAILED_DB:g} dB",
-    ),
-    conditions=_onsets,
-    message=lambda cells: f"Silence before an onset stays silent at every rate point {with_methods(cells)}",
-    place=lambda cell: Place(cell.method, cell.case.partition(" ")[0]),
-    caption="rate point; dB before the onset (lost: no onset is left)",
-    label=_before_onset,
+    "pre_echo",
+    globals(),
+    [
+        Row(
+            measure_onset,
+            lambda scope: (replace(begun, case=f"{begun.level} rate point") for begun in at_levels(scope)),
+        )
+    ],
 )
 MAPS = (RECORDINGS, SIGNALS, ONSETS)

@@ -7,10 +7,15 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 
+from vibrocast.codec.interface import Setting
 from vibrocast.device_protocol.messages import MessageError
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.errors import InputError
+from vibrocast.evaluation import trained
+from vibrocast.evaluation.cells import setting_text
 from vibrocast.host.controller import ControllerError
+from vibrocast.models import Model
+from vibrocast.textures import Recording
 from vibrocast.workers import cores, on_cores
 
 LIMIT_S = 240.0
@@ -33,6 +38,40 @@ class Outcome(StrEnum):
         return self.value[0].upper()
 
 
+@dataclass(frozen=True, eq=False)
+class RatePoint:
+    """A codec at a setting, perhaps with a trained model; equal where all three are equal."""
+
+    codec: str
+    setting: Setting
+    model: Model | None = None
+
+    @property
+    def text(self) -> str:
+        """The setting as text."""
+        return setting_text(self.setting)
+
+    @property
+    def image(self) -> bytes | None:
+        """The packed model image, None without a model."""
+        return self.model.image if self.model else None
+
+    @property
+    def trained(self) -> Model:
+        """The model, at a rate point of a learned method."""
+        assert self.model is not None, "a learned method has models"
+        return self.model
+
+    def _key(self) -> tuple[str, str, str]:
+        return self.codec, self.text, trained.digest(self.model) if self.model else ""
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, RatePoint) and self._key() == other._key()
+
+    def __hash__(self) -> int:
+        return hash(self._key())
+
+
 @dataclass(frozen=True)
 class Measured:
     """The outcome of a trial, its figures by name (None: no value), and the effect on the user in words."""
@@ -50,105 +89,73 @@ def graded(value: float, held: float, failed: float, figures: Mapping[str, float
 
 @dataclass(frozen=True)
 class Trial:
-    """One condition: its method and case, the measurement, the setting, and the value that the map varies.
+    """One condition: its method and case, its setting in words, and the value that the map varies.
 
-    `measure`: a function of a module, or a partial of one, so that another process can be given it. `to_be_rejected`:
-    that it must end with an error that a person can act on, one of CLEAR_ERRORS. `map`: as Map.trials fills it in.
+    `measure`: a function of a module, so that another process can be given it. `rate_points`: what it codes with, if
+    anything. `recording`: the user's, if it is of one. `to_be_rejected`: that it must end with one of CLEAR_ERRORS.
     """
 
     method: str
-    case: str
-    measure: Callable[[], Measured]
+    case: str = ""
     setting: str = ""
-    value: float | None = None
+    value: float = math.nan
+    rate_points: tuple[RatePoint, ...] = ()
+    recording: Recording | None = None
+    measure: Callable[["Trial"], Measured] | None = None
     to_be_rejected: bool = False
     map: str = ""
 
-
-@dataclass(frozen=True)
-class Verdict:
-    """The outcome of a trial, and the one that is right; other fields as in Trial and Measured."""
-
-    map: str
-    method: str
-    case: str
-    setting: str
-    value: float | None
-    outcome: Outcome
-    figures: Mapping[str, float | None]
-    effect: str
-    required: Outcome = Outcome.HOLDS
+    @property
+    def rate_point(self) -> RatePoint:
+        """The first of the rate points."""
+        return self.rate_points[0]
 
     @property
-    def sound(self) -> bool:
-        """Whether the outcome is right: it holds, or is rejected where it must be."""
-        return self.outcome is self.required
-
-    def figure(self, name: str) -> float:
-        """Return a figure, NaN where it has no value."""
-        value = self.figures.get(name)
-        return math.nan if value is None else value
+    def level(self) -> str:
+        """What the setting begins with, where several rate points of a method are tried."""
+        return self.setting.partition(":")[0]
 
 
-def attempt(trial: Trial) -> Verdict:
+def attempt(trial: Trial) -> Measured:
     """Run a trial in this process. An error that a person can act on is a rejection, any other a crash."""
+    assert trial.measure is not None, "a map gives each trial its function"
     try:
-        measured = trial.measure()
+        measured = trial.measure(trial)
         if trial.to_be_rejected:
-            measured = Measured(Outcome.FAILS, {}, "accepted, though it must be rejected")
+            return Measured(Outcome.FAILS, {}, "accepted, though it must be rejected")
+        return measured
     except CLEAR_ERRORS as error:
-        measured = Measured(Outcome.REJECTED, {}, " ".join(str(error).split()))
+        return Measured(Outcome.REJECTED, {}, " ".join(str(error).split()))
     except Exception as error:
-        measured = Measured(Outcome.FAILS, {}, f"CRASH: {type(error).__name__}: {' '.join(str(error).split())}")
-    return _cell(trial, measured)
+        return Measured(Outcome.FAILS, {}, f"CRASH: {type(error).__name__}: {' '.join(str(error).split())}")
 
 
 def run(
     trials: Sequence[Trial],
     limit_s: float = LIMIT_S,
     progress: Callable[[float, str], None] = lambda part, details: None,
-) -> list[Verdict]:
-    """Return the cells of all trials, in their order, tried on all cores.
+) -> list[Measured]:
+    """Return what all trials measured, in their order, tried on all cores.
 
     A process that a trial kills, or that is ended because the trial takes more than `limit_s` of a core, costs that
-    cell only. `progress` is called with the part that is done, from 0 to 1, and the last condition.
+    trial only. `progress` is called with the part that is done, from 0 to 1, and the last condition.
     """
-    cells: dict[int, Verdict] = {}
+    found: dict[int, Measured] = {}
     tasks = ((number, partial(_attempt_within, trial, limit_s)) for number, trial in enumerate(trials))
     for number, outcome in on_cores(tasks, cores()):
-        cells[number] = outcome if isinstance(outcome, Verdict) else _lost(trials[number], outcome, limit_s)
-        progress(len(cells) / len(trials), f"{cells[number].map}: {cells[number].method}, {cells[number].case}")
-    return [cells[number] for number in range(len(trials))]
+        if not isinstance(outcome, Measured):
+            lost = f"CRASH: {outcome}, or took longer than {limit_s:g} s of a core"
+            outcome = Measured(Outcome.FAILS, {}, lost)
+        found[number] = outcome
+        trial = trials[number]
+        progress(len(found) / len(trials), f"{trial.map}: {trial.method}, {trial.case}")
+    return [found[number] for number in range(len(trials))]
 
 
-def _lost(trial: Trial, error: Exception, limit_s: float) -> Verdict:
-    """Return the cell of a trial whose process gave no answer."""
-    effect = f"CRASH: {error}, or took longer than {limit_s:g} s of a core"
-    return _cell(trial, Measured(Outcome.FAILS, {}, effect))
-
-
-def _attempt_within(trial: Trial, limit_s: float) -> Verdict:
+def _attempt_within(trial: Trial, limit_s: float) -> Measured:
     """Run a trial; the system ends this process, also out of a loop in C, if it takes more processor time."""
     signal.setitimer(signal.ITIMER_PROF, limit_s)
     try:
         return attempt(trial)
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
-
-
-def _cell(trial: Trial, measured: Measured) -> Verdict:
-    # A zero is added because a small negative figure would be rounded to -0.0.
-    figures = {
-        name: None if value is None else round(float(value), 4) + 0.0 for name, value in measured.figures.items()
-    }
-    return Verdict(
-        trial.map,
-        trial.method,
-        trial.case,
-        trial.setting,
-        trial.value,
-        measured.outcome,
-        figures,
-        measured.effect,
-        Outcome.REJECTED if trial.to_be_rejected else Outcome.HOLDS,
-    )

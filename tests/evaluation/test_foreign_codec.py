@@ -1,7 +1,6 @@
 """The codec of another package, which the registry alone knows, in the benchmark, its page and the stability maps."""
 
 import sys
-from functools import partial
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from vibrocast.codec import plugins, registry
 from vibrocast.evaluation import cells, cost
 from vibrocast.evaluation.points import Point, read_rows
 from vibrocast.evaluation.stability import maps, signals
-from vibrocast.evaluation.stability.trials import Outcome, Trial, attempt
+from vibrocast.evaluation.stability.trials import Outcome, Trial
 from vibrocast.textures.generate import wood
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "codec_plugin"
@@ -49,8 +48,8 @@ def test_the_benchmark_and_the_stability_maps_take_it_as_any_other(
     assert f"\n{NAME}," in (tmp_path / "out" / "results" / "speeds.csv").read_text()
     assert "decoder not counted" in (tmp_path / "out" / "results" / "costs.csv").read_text()
     (method,) = maps.methods([NAME], ())
-    measure = partial(signals.measure, maps.three_rate_points(method)["high"], "texture")
-    assert attempt(Trial(NAME, "texture", measure)).outcome is Outcome.HOLDS
+    rate_points = (maps.three_rate_points(method)["high"],)
+    assert signals.measure(Trial(NAME, "texture", rate_points=rate_points)).outcome is Outcome.HOLDS
 
 
 def test_a_cell_is_measured_again_where_its_module_changes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
