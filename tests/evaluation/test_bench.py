@@ -161,7 +161,7 @@ def test_recordings_that_cannot_be_read_cost_only_themselves(folder: Path, resul
     assert [(each.trace, each.codec, each.setting) for each in failures] == [
         (trace, "", "") for trace in ("broken", "nan", "rateless")
     ]
-    assert "not a WAV file" in failures[0].reason
+    assert "broken.wav: not a .wav file that can be read" in failures[0].reason
     assert "sample 1 of channel 0 is nan" in failures[1].reason
     assert "does not state its sample rate" in failures[2].reason
     assert len(measured) == 3 + 4
