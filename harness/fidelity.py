@@ -1,14 +1,16 @@
 """Compares the played texture with the sent one: DAC codes bit by bit, and the skin, recorded or modelled."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.harness.sensors import Recorder, recorded
 from vibrocast.host import playback, player
+from vibrocast.host.figures import Value
 from vibrocast.host.picture import third_octave_levels
+from vibrocast.host.report import Report
 from vibrocast.host.session import Session
 from vibrocast.host.skin_quality import compare_skin, displacement_above_20_hz, high_passed
 from vibrocast.textures import Recording
@@ -27,33 +29,22 @@ class Spectrum:
 class Fidelity:
     """How one texture came out.
 
-    `as_decoded`, `as_computed`: whether the samples that the controller decoded, and the codes that went to the DAC,
-    are bit for bit what the host computes; None where the controller has no read-back. `coding_snr_db`: of the decoded
-    signal, in the texture's unit; `decoded_snr_db`: of the same as displacement above 20 Hz, for which acceleration is
-    integrated twice: the codec's noise at low frequencies weighs most then. The rest is of that displacement at the
-    skin, which `source` measured or modelled: `snr_db` and `st_sim` compare it with the texture, `playing_snr_db` with
-    the decoded signal, which leaves the codec out. `weighted_snr_db`: weighted by the threshold of touch.
-    `gain`: at the skin over sent. `lag_ms`: within the recording. `drift_ppm`: of the recorder's clock. `packets`: that
-    were sent; `underruns`, `lost_packets`: while it played.
+    `report`: of the playback. Its `snr_db` is of the decoded signal in the texture's unit; its `skin` is of the
+    displacement above 20 Hz, which `source` measured or modelled. There the SNR of the codec is less for acceleration,
+    which is integrated twice: the codec's noise at low frequencies weighs most then. `lag_ms`: within the recording.
+    `drift_ppm`: of the recorder's clock.
     """
 
-    texture: str
+    report: Report
     source: str
-    as_decoded: bool | None
-    as_computed: bool | None
-    coding_snr_db: float | None
-    decoded_snr_db: float | None
-    snr_db: float | None
-    weighted_snr_db: float | None
-    st_sim: float | None
-    playing_snr_db: float | None
-    gain: float
     lag_ms: float
     drift_ppm: float
-    packets: int
-    underruns: int
-    lost_packets: int
     spectrum: Spectrum
+
+    def figures(self) -> Iterator[Value]:
+        """Yield the figures of the comparison and of the losses; the delay of a file is not that of a live stream."""
+        yield from (value for value in self.report.figures() if value.key not in ("latency_ms", "bad_frames"))
+        yield Value("lag_ms", self.report.file, self.lag_ms)
 
 
 def measure_fidelity(
@@ -89,23 +80,10 @@ def measure_fidelity(
     quality, laid, aligned_um = compare_skin(sent_um, decoded_um, moved_um, rate_hz, drifts=finish is not None)
     frequencies_hz, sent_db = third_octave_levels(sent_um, rate_hz)
     _, residual_db = third_octave_levels(sent_um - aligned_um, rate_hz)
-    report = played.report
     return Fidelity(
-        texture=texture.name,
+        report=replace(played.report, skin=quality),
         source=source,
-        as_decoded=report.decoded_equals_offline,
-        as_computed=report.dac_equals_offline,
-        coding_snr_db=encoding.quality.snr_db,
-        decoded_snr_db=quality.decoded_snr_db,
-        snr_db=quality.snr_db,
-        weighted_snr_db=quality.weighted_snr_db,
-        st_sim=quality.st_sim,
-        playing_snr_db=quality.playing_snr_db,
-        gain=laid.gain,
         lag_ms=1e3 * laid.lag_s,
         drift_ppm=laid.drift_ppm,
-        packets=report.packets,
-        underruns=report.underruns,
-        lost_packets=report.lost_packets,
         spectrum=Spectrum(tuple(frequencies_hz.tolist()), tuple(sent_db.tolist()), tuple(residual_db.tolist())),
     )

@@ -1,6 +1,6 @@
 """Measures the delay from a block's last sample at the host to the DAC, by part; searches the lowest that is stable."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,8 +11,10 @@ from vibrocast.device_protocol.messages import Status
 from vibrocast.harness.sensors import Recorder, TimedRecording, recorded
 from vibrocast.host import live
 from vibrocast.host.controller import ControllerError
+from vibrocast.host.figures import Value
 from vibrocast.host.live_playback import ClockFit, LivePlayback
 from vibrocast.host.playback import displacement_um
+from vibrocast.host.report import Report
 from vibrocast.host.session import Session
 from vibrocast.host.skin_quality import align, displacement_above_20_hz, high_passed
 from vibrocast.output.actuator import Actuator
@@ -34,6 +36,7 @@ PARTS = {
 TRIAL_S = 1.5
 PLAYOUT_DELAYS_S = (0.064, 0.032, 0.016, 0.008, 0.004, 0.002, 0.001, 0.0005)
 HOPS = ("16", "32")
+_FIGURES = ("latency_ms", "jitter_ms", "drift_ppm", "as_decoded", "as_computed", "underruns", "lost_percent")
 MOST_LATE = 0.1
 """Late packets and underruns, as a share of the measured packets, beyond which medians do not describe a stream."""
 
@@ -50,47 +53,44 @@ class Spread:
 class Latency:
     """The delay of a live stream, from a block's last sample at the host to the DAC.
 
-    `parts`: by the names of PARTS. `total_ms`, `jitter_ms`: as of the report of a live stream. `playout_delay_ms`: the
-    time that packets should lie ready. `stable`: no underrun and no lost packet. `packets`: that were sent; `blocks`:
-    those of them that were timed. `as_sent`: what the controller decoded, as far as it keeps that, is bit for bit what
-    the packets hold; None where some were lost, or it keeps none. `to_sensor_ms`: the same way on to a sensor's sample
-    in this computer, with the actuator's and the sensor's own delay; None without such a sensor.
+    `report`: of the stream; it has latency, jitter, losses and the comparison. `parts`: by the names of PARTS.
+    `blocks`: packets that were timed. `to_sensor_ms`: the same way on to a sensor's sample in this computer, with the
+    actuator's and the sensor's own delay; None without such a sensor.
     """
 
-    codec: str
+    report: Report
     setting: dict[str, str]
-    rate_hz: int
     packet_samples: int
-    playout_delay_ms: float
     blocks: int
-    packets: int
     parts: dict[str, Spread]
-    total_ms: float
-    jitter_ms: float
-    underruns: int
-    lost_packets: int
-    as_sent: bool | None
     clock: ClockFit
     to_sensor_ms: float | None = None
 
     @property
-    def stable(self) -> bool:
-        """Whether every packet came in time."""
-        return not self.underruns and not self.lost_packets
+    def total_ms(self) -> float:
+        """From a block's last sample at the host to the DAC."""
+        assert self.report.latency_ms.end_to_end is not None, "it was measured"
+        return self.report.latency_ms.end_to_end
 
     @property
     def holds(self) -> bool:
         """Whether every packet came in time, and the delay is what it seems to be."""
-        return self.stable and self.flaw is None
+        return not self.report.lost_anything and self.flaw is None
 
     @property
     def flaw(self) -> str | None:
         """Why the delay is not what it seems to be; None where almost every packet came before it was needed."""
-        if self.lost_packets + self.underruns > MOST_LATE * self.blocks:
-            return f"{self.lost_packets} packets came too late, and {self.underruns} underruns moved the stream"
+        lost, underruns = self.report.lost_packets, self.report.underruns
+        if lost + underruns > MOST_LATE * self.blocks:
+            return f"{lost} packets came too late, and {underruns} underruns moved the stream"
         if self.parts["buffer"].median_ms < -self.clock.round_trip_ms / 2:  # the bound of the clock offset's error
             return "packets seem to be played before they arrive, so the controller's clock is not known"
         return None
+
+    def figures(self) -> Iterator[Value]:
+        """Yield the figures of the delay, the clock and the losses. Of the skin, a fidelity says more."""
+        yield from (value for value in self.report.figures() if value.key in _FIGURES)
+        yield Value("sensor_latency_ms", "live", self.to_sensor_ms)
 
 
 @dataclass(frozen=True)
@@ -166,19 +166,11 @@ def measure_latency(
         **{name: np.full(len(sent), value_s) for name, value_s in fixed_s.items()},
     }
     return Latency(
-        codec=stream.codec_name,
+        report=report,
         setting={name: str(value) for name, value in stream.setting.items()},
-        rate_hz=rate_hz,
         packet_samples=stream.packet_samples,
-        playout_delay_ms=1e3 * playout_delay_s,
         blocks=len(sent),
-        packets=report.packets,
         parts={name: _spread(values_s) for name, values_s in parts_s.items()},
-        total_ms=1e3 * latency_s,
-        jitter_ms=report.live.jitter_ms,
-        underruns=report.underruns,
-        lost_packets=report.lost_packets,
-        as_sent=report.decoded_equals_offline,
         clock=playing.clock.fit(),
         to_sensor_ms=(
             1e3 * _to_sensor_s(source, session.driven, recording, playing.sent[0].due_s - stream.packet_s)

@@ -50,9 +50,9 @@ class Load:
     lost_packets: int
 
     @property
-    def held(self) -> bool:
-        """Whether every packet came in time."""
-        return not self.underruns and not self.lost_packets
+    def samples_per_s(self) -> int:
+        """Of all channels, if every packet came in time; else 0."""
+        return 0 if self.underruns or self.lost_packets else self.channels * self.rate_hz
 
 
 @dataclass(frozen=True)

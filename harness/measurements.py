@@ -68,16 +68,16 @@ def machine() -> dict[str, str]:
     }
 
 
-def _gap(on: Subject, progress: Progress) -> list[load.Gap]:
+def _gap(on: Subject, progress: Progress) -> tuple[load.Gap, ...]:
     buffers_s = player.BUFFER_S, _FULL_BUFFER_S
-    return [
+    return tuple(
         load.max_gap(on.session.controller, on.scene[0], buffer_s, progress=_part(progress, number, len(buffers_s)))
         for number, buffer_s in enumerate(buffers_s)
-    ]
+    )
 
 
-def _fidelity(on: Subject, progress: Progress) -> list[fidelity.Fidelity]:
-    return [
+def _fidelity(on: Subject, progress: Progress) -> tuple[fidelity.Fidelity, ...]:
+    return tuple(
         fidelity.measure_fidelity(
             on.session,
             texture,
@@ -86,7 +86,7 @@ def _fidelity(on: Subject, progress: Progress) -> list[fidelity.Fidelity]:
             progress=_part(progress, number, len(on.scene)),
         )
         for number, texture in enumerate(on.scene)
-    ]
+    )
 
 
 def _part(progress: Progress, number: int, count: int) -> Progress:
@@ -116,7 +116,7 @@ MEASUREMENTS: Mapping[str, Callable[[Subject, Progress], Any]] = {
 }
 
 
-def together(bench: Bench) -> list[Together]:
+def together(bench: Bench) -> tuple[Together, ...]:
     """Play the bench's first texture on all its controllers at once, and compare each one's codes with those computed.
 
     A controller that fails does so alone. Raises InputError, CodecError.
@@ -133,10 +133,10 @@ def together(bench: Bench) -> list[Together]:
             measured.append(Together(name, report.dac_equals_offline, report.underruns, None))
         else:
             measured.append(Together(name, None, None, str(result)))
-    return measured
+    return tuple(measured)
 
 
-def misfits(bench: Bench, fitted: Any) -> list[str]:
+def misfits(bench: Bench, fitted: response.Response | None) -> list[str]:
     """Return how the actuator that a sensor measured differs from the bench's, in words.
 
     `fitted`: the measured response, None = not measured. Without a sensor, it is that of the model itself. Without a

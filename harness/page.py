@@ -16,12 +16,20 @@ from vibrocast.files import atomic_write
 from vibrocast.harness import response
 from vibrocast.harness.latency import PARTS
 from vibrocast.harness.results import NAMES, Change
+from vibrocast.host.figures import FIGURES
 from vibrocast.host.picture import STYLES
 
 # From dark to light, with hatches: distinct in grey print.
 _SHADES = ("#20123a", "#2a7fb8", "#7fb8d8", "#f0a030", "#d0d0d0", "#707070", "#f7d9a8", "#ffffff")
 _HATCHES = ("", "//", "", "..", "", "xx", "\\\\", "")
 
+_TITLES = {key: figure.title for key, figure in FIGURES.items()} | {
+    "rate_hz": "Hz",
+    "buffer_ms": "ahead, ms",
+    "survived_ms": "silence survived, ms",
+    "ended_by": "ended by",
+}
+"""Of columns, by their keys; others have their key for a title."""
 _OF_DEVICE = ("build", "hardware", "serial_number", "protocol")
 
 
@@ -37,10 +45,11 @@ def write(path: Path, document: dict[str, Any], changes: Sequence[Change], actua
         "fidelity": [_spectrum(texture) for texture in fidelity or ()],
         "response": fitted and _response(fitted),
     }
+    facts = {key: device[key] for key in _OF_DEVICE if key in device} | document["host"] | _origin(document["run"])
     page = pages.render(
         Path(__file__).with_name("measured.html.jinja"),
         device=device,
-        facts={key: device[key] for key in _OF_DEVICE if key in device} | document["host"] | _origin(document["run"]),
+        facts=[{"what": what, "which": which} for what, which in facts.items()],
         changes=[asdict(change) for change in changes],
         measured=measured,
         meanings=PARTS,
@@ -49,9 +58,24 @@ def write(path: Path, document: dict[str, Any], changes: Sequence[Change], actua
         missed=document["missed"],
         actuator_table=actuator_table,
         figure=_number,
+        titles=_TITLES,
+        fidelity=[_fidelity_row(each) for each in fidelity or ()],
     )
     with atomic_write(path) as partial:
         partial.write_text(page, encoding="utf-8")
+
+
+def _fidelity_row(texture: dict[str, Any]) -> dict[str, Any]:
+    """Return the figures of a texture by their keys."""
+    report = texture["report"]
+    return {
+        "texture": report["file"],
+        "as_decoded": report["decoded_equals_offline"],
+        "as_computed": report["dac_equals_offline"],
+        "coding_snr_db": report["snr_db"],
+        **report["skin"],
+        "drift_ppm": texture["drift_ppm"],
+    }
 
 
 def _origin(run: dict[str, Any]) -> dict[str, str]:
@@ -109,7 +133,7 @@ def _spectrum(texture: dict[str, Any]) -> str:
         axes.semilogx(spectrum["frequencies_hz"], spectrum["residual_db"], label="residual", **STYLES[1])
         axes.set_xlabel("Hz")
         axes.set_ylabel("third octaves, dB re 1 um")
-        axes.set_title(texture["texture"], parse_math=False, fontsize="medium", loc="left")
+        axes.set_title(texture["report"]["file"], parse_math=False, fontsize="medium", loc="left")
         axes.legend(frameon=False)
         axes.grid(alpha=0.3)
 

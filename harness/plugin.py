@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from vibrocast.harness.latency import Latency
     from vibrocast.harness.timed_transport import TimedTransport
     from vibrocast.host.bench_file import Bench
-    from vibrocast.host.bench_limits import Judged
     from vibrocast.host.controller import Controller
+    from vibrocast.host.figures import Value
     from vibrocast.host.playback import Playback
     from vibrocast.host.session import Session
     from vibrocast.textures import Recording
@@ -290,15 +290,15 @@ def vibrocast_play(
         encoding = encode_recording(texture, live=True, **options)
         played = playback.play(_vibrocast_session, texture.name, encoding.stream, encoding)
         _vibrocast_kept.playback(played)
-        _judge(vibrocast_bench, played.report.judged(), played.report.differs)
+        _judge(vibrocast_bench, played.report.figures(), played.report.differs)
         return played
 
     return play_texture
 
 
-def _judge(bench: Bench, figures: Iterable[Judged], differs: bool) -> None:
+def _judge(bench: Bench, figures: Iterable[Value], differs: bool) -> None:
     """Fail a test whose figures miss limits of the bench file, or whose controller played otherwise than was sent."""
-    from vibrocast.host.bench_limits import missed
+    from vibrocast.host.figures import missed
 
     if differs:
         pytest.fail("the controller played something else than was sent, though nothing was lost")
@@ -319,7 +319,7 @@ def vibrocast_live(vibrocast_bench: Bench, _vibrocast_session: Session) -> Calla
 
     def stream(texture: Recording, seconds: float = 10.0, rate_hz: int = 2800, **options: Any) -> Playback:
         played = play_live(_vibrocast_session, looped(texture, seconds, rate_hz), **options)
-        _judge(vibrocast_bench, played.report.judged(), played.report.differs)
+        _judge(vibrocast_bench, played.report.figures(), played.report.differs)
         return played
 
     return stream
@@ -332,14 +332,11 @@ def vibrocast_latency(vibrocast_bench: Bench, _vibrocast_session: Session) -> Ca
     It returns a `vibrocast.harness.Latency`. The test fails where it misses limits of the bench file, or the
     controller decodes something else than was sent though nothing was lost.
     """
-    from dataclasses import asdict
-
     from vibrocast.harness.latency import measure_latency
-    from vibrocast.harness.results import judged_latency
 
     def measure(texture: Recording, **options: Any) -> Latency:
         latency = measure_latency(_vibrocast_session, texture, **options)
-        _judge(vibrocast_bench, judged_latency(asdict(latency)), latency.as_sent is False)
+        _judge(vibrocast_bench, latency.figures(), latency.report.decoded_equals_offline is False)
         return latency
 
     return measure
@@ -390,7 +387,7 @@ def vibrocast_stroke(vibrocast_bench: Bench, _vibrocast_session: Session) -> Cal
             encoding.recording,
             provenance=Provenance(vibrocast_bench.sha256),
         )
-        _judge(vibrocast_bench, played.report.judged(), played.report.differs)
+        _judge(vibrocast_bench, played.report.figures(), played.report.differs)
         return played
 
     return stroke

@@ -5,7 +5,6 @@ import sys
 from collections.abc import Collection, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from vibrocast import progress
 from vibrocast.codec import CodecError
@@ -14,12 +13,12 @@ from vibrocast.device_protocol.messages import MessageError
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.harness import measurements, page
 from vibrocast.harness.latency import Latency
-from vibrocast.harness.results import ACTUATOR, JSON, NAMES, PAGE, Results, compare, judged
+from vibrocast.harness.results import ACTUATOR, JSON, NAMES, PAGE, Measured, Results, compare
 from vibrocast.harness.sensors import SensorError
 from vibrocast.host import bench_file
 from vibrocast.host.bench_file import Bench
-from vibrocast.host.bench_limits import missed
 from vibrocast.host.controller import ConnectionLost, Controller, ControllerError
+from vibrocast.host.figures import missed
 from vibrocast.host.report import Provenance
 from vibrocast.host.skin_quality import AlignmentError
 
@@ -29,11 +28,11 @@ _RETAKES = 2
 
 
 def measure_bench(
-    bench: Bench, folder: Path, names: Collection[str] = NAMES, earlier: dict[str, Any] | None = None
+    bench: Bench, folder: Path, names: Collection[str] = NAMES, earlier: Results | None = None
 ) -> Results:
     """Measure a bench, write PAGE, JSON and the fitted ACTUATOR into a folder, and show how far it is on stderr.
 
-    `names`: some of NAMES. `earlier`: the document of an earlier run to compare with (`read_results`). A measurement
+    `names`: some of NAMES. `earlier`: a run to compare with (`read_results`). A measurement
     that fails leaves the others; after a lost controller, or Ctrl-C, what was measured before is written. Raises
     InputError, ControllerError, TransportError, OSError.
     """
@@ -44,7 +43,7 @@ def measure_bench(
         for _ in range(_RETAKES):
             if earlier is None:
                 break
-            again = [name for name in _TIMED if name in results.measured and _is_worse(earlier, results, name)]
+            again = [name for name in _TIMED if _is_worse(earlier, results.measured, name)]
             if not again:
                 break
             print(f"worse, measured again: {', '.join(again)}", file=sys.stderr)
@@ -52,23 +51,26 @@ def measure_bench(
             _measure(bench, again, retaken)
             for key, count in retaken.link.items():
                 results.link[key] = results.link.get(key, 0) + count
-            for name, value in retaken.measured.items():
-                before = results.measured[name]
-                results.measured[name] = before if _is_worse(earlier, retaken, name) else value
-                if name == "latency":
-                    results.measured[name] = _with_losses_of(results.measured[name], before, value)
+            for name in again:
+                before, value = (getattr(each.measured, name) for each in (results, retaken))
+                kept = before if value is None or _is_worse(earlier, retaken.measured, name) else value
+                if isinstance(before, Latency) and isinstance(value, Latency):
+                    kept = _with_losses_of(kept, before, value)
+                setattr(results.measured, name, kept)
     return results
 
 
 def _with_losses_of(kept: Latency, first: Latency, second: Latency) -> Latency:
     """Return the times of one take with the losses of both: only times depend on how busy the computer was."""
-    return replace(
-        kept,
-        packets=first.packets + second.packets,
-        underruns=first.underruns + second.underruns,
-        lost_packets=first.lost_packets + second.lost_packets,
-        as_sent=first.as_sent and second.as_sent,
+    report = replace(
+        kept.report,
+        packets=first.report.packets + second.report.packets,
+        underruns=first.report.underruns + second.report.underruns,
+        lost_packets=first.report.lost_packets + second.report.lost_packets,
+        decoded_equals_offline=first.report.decoded_equals_offline and second.report.decoded_equals_offline,
+        dac_equals_offline=first.report.dac_equals_offline and second.report.dac_equals_offline,
     )
+    return replace(kept, report=report)
 
 
 def _possible(bench: Bench, names: Collection[str]) -> tuple[str, ...]:
@@ -88,7 +90,7 @@ def _measure(bench: Bench, names: Collection[str], results: Results) -> None:
                 continue
             with progress.bar(name) as update:
                 try:
-                    results.measured[name] = measurement(subject, update)
+                    setattr(results.measured, name, measurement(subject, update))
                 except (ConnectionLost, TransportError):
                     raise
                 except (AlignmentError, CodecError, ControllerError, MessageError, SensorError, StreamError) as error:
@@ -100,7 +102,7 @@ def _measure(bench: Bench, names: Collection[str], results: Results) -> None:
                     raise
     if "together" in _possible(bench, names):
         with progress.bar("together"):
-            results.measured["together"] = measurements.together(bench)
+            results.measured.together = measurements.together(bench)
 
 
 @contextlib.contextmanager
@@ -115,14 +117,14 @@ def _counted(controller: Controller, results: Results) -> Iterator[None]:
             results.link["bad_frames_at_controller"] = controller.request_status().bad_frames - there
 
 
-def _is_worse(earlier: dict[str, Any], results: Results, name: str) -> bool:
+def _is_worse(earlier: Results, measured: Measured, name: str) -> bool:
     """Return whether a time of one measurement has become worse than in an earlier run."""
-    now = Results(results.device, results.host, {name: results.measured[name]}, asked=(name,))
-    return any(change.problem == "worse" and not change.counted for change in compare(earlier, now.document()))
+    now = Results({}, {}, measured, asked=(name,))
+    return any(change.problem == "worse" and not change.counted for change in compare(earlier, now))
 
 
 @contextlib.contextmanager
-def _written(folder: Path, results: Results, earlier: dict[str, Any] | None, bench: Bench) -> Iterator[None]:
+def _written(folder: Path, results: Results, earlier: Results | None, bench: Bench) -> Iterator[None]:
     """Write the results when the block ends, however it ends."""
     try:
         yield
@@ -130,13 +132,13 @@ def _written(folder: Path, results: Results, earlier: dict[str, Any] | None, ben
         results.failed["the rest"] = str(error) or "interrupted"
         raise
     finally:
-        if results.measured:
+        if results.measured != Measured():
             table = ""
-            if response := results.measured.get("response"):
+            if response := results.measured.response:
                 table = bench_file.actuator_toml(response.actuator, bench.first.name)
                 (folder / ACTUATOR).write_text(table, encoding="utf-8")
-            results.missed[:] = missed(bench.limits, judged(results.document()))
-            results.missed += measurements.misfits(bench, results.measured.get("response"))
-            document = results.document()
+            results.missed[:] = missed(bench.limits, results.figures())
+            results.missed += measurements.misfits(bench, results.measured.response)
             results.write(folder / JSON)
-            page.write(folder / PAGE, document, [] if earlier is None else compare(earlier, document), table)
+            changes = [] if earlier is None else compare(earlier, results)
+            page.write(folder / PAGE, results.document(), changes, table)

@@ -16,7 +16,7 @@ from vibrocast import textures
 from vibrocast.device_protocol.transports import SERIAL_FORM, TransportError, serial_port
 from vibrocast.errors import InputError, located
 from vibrocast.host import devices, session
-from vibrocast.host.bench_limits import BenchLimits
+from vibrocast.host.figures import BenchLimits
 from vibrocast.host.session import Session
 from vibrocast.output.actuator import Actuator
 from vibrocast.output.actuator_files import ActuatorTable

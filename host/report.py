@@ -12,7 +12,7 @@ from typing import Any
 
 from vibrocast.codec.threshold import FeltError
 from vibrocast.files import atomic_write
-from vibrocast.host.bench_limits import Judged, lost_percent
+from vibrocast.host.figures import Value, lost_percent
 from vibrocast.host.skin_quality import SkinQuality
 from vibrocast.output.sound_card import CardUse
 
@@ -199,27 +199,34 @@ class Report:
     live: LiveFigures | None = None
     position: PositionFigures | None = None
 
-    def judged(self) -> Iterator[Judged]:
-        """Yield the figures that limits of a bench file judge.
+    def figures(self) -> Iterator[Value]:
+        """Yield the figures that limits of a bench file judge, and that a run is compared by.
 
         Those at the skin of a live stream are computed, so they are known only where the controller has played what
         was computed. Nobody counts lost positions of a hand: none was lost where the output is as all of them make it.
         """
         place = self.file if self.live is None else "live"
-        if self.position is None:
-            yield Judged("latency_ms", place, self.latency_ms.end_to_end)
-            lost: float | None = lost_percent(self.lost_packets, self.packets)
-        else:
+        lost: float | None = lost_percent(self.lost_packets, self.packets)
+        if self.position is not None:
             lost = 0.0 if self.dac_equals_offline else None
+        else:
+            yield Value("latency_ms", place, self.latency_ms.end_to_end)
         if self.live is not None:
-            yield Judged("jitter_ms", place, self.live.jitter_ms)
-            yield Judged("drift_ppm", place, self.live.drift_ppm)
-        yield Judged("underruns", place, self.underruns)
-        yield Judged("lost_percent", place, lost)
-        yield Judged("bad_frames", place, self.bad_frames + self.bad_frames_back)
+            yield Value("jitter_ms", place, self.live.jitter_ms)
+            yield Value("drift_ppm", place, self.live.drift_ppm)
+        yield Value("as_decoded", place, self.decoded_equals_offline)
+        yield Value("as_computed", place, self.dac_equals_offline)
+        yield Value("underruns", place, self.underruns)
+        yield Value("lost_percent", place, lost)
+        yield Value("bad_frames", place, self.bad_frames + self.bad_frames_back)
         skin = self.skin if self.live is None or self.dac_equals_offline else None
-        yield Judged("snr_db", place, None if skin is None else skin.snr_db)
-        yield Judged("gain", place, None if skin is None else skin.gain)
+        for key in ("snr_db", "playing_snr_db", "st_sim", "gain"):
+            yield Value(key, place, getattr(skin, key, None))
+
+    @property
+    def lost_anything(self) -> bool:
+        """Whether packets came too late, or the output ran empty."""
+        return bool(self.lost_packets or self.underruns)
 
     @property
     def differs(self) -> bool:

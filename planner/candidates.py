@@ -445,7 +445,7 @@ def wanted(asked: Asked) -> float:
 def quality_of(measured: MeasuredCoding, asked: Asked) -> tuple[float | None, float]:
     """Return the quality in the required measure, and its shortfall: at most 0 if it is reached."""
     quality = measured.error_db if asked.measure == "imperceptible" else getattr(measured, asked.measure)
-    return quality, 0.0 if quality is None else MEASURES[asked.measure].sign * (wanted(asked) - quality)
+    return quality, 0.0 if quality is None else MEASURES[asked.measure].figure.worse * (quality - wanted(asked))
 
 
 @dataclass(frozen=True)

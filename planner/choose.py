@@ -321,7 +321,7 @@ def _lowered(best: Candidate, asked: Asked) -> str | None:
         return None
     measure = MEASURES[asked.measure]
     scale = 10**measure.digits
-    if measure.sign < 0:
+    if measure.figure.worse > 0:
         return f"raise {asked.measure} to {math.ceil(scale * best.quality) / scale:g}"
     lower = math.floor(scale * best.quality) / scale
     return f"lower {asked.measure} to {lower:g}" if lower > 0 else None
@@ -350,8 +350,8 @@ def target(asked: Asked) -> str:
 def _quality(value: float, asked: Asked, error_form: str) -> str:
     if asked.measure == "imperceptible":
         return f"an error of {value:{error_form}} dB re the felt level"
-    measure = MEASURES[asked.measure]
-    return f"{measure.name} {value:.3g}{measure.unit}"
+    figure = MEASURES[asked.measure].figure
+    return f"{figure.label} {value:.3g} {figure.unit}".rstrip()
 
 
 def _planned(choice: TextureChoice) -> PlannedTexture:

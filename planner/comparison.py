@@ -2,81 +2,49 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from msgspec import structs
 
+from vibrocast.host.figures import FIGURES, Figure
 from vibrocast.planner.page import write_table
 from vibrocast.planner.playing import Played
-
-TOLERANCE = 0.1
-"""Largest relative deviation of a measurement from its forecast."""
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """One of the figures of a Forecast. `held`: whether it must be within TOLERANCE. `digits`: decimals."""
-
-    name: str
-    title: str
-    unit: str
-    held: bool
-    digits: int
-
-    def deviation(self, forecast: float, measured: float) -> float:
-        """Return the deviation relative to the forecast; levels as amplitudes, so 1 dB is 12 %."""
-        if self.unit == "dB":
-            return math.pow(10.0, (measured - forecast) / 20) - 1
-        return measured / forecast - 1 if forecast else float(measured != forecast)
-
-
-QUANTITIES = (
-    Quantity("payload_bps", "payload", "bit/s", True, 0),
-    Quantity("wire_bps", "on the wire", "bit/s", True, 0),
-    Quantity("instructions_per_second", "instructions", "1/s", True, 0),
-    Quantity("load_percent", "load", "%", True, 2),
-    Quantity("snr_db", "SNR", "dB", True, 2),
-    Quantity("spqi", "SPQI", "", True, 3),
-    Quantity("third_octave_distance_db", "third-octave distance", "dB", True, 2),
-    Quantity("error_over_threshold_db", "error re threshold", "dB", True, 2),
-    Quantity("delay_ms", "delay", "ms", False, 1),
-    Quantity("flash_bytes", "flash", "bytes", False, 0),
-    Quantity("ram_bytes", "RAM", "bytes", False, 0),
-)
-"""All figures. Delays depend on the computer and the link; memory is not measured here."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One figure of one texture. `measured`, `deviation`: None if nothing measured it.
-
-    `within`: whether it is within TOLERANCE; None if nothing measured it, or it need not be."""
+    """One figure of one texture. `measured`: None if nothing measured it."""
 
     texture: str
-    quantity: Quantity
+    figure: Figure
     forecast: float
     measured: float | None
-    deviation: float | None
-    within: bool | None
+
+    @property
+    def deviation(self) -> float | None:
+        """The deviation relative to the forecast; of levels as amplitudes, so 1 dB is 12 %."""
+        if self.measured is None:
+            return None
+        if self.figure.unit == "dB":
+            return math.pow(10.0, (self.measured - self.forecast) / 20) - 1
+        return self.measured / self.forecast - 1 if self.forecast else float(self.measured != self.forecast)
+
+    @property
+    def within(self) -> bool | None:
+        """Whether the measurement is as forecast, within the figure's tolerance; None if nothing measured it."""
+        return None if self.measured is None else not self.figure.differs(self.forecast, self.measured)
 
 
 def rows(played: Sequence[Played]) -> list[Row]:
     """Return every forecast with its measurement."""
     return [
-        _row(each, quantity, forecast)
+        Row(each.texture.name, FIGURES[key], forecast, getattr(each.measured, key, None))
         for each in played
-        for quantity in QUANTITIES
-        if (forecast := getattr(each.texture.forecast, quantity.name)) is not None
+        for key, forecast in structs.asdict(each.texture.forecast).items()
+        if forecast is not None
     ]
-
-
-def _row(played: Played, quantity: Quantity, forecast: float) -> Row:
-    measured = getattr(played.measured, quantity.name, None)
-    deviation = None if measured is None else quantity.deviation(forecast, measured)
-    within = None if deviation is None or not quantity.held else abs(deviation) <= TOLERANCE
-    return Row(played.texture.name, quantity, forecast, measured, deviation, within)
 
 
 def failures(played: Sequence[Played], compared: Sequence[Row]) -> list[str]:
@@ -94,7 +62,7 @@ def failures(played: Sequence[Played], compared: Sequence[Row]) -> list[str]:
                 "`vibrocast conformance`"
             )
     found += [
-        f"{row.texture}: {row.quantity.title} deviates by {100 * row.deviation:+.1f} % from its forecast"
+        f"{row.texture}: {row.figure.label} deviates by {100 * row.deviation:+.1f} % from its forecast"
         for row in compared
         if row.within is False and row.deviation is not None
     ]
@@ -106,13 +74,10 @@ def lines(compared: Sequence[Row]) -> list[str]:
     header = ("texture", "", "forecast", "measured", "deviation")
     cells = [header]
     for row in compared:
-        digits, unit = row.quantity.digits, row.quantity.unit
-        measured = "computed only" if row.measured is None else f"{row.measured:.{digits}f} {unit}"
-        off = "" if row.deviation is None else f"{100 * row.deviation:+.1f} %"
-        forecast = f"{row.forecast:.{digits}f} {unit}"
-        cells.append(
-            (row.texture, row.quantity.title, forecast, measured, off + (" OFF" if row.within is False else ""))
-        )
+        figure, deviation = row.figure, row.deviation
+        off = "" if deviation is None else f"{100 * deviation:+.1f} %" + (" OFF" if row.within is False else "")
+        measured = "computed only" if row.measured is None else f"{row.measured:.{figure.digits}f} {figure.unit}"
+        cells.append((row.texture, figure.label, f"{row.forecast:.{figure.digits}f} {figure.unit}", measured, off))
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     return [
         "  ".join(
@@ -125,8 +90,9 @@ def lines(compared: Sequence[Row]) -> list[str]:
 
 def write_csv(path: Path, compared: Sequence[Row]) -> None:
     """Write the figures as CSV, a line each. Raises OSError."""
-    columns = [each.name for each in fields(Row)]
-    write_table(path, columns, ({**vars(row), "quantity": row.quantity.name} for row in compared))
+    columns = ("texture", "quantity", "forecast", "measured", "deviation", "within")
+    cells = ((row.texture, row.figure.key, row.forecast, row.measured, row.deviation, row.within) for row in compared)
+    write_table(path, columns, (dict(zip(columns, each, strict=True)) for each in cells))
 
 
 def document(played: Played) -> dict[str, Any]:
@@ -137,8 +103,5 @@ def document(played: Played) -> dict[str, Any]:
         "controller": texture.controller,
         "forecast": structs.asdict(texture.forecast),
         "measured": asdict(played.measured),
-        "underruns": played.report.underruns,
-        "lost_packets": played.report.lost_packets,
-        "decoded_as_sent": played.report.decoded_equals_offline,
-        "dac_as_computed": played.report.dac_equals_offline,
+        "report": asdict(played.report),
     }

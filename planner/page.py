@@ -125,7 +125,9 @@ def _draw_panel(axes: "Axes", asked: Asked, choice: TextureChoice, codecs: Seque
     labels = [(chosen, choice.compared), *((option.name, best) for option, best in alternatives)]
     _label(axes, [(text, each) for text, each in labels if each in near])
     axes.axvline(wanted(asked), color="0.5", linestyle=(0, (5, 2)), linewidth=1)
-    axes.set_xlabel(f"{MEASURES[asked.measure].label}; dashed: the target")
+    figure = MEASURES[asked.measure].figure
+    less = " (less is better)" if figure.worse > 0 else ""
+    axes.set_xlabel(f"{figure.title}{less}; dashed: the target")
     axes.set_ylabel("weighted cost")
     outside = len(choice.candidates) - len(near)
     note = f"; {outside} further candidates outside, see {CANDIDATES}" if outside else ""

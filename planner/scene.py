@@ -24,6 +24,7 @@ from vibrocast.host.bench_file import (
     one_named,
     read_actuators,
 )
+from vibrocast.host.figures import FIGURES, Figure
 from vibrocast.output.actuator import PIEZO_STACK, Actuator
 from vibrocast.output.actuator_files import ActuatorTable
 from vibrocast.textures import Profile, Recording, TextureError
@@ -138,25 +139,20 @@ class SceneTexture:
 class Measure:
     """A measure of quality that a scene may require.
 
-    `name`, `unit`: in the answer. `label`: of the picture's axis. `far`: the difference from the target up to which the
-    picture shows candidates. `sign`: 1 where more is better, -1 where less is. `digits`: decimals of a proposed target.
+    `figure`: that states it. `far`: the difference from the target up to which the picture shows candidates. `digits`:
+    decimals of a proposed target.
     """
 
-    name: str
-    unit: str
-    label: str
+    figure: Figure
     far: float
-    sign: int
     digits: int
 
 
 MEASURES = {
-    "snr_db": Measure("SNR", " dB", "SNR, dB", 6.0, 1, 1),
-    "spqi": Measure("SPQI", "", "SPQI", 0.3, 1, 2),
-    "third_octave_distance_db": Measure(
-        "third-octave distance", " dB", "third-octave distance, dB (less is better)", 4.0, -1, 1
-    ),
-    "imperceptible": Measure("error", " dB", "error re felt level, dB (less is better)", 12.0, -1, 1),
+    "snr_db": Measure(FIGURES["snr_db"], 6.0, 1),
+    "spqi": Measure(FIGURES["spqi"], 0.3, 2),
+    "third_octave_distance_db": Measure(FIGURES["third_octave_distance_db"], 4.0, 1),
+    "imperceptible": Measure(FIGURES["error_over_threshold_db"], 12.0, 1),
 }
 """By the keys of [asked]."""
 

@@ -72,7 +72,8 @@ def main(out: Path, addresses: tuple[str, ...]) -> None:
 def live_parts(latency: Latency) -> dict[str, float]:
     """Return the delays of a live stream by the names of PARTS, in ms."""
     delays_ms = {name: part.median_ms for name, part in latency.parts.items()}
-    delays_ms["packet"] = 1e3 * (latency.packet_samples - 1) / latency.rate_hz
+    assert latency.report.live is not None, "it was streamed live"
+    delays_ms["packet"] = latency.report.live.packet_ms * (1 - 1 / latency.packet_samples)
     delays_ms["overlap"] = delays_ms.pop("codec") - delays_ms["packet"]
     return {name: delays_ms[name] for name in PARTS}
 
@@ -134,7 +135,7 @@ def rendered(
                 "parts": live_parts(middle[address]),
                 "min_ms": _total_ms(runs[0]),
                 "max_ms": _total_ms(runs[-1]),
-                "stable": sum(run.stable for run in runs),
+                "stable": sum(not run.report.lost_anything for run in runs),
             }
             for address, runs in budgets.items()
         },
@@ -144,7 +145,7 @@ def rendered(
 
 def _middle(runs: Sequence[Latency]) -> Latency:
     """Return the one in the middle of the runs without an underrun, or of all where there is no such."""
-    kept = [run for run in runs if run.stable] or runs
+    kept = [run for run in runs if not run.report.lost_anything] or runs
     return kept[len(kept) // 2]
 
 

@@ -16,9 +16,7 @@ from vibrocast.harness.results import (
     NAMES,
     PAGE,
     compare,
-    described,
     deviations,
-    figures,
     read_results,
     warnings,
 )
@@ -111,26 +109,27 @@ def measure(
     trace_failure(out / TRACE)
     figures_so_far(partial(written_since, out / JSON, time.time_ns()))
     results = measure_bench(bench, out, names, before)
-    changes = [] if before is None else compare(before, results.document())
+    changes = [] if before is None else compare(before, results)
     for name, why in results.failed.items():
         click.echo(f"not measured: {name}: {why}", err=True)
     add(results.document() | {"changes": [asdict(change) for change in changes]})
-    for name, value in figures(results.document()):
-        tell(described(name, value))
-    for warning in warnings(results.document()):
+    for value in results.figures():
+        if value.value is not None:
+            tell(value.line())
+    for warning in warnings(results):
         click.echo(f"warning: {warning}", err=True)
     tell(f"{out / PAGE}", page=str(out / PAGE))
     if results.failed:
         raise click.ClickException(
             f"not all could be measured: {', '.join(results.failed)}; the lines above say why, and --only repeats some"
         )
-    if worse := [f"{change.name} ({change.problem})" for change in changes if change.regressed]:
+    if worse := [f"{change.name} ({change.problem})" for change in changes if change.problem]:
         more = f"; and {len(worse) - MAX_SHOWN} more" if len(worse) > MAX_SHOWN else ""
         raise CommandError(
             f"not as in {earlier}: {'; '.join(worse[:MAX_SHOWN])}{more}; compare both reports, then measure again",
             REGRESSION,
         )
-    if wrong := list(deviations(results.document())):
+    if wrong := list(deviations(results)):
         raise click.ClickException(
             f"the controller played something else than was sent, though it lost nothing: not {', '.join(wrong)}; "
             "flash the firmware again, and check the bench's actuators"

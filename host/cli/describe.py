@@ -10,6 +10,7 @@ from vibrocast.device_protocol.coded_stream import packet_sequence
 from vibrocast.host.cli.answers import wants_json
 from vibrocast.host.cli.steps import show
 from vibrocast.host.controller import ControllerError
+from vibrocast.host.figures import FIGURES
 from vibrocast.host.report import ActuatorUse, LiveFigures, Report, Touch
 from vibrocast.host.skin_quality import SkinQuality
 from vibrocast.output.actuator import FOLLOWED_DB
@@ -30,14 +31,16 @@ def summary(report: Report, packets: str | None = None) -> dict[str, object]:
         "stream": describe_stream(report),
         "packets": packets,
         "wire": describe_wire(report),
-        "latency": describe_latency(report),
-        "underruns": describe_losses(report),
+        FIGURES["latency_ms"].label: describe_latency(report),
+        FIGURES["underruns"].label: describe_losses(report),
         "sound card": None if report.sound_card is None else describe_card(report.sound_card),
         "limits": describe_limits(report.actuator),
         "touch": None if report.touch is None else describe_touch(report.touch),
         "losses": None if report.live is None else describe_minutes(report.live),
-        "decoded as sent": None if report.position else describe_comparison(report.decoded_equals_offline, report),
-        "DAC as computed": describe_comparison(report.dac_equals_offline, report),
+        FIGURES["as_decoded"].label: None
+        if report.position
+        else describe_comparison(report.decoded_equals_offline, report),
+        FIGURES["as_computed"].label: describe_comparison(report.dac_equals_offline, report),
     }
     return {name: line for name, line in lines.items() if line}
 

@@ -184,7 +184,7 @@ def live(
             add(asdict(playing.report()))  # of a stream that is cut, too
     add(asdict(report))
     tell_report(report)
-    judge(bench, report.judged())
+    judge(bench, report.figures())
 
 
 def source_blocks(

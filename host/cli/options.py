@@ -28,7 +28,7 @@ from vibrocast.output.actuator import Actuator
 
 if TYPE_CHECKING:
     from vibrocast.host.bench_file import Bench
-    from vibrocast.host.bench_limits import Judged
+    from vibrocast.host.figures import Value
     from vibrocast.host.session import Session
 
 _BENCH = "vibrocast.bench"
@@ -40,14 +40,14 @@ def command_run() -> str:
 
 
 def fail_where_missed(lines: Sequence[str], where: str = "see [limits] in the bench file") -> None:
-    """Raise CommandError with the lines of `bench_limits.missed`, if there are any. `where`: the limits stand."""
+    """Raise CommandError with the lines of `figures.missed`, if there are any. `where`: the limits stand."""
     if lines:
         raise CommandError(f"limits missed: {'; '.join(lines)}; {where}", LIMIT_MISSED)
 
 
-def judge(bench: "Bench | None", figures: "Iterable[Judged]") -> None:
+def judge(bench: "Bench | None", figures: "Iterable[Value]") -> None:
     """Raise CommandError where a figure misses a limit of the bench; without one, a known figure the default limits."""
-    from vibrocast.host.bench_limits import BenchLimits, missed
+    from vibrocast.host.figures import BenchLimits, missed
 
     if bench is not None:
         fail_where_missed(missed(bench.limits, figures))

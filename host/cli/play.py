@@ -332,7 +332,7 @@ def report(run: "Run", outcomes: "Outcomes", given_samples: int) -> None:
     else:
         report_one(run, outcomes, given_samples)
     played = [each for each in outcomes.values() if not isinstance(each, Exception)]
-    judge(run.bench, [figure for each in played for figure in each.report.judged()])
+    judge(run.bench, [figure for each in played for figure in each.report.figures()])
 
 
 def play_under_hand(run: "Run", file: Path, quality: QualityOptions, recording: RecordingOptions) -> "Outcomes":

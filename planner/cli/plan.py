@@ -49,7 +49,8 @@ def plan(
     all candidates (candidates.csv, plan.png) and the bands worth coding (bands.csv).
 
     --play prints each forecast next to its measurement; --out then also writes both to forecast.csv and forecast.json.
-    If one differs from the other by more than 10 %, the command fails. --json with --play prints the measurements only.
+    If one differs from the other by more than 10 %, or a level by more than 1 dB, the command fails. --json with --play
+    prints the measurements only.
 
     Give one --device for each controller, in the order of the file.
     """

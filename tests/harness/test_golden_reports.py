@@ -16,16 +16,31 @@ from tests.planner.scenes import CONTROLLER, written
 from vibrocast import textures
 
 GOLDEN = Path(__file__).with_name("golden_reports")
-CHANGES = {"run", "version", "versions", "build", "processor", "system", "vibrocast", "device_time_us"}
+CHANGES = {
+    "run_id",
+    "date",
+    "version",
+    "bench_sha256",
+    "python",
+    "numpy",
+    "build",
+    "processor",
+    "system",
+    "vibrocast",
+    "device_time_us",
+}
 """Keys whose values differ from run to run, or from computer to computer."""
 HAND = ("--hand", "5", "--hand-speed-mm-s", "60")
 BENCH = '[[controllers]]\nname = "it"\naddress = "sim"\n[[textures]]\ngenerate = "rough"\nseconds = 0.5\n'
 
 
 def kept(value: Any) -> Any:
-    """Return a document without the values of CHANGES."""
+    """Return a document with nothing in place of the values of CHANGES."""
     if isinstance(value, dict):
-        return {key: None if key in CHANGES else kept(part) for key, part in value.items()}
+        return {
+            key: type(part)() if key in CHANGES and not isinstance(part, dict) else kept(part)
+            for key, part in value.items()
+        }
     return [kept(part) for part in value] if isinstance(value, list) else value
 
 

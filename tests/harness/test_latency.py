@@ -3,18 +3,21 @@
 import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.conftest import RATE_HZ, linked, noise, session, texture
+from tests.harness.runs import LATENCY
 from vibrocast.harness import latency
 from vibrocast.harness.latency import Latency
-from vibrocast.harness.results import warnings
+from vibrocast.harness.results import Measured, Results, warnings
 from vibrocast.harness.sensors import TimedRecording
 from vibrocast.host import live
 from vibrocast.host.controller import Controller, ControllerError
-from vibrocast.host.live_playback import ClockFit, DeviceClock
+from vibrocast.host.live_playback import DeviceClock
+from vibrocast.host.report import Latency as LatencyParts
 from vibrocast.host.session import session_with
 from vibrocast.output.actuator import PIEZO_STACK, Codes
 from vibrocast.simulated_device.controller import Controller as SimulatedController
@@ -78,8 +81,8 @@ def test_the_whole_is_the_sum_of_its_parts_and_the_playout_delay_is_kept(
     measured = latency.measure_latency(
         session_with(Bench(drift_ppm).session, "sim"), NOISE, seconds=2.0, playout_delay_s=playout_delay_s
     )
-    assert measured.stable
-    assert measured.as_sent
+    assert not measured.report.lost_anything
+    assert measured.report.decoded_equals_offline
     assert measured.total_ms == pytest.approx(sum(part.median_ms for part in measured.parts.values()), abs=0.5)
     # Time steps by 1 ms here, and nothing takes any in between.
     assert measured.parts["buffer"].median_ms == pytest.approx(1e3 * playout_delay_s, abs=1.5)
@@ -102,15 +105,16 @@ def test_what_is_measured_is_when_the_dac_has_it() -> None:
 @pytest.mark.parametrize("late_ms", [1, 4])
 def test_a_link_of_long_round_trips_is_measured_without_holding_the_stream_up(late_ms: int) -> None:
     measured = latency.measure_latency(session_with(long_line(late_ms / 1000), "sim"), NOISE, seconds=2.0)
-    assert measured.stable
-    assert measured.as_sent
+    assert not measured.report.lost_anything
+    assert measured.report.decoded_equals_offline
     assert measured.parts["wire"].median_ms == pytest.approx(late_ms, abs=0.2)
     assert measured.clock.round_trip_ms == pytest.approx(2 * late_ms, abs=0.3)
 
 
 def test_default_buffers_stay_below_30_ms_with_a_usb_class_link() -> None:
     measured = latency.measure_latency(session_with(Bench().session, "sim"), NOISE, seconds=1.0)
-    assert measured.playout_delay_ms == 1e3 * live.PLAYOUT_DELAY_S
+    assert measured.report.live is not None
+    assert measured.report.live.playout_delay_ms == 1e3 * live.PLAYOUT_DELAY_S
     assert measured.total_ms < 30.0
 
 
@@ -129,14 +133,11 @@ FLAWS = [
 ]
 
 
-LATENCY = Latency("mdct", {}, RATE_HZ, 16, 10.0, 100, 100, {}, 25.0, 1.0, 0, 0, True, ClockFit(0.0, 0.0, 0.0, 0.0, 2.0))
-"""A measurement of 100 packets, whose round trips took 2 ms and more."""
-
-
-def flawed(changes: dict[str, int], buffer_ms: float) -> Latency:
+def flawed(changes: dict[str, Any], buffer_ms: float) -> Latency:
     """Return a measurement whose packets waited so long in the buffer."""
     parts = dict.fromkeys(latency.PARTS, latency.Spread(1.0, 2.0)) | {"buffer": latency.Spread(buffer_ms, buffer_ms)}
-    return replace(LATENCY, parts=parts, total_ms=buffer_ms, **changes)  # type: ignore[arg-type]
+    report = replace(LATENCY.report, latency_ms=LatencyParts(end_to_end=buffer_ms), **changes)
+    return replace(LATENCY, parts=parts, report=report)
 
 
 @pytest.mark.parametrize(("changes", "buffer_ms", "flaw"), FLAWS)
@@ -161,8 +162,8 @@ def test_the_search_does_not_take_a_delay_that_no_stream_had(monkeypatch: pytest
 
 def test_late_packets_make_a_warning_of_a_latency() -> None:
     for lost, told in ((0, []), (2, ["2 packets came too late"])):
-        document = {"measured": {"latency": {"lost_packets": lost, "underruns": 0}}}
-        assert [warning[:23] for warning in warnings(document)] == told
+        run = Results({}, {}, Measured(flawed({"lost_packets": lost}, 1.0)))
+        assert [warning[:23] for warning in warnings(run)] == told
 
 
 def test_a_clock_is_fitted_through_the_shortest_round_trips() -> None:

@@ -10,7 +10,7 @@ from tests.conftest import session
 from vibrocast import textures
 from vibrocast.device_protocol.messages import Message, SinglePacket
 from vibrocast.harness.latency import looped, measure_latency
-from vibrocast.host.bench_limits import BenchLimits, missed
+from vibrocast.host.figures import BenchLimits, missed
 from vibrocast.host.live_playback import play_live
 from vibrocast.host.report import Report
 from vibrocast.host.session import Session, session_with
@@ -35,7 +35,7 @@ def played(device: Device, seconds: float = 1.0) -> Report:
 
 def figures_of(report: Report) -> dict[str, float | None]:
     """Return the figures that limits judge."""
-    return {key: value for key, _, value in report.judged()}
+    return {key: value for key, _, value in report.figures()}
 
 
 def flipped(message: Message) -> Message:
@@ -83,7 +83,8 @@ def test_the_times_are_those_that_the_measurement_of_latency_finds() -> None:
     latency = measure_latency(session, ROUGH, seconds=2.0, playout_delay_s=0.02)
     assert report.latency_ms.end_to_end == pytest.approx(latency.total_ms, abs=0.1)
     assert report.live is not None
-    assert report.live.jitter_ms == pytest.approx(latency.jitter_ms, abs=1)
+    assert latency.report.live is not None
+    assert report.live.jitter_ms == pytest.approx(latency.report.live.jitter_ms, abs=1)
     assert report.live.drift_ppm == pytest.approx(latency.clock.drift_ppm, abs=1)
 
 
@@ -98,7 +99,7 @@ def test_what_the_actuator_misses_while_the_cable_is_out_counts_as_lost(cut_s: f
 def test_limits_judge_the_times_of_a_stream() -> None:
     report = played(SimulatedController(Settings(drift_ppm=1000)), 2.0)
     limits = BenchLimits(max_latency_ms=1, max_jitter_ms=1e-4, max_drift_ppm=500)
-    assert [line.split(" = ")[0] for line in missed(limits, report.judged())] == [
+    assert [line.split(" = ")[0] for line in missed(limits, report.figures())] == [
         "live: latency_ms",
         "live: jitter_ms",
         "live: drift_ppm",

@@ -11,10 +11,12 @@ from pathlib import Path
 import pytest
 
 from tests import command
-from tests.harness.test_latency import LATENCY
+from tests.harness.runs import LATENCY
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.errors import LIMIT_MISSED, NO_DEVICE, REGRESSION
 from vibrocast.harness import measurements, response
+from vibrocast.harness.load import Throughput
+from vibrocast.host.report import Latency
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import ACTUATORS
 from vibrocast.simulated_device.controller import Controller, Settings
@@ -47,7 +49,7 @@ def test_a_run_is_written_and_compared_with_itself_and_a_better_one(tmp_path: Pa
     assert (tmp_path / "out" / "measured.html").read_text().startswith("<!doctype html>")
     assert run(*arguments, "--compare", written).exit_code == 0
     document = json.loads(written.read_text())
-    document["measured"]["fidelity"][0]["playing_snr_db"] += 20
+    document["measured"]["fidelity"][0]["report"]["skin"]["playing_snr_db"] += 20
     earlier = tmp_path / "earlier.json"
     earlier.write_text(json.dumps(document))
     worse = run(*arguments, "--compare", earlier)
@@ -100,13 +102,7 @@ def test_what_is_worse_as_the_computer_was_busy_is_measured_again(
     monkeypatch.setattr(
         measurements,
         "MEASUREMENTS",
-        {
-            "throughput": lambda *_: {
-                "to_controller_bytes_per_s": next(taken),
-                "to_host_bytes_per_s": 1.0,
-                "bad_frames": 0,
-            }
-        },
+        {"throughput": lambda *_: Throughput(next(taken), 1.0, 0)},
     )
     earlier = tmp_path / "earlier" / "measured.json"
     arguments = ("--only", "throughput", "--out")
@@ -123,7 +119,8 @@ def test_what_is_worse_as_the_computer_was_busy_is_measured_again(
 def test_losses_of_a_first_take_stay_where_times_are_measured_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    takes = iter([LATENCY, replace(LATENCY, total_ms=99.0, lost_packets=3), LATENCY])
+    late = replace(LATENCY.report, latency_ms=Latency(end_to_end=99.0), lost_packets=3)
+    takes = iter([LATENCY, replace(LATENCY, report=late), LATENCY])
     monkeypatch.setattr(measurements, "MEASUREMENTS", {"latency": lambda *_: next(takes)})
     monkeypatch.setattr("vibrocast.harness.page.write", lambda *_: None)
     arguments = ("--only", "latency", "--out")
@@ -131,7 +128,7 @@ def test_losses_of_a_first_take_stay_where_times_are_measured_again(
     result = run(*arguments, tmp_path / "now", "--compare", tmp_path / "earlier" / "measured.json")
     assert "worse, measured again: latency" in result.output
     assert result.exit_code == REGRESSION
-    assert "live: lost packets (worse)" in result.output and "latency, ms (worse)" not in result.output
+    assert "live: lost packets, % (worse)" in result.output and "latency, ms (worse)" not in result.output
 
 
 def test_what_was_measured_before_the_cable_was_pulled_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

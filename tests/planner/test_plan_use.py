@@ -32,7 +32,7 @@ def test_an_example_scene_plays_as_it_was_forecast(tmp_path: Path, name: str) ->
     assert result.exit_code == 0, result.stderr
     document = json.loads(result.stdout)
     assert document == json.loads((tmp_path / "forecast.json").read_text())
-    assert {each["dac_as_computed"] for each in document} == {True}
+    assert {each["report"]["dac_equals_offline"] for each in document} == {True}
     for each in document:
         assert each["measured"]["wire_bps"] == pytest.approx(each["forecast"]["wire_bps"], rel=0.1)
         assert each["measured"]["snr_db"] == pytest.approx(each["forecast"]["snr_db"], abs=0.8)

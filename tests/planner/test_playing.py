@@ -41,7 +41,7 @@ def planned(folder: Path, **changed: str) -> Plan:
 def test_what_an_emulated_processor_plays_is_what_was_forecast(tmp_path: Path) -> None:
     pytest.importorskip("unicorn")
     played = playing.play(planned(tmp_path))
-    rows = {row.quantity.name: row for row in comparison.rows(played)}
+    rows = {row.figure.key: row for row in comparison.rows(played)}
     assert comparison.failures(played, list(rows.values())) == []
     assert played[0].report.decoded_equals_offline and played[0].report.dac_equals_offline
     for name in ("payload_bps", "wire_bps", "instructions_per_second", "load_percent", "snr_db"):
@@ -49,7 +49,7 @@ def test_what_an_emulated_processor_plays_is_what_was_forecast(tmp_path: Path) -
     assert rows["delay_ms"].measured == pytest.approx(rows["delay_ms"].forecast, rel=0.03)
     assert rows["flash_bytes"].measured is None and rows["flash_bytes"].within is None
     board = playing.play(planned(tmp_path, controller=CONTROLLER.replace("cortex-m4", "stm32f405")))
-    (load,) = (row for row in comparison.rows(board) if row.quantity.name == "load_percent")
+    (load,) = (row for row in comparison.rows(board) if row.figure.key == "load_percent")
     assert load.within and load.deviation == pytest.approx(0, abs=0.08)
 
 
@@ -61,7 +61,7 @@ def test_controllers_play_one_after_another_and_one_that_fails_holds_no_other_up
     rows = comparison.rows(played)
     assert comparison.failures(played, rows) == []
     # A computer's load is not forecast, and so not compared.
-    assert "load_percent" not in {row.quantity.name for row in rows}
+    assert "load_percent" not in {row.figure.key for row in rows}
     assert [each.texture.name for each in playing.play(plan, ["ridges"])] == ["ridges"]
     left, right = plan.controllers
     plan = replace(plan, controllers=(left, structs.replace(right, address="serial:/dev/no-such-port")))

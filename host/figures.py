@@ -1,0 +1,182 @@
+"""The figures of all reports: one table of their labels, units and tolerances; and the limits that judge them."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
+
+from vibrocast.toml_tables import Table, within
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure that reports state.
+
+    Attributes:
+        key: Its name in values, in tables of CSV, and behind min_ or max_ in limits.
+        label: Its name for people.
+        unit: Its unit; empty where it has none.
+        worse: 1 where a higher one is worse, -1 where a lower one is, 0 where any other is.
+        absolute: By how much another run may be worse.
+        relative: The same in parts of the earlier value; the larger of the two counts.
+        digits: Decimals where a table shows it next to others of its kind.
+    """
+
+    key: str
+    label: str
+    unit: str = ""
+    worse: int = 1
+    absolute: float = 0.0
+    relative: float = 0.0
+    digits: int = 0
+
+    @property
+    def title(self) -> str:
+        """The label with the unit, as above a column."""
+        return f"{self.label}, {self.unit}" if self.unit else self.label
+
+    def text(self, value: float | bool) -> str:
+        """Return a value with its unit, or yes or no."""
+        if isinstance(value, bool):
+            return "yes" if value else "no"
+        return f"{value:{'.0f' if abs(value) >= 1000 else '.4g'}} {self.unit}".rstrip()
+
+    def is_worse(self, before: float, now: float) -> bool:
+        """Return whether a value is worse than an earlier one beyond the tolerance."""
+        return self.worse * (now - before) >= 0 and self.differs(before, now)
+
+    def differs(self, before: float, now: float) -> bool:
+        """Return whether a value differs from an earlier or an expected one beyond the tolerance."""
+        return abs(now - before) > max(self.absolute, self.relative * abs(before))
+
+
+# A computer that does other work as well measures times again within these tolerances. A delay that was forecast
+# depends on the computer and the link.
+FIGURES = {
+    figure.key: figure
+    for figure in (
+        Figure("latency_ms", "latency", "ms", 1, 2.0, 0.1, 1),
+        Figure("sensor_latency_ms", "latency to the sensor", "ms", 1, 5.0, 0.1, 1),
+        Figure("smallest_latency_ms", "smallest stable latency", "ms", 1, 4.0, 0.2, 1),
+        Figure("delay_ms", "delay", "ms", 1, math.inf, 0.0, 1),
+        Figure("jitter_ms", "jitter", "ms", 1, 2.0, 0.5, 1),
+        Figure("drift_ppm", "drift", "ppm", 0, 50.0),
+        Figure("lag_ms", "lag", "ms", 0, 50.0),
+        Figure("as_decoded", "decoded as sent", worse=-1),
+        Figure("as_computed", "DAC as computed", worse=-1),
+        Figure("all_as_computed", "controllers that played as computed", worse=-1),
+        Figure("underruns", "underruns"),
+        Figure("lost_packets", "lost packets"),
+        Figure("lost_percent", "lost packets", "%", digits=2),
+        Figure("bad_frames", "damaged frames"),
+        Figure("to_controller_bytes_per_s", "throughput to the controller", "bytes/s", -1, 0.0, 0.3),
+        Figure("to_host_bytes_per_s", "throughput to the host", "bytes/s", -1, 0.0, 0.3),
+        Figure("load_samples_per_s", "largest load", "samples/s", -1, 0.0, 0.5),
+        Figure("gap_ms", "longest gap", "ms", -1, 20.0, 0.1),
+        Figure("full_gap_ms", "longest gap with a full buffer", "ms", -1, 20.0, 0.1),
+        Figure("payload_bps", "payload", "bit/s", 1, 0.0, 0.1),
+        Figure("wire_bps", "on the wire", "bit/s", 1, 0.0, 0.1),
+        Figure("instructions_per_second", "instructions", "1/s", 1, 0.0, 0.1),
+        Figure("load_percent", "load", "%", 1, 0.0, 0.1, 2),
+        Figure("flash_bytes", "flash", "bytes"),
+        Figure("ram_bytes", "RAM", "bytes"),
+        Figure("snr_db", "SNR", "dB", -1, 1.0, 0.0, 2),
+        Figure("coding_snr_db", "SNR of the codec", "dB", -1, 1.0, 0.0, 2),
+        Figure("decoded_snr_db", "SNR of the codec at the skin", "dB", -1, 1.0, 0.0, 2),
+        Figure("weighted_snr_db", "SNR weighted by the threshold", "dB", -1, 1.0, 0.0, 2),
+        Figure("playing_snr_db", "SNR without the codec", "dB", -1, 1.0, 0.0, 2),
+        Figure("st_sim", "ST-SIM", "", -1, 0.02, 0.0, 3),
+        Figure("spqi", "SPQI", "", -1, 0.0, 0.1, 3),
+        Figure("third_octave_distance_db", "third-octave distance", "dB", 1, 1.0, 0.0, 2),
+        Figure("error_over_threshold_db", "error re threshold", "dB", 1, 1.0, 0.0, 2),
+        Figure("gain", "gain", "", 0, 0.0, 0.05, 2),
+        Figure("corner_hz", "corner", "Hz", 0, 1.0, 0.03, 1),
+        Figure("stroke_um", "stroke", "um", 0, 0.5, 0.03, 1),
+        Figure("quality", "quality of the resonance", "", 0, 0.05, 0.1, 2),
+    )
+}
+"""All figures by their keys. SNR without another word is that at the skin, or of a plan that of the decoded signal."""
+
+
+class Value(NamedTuple):
+    """A figure's value in a run. `key`: in FIGURES. `place`: such as a texture's name, empty where there is one only.
+
+    `value`: None where the run does not know it, which misses a limit.
+    """
+
+    key: str
+    place: str
+    value: float | bool | None
+
+    @property
+    def name(self) -> str:
+        """The place and the title, for people."""
+        return f"{self.place}: {FIGURES[self.key].title}" if self.place else FIGURES[self.key].title
+
+    def line(self) -> str:
+        """Return the value with its place, label and unit. It is known."""
+        assert self.value is not None, "it is known"
+        label = FIGURES[self.key].label
+        where = f"{self.place}: " if self.place else ""
+        return f"{where}{label}: {FIGURES[self.key].text(self.value)}"
+
+
+Decibels = Annotated[float, within(-100, 200, "SNR in dB")]
+Gain = Annotated[float, within(-10, 10, "gain, 1 = as sent")]
+Similarity = Annotated[float, within(0, 1, "ST-SIM")]
+Milliseconds = Annotated[float, within(0, 1e5, "time in ms")]
+Count = Annotated[int, within(0, 10**9)]
+Percent = Annotated[float, within(0, 100, "share in %")]
+SamplesPerSecond = Annotated[float, within(0, 1e9, "samples per second of all channels")]
+Drift = Annotated[float, within(0, 1e5, "drift in ppm")]
+
+DEFAULT_MAX_LOST_PERCENT = 1.0
+
+
+class BenchLimits(Table, frozen=True, kw_only=True):
+    """Figures that a run must keep; None = not judged.
+
+    SNR, gain and ST-SIM: at the skin. `max_lost_percent`: of the packets of a live stream or a playback.
+    `max_latency_ms` ends at the DAC, `max_sensor_latency_ms` at a sensor's sample in this computer. `max_bad_frames`:
+    damaged on the wire, in both directions. `min_load_samples_per_s`: the largest load that is held. `max_drift_ppm`:
+    of the controller's clock, in either direction.
+    """
+
+    min_snr_db: Decibels | None = None
+    min_gain: Gain | None = None
+    max_gain: Gain | None = None
+    min_st_sim: Similarity | None = None
+    max_latency_ms: Milliseconds | None = None
+    max_sensor_latency_ms: Milliseconds | None = None
+    max_jitter_ms: Milliseconds | None = None
+    max_underruns: Count | None = None
+    max_lost_percent: Percent | None = DEFAULT_MAX_LOST_PERCENT
+    max_bad_frames: Count | None = None
+    min_load_samples_per_s: SamplesPerSecond | None = None
+    max_drift_ppm: Drift | None = None
+
+    def __post_init__(self) -> None:
+        if self.min_gain is not None and self.max_gain is not None and self.min_gain > self.max_gain:
+            raise ValueError("min_gain is above max_gain; swap them")
+
+
+def missed(limits: BenchLimits, values: Iterable[Value]) -> list[str]:
+    """Return a line for each limit that a value misses."""
+    lines = []
+    for key, place, value in values:
+        for bound, sign in (("min", 1), ("max", -1)):
+            name = f"{bound}_{key}"
+            limit = getattr(limits, name, None)
+            if limit is None or (key == "lost_percent" and limit == 100):  # no share is above it
+                continue
+            size = abs(value) if value is not None and key == "drift_ppm" else value
+            if size is None:
+                lines.append(f"{place}: {key} is not known, {name} = {limit:g}")
+            elif not sign * size >= sign * limit:
+                lines.append(f"{place}: {key} = {size:.4g}, {name} = {limit:g}")
+    return lines
+
+
+def lost_percent(lost: int, packets: int) -> float:
+    """Return the share of packets that were lost; 0 without packets."""
+    return 100 * lost / packets if packets else 0.0
