@@ -21,19 +21,14 @@ from vibrocast.codec.interface import (
 )
 from vibrocast.codec.metrics import channel_snrs_db as channel_snrs_db, snr_db as snr_db
 from vibrocast.codec.plugins import BlockCodec as BlockCodec, as_codec as as_codec
-from vibrocast.codec.quality_meters import (
-    QualityMeter as QualityMeter,
-    SnrMeter as SnrMeter,
-    ThresholdMeter as ThresholdMeter,
-)
 from vibrocast.codec.rate_control import (
     CappedRate as CappedRate,
     ConstantRate as ConstantRate,
     RatePolicy as RatePolicy,
-    equal_error as equal_error,
+    SnrMeter as SnrMeter,
+    encode_rate_controlled as encode_rate_controlled,
     rate_controlled_encoder as rate_controlled_encoder,
     rate_controlled_framing as rate_controlled_framing,
-    timed_framing as timed_framing,
 )
 from vibrocast.codec.registry import (
     BUILT_IN as BUILT_IN,
@@ -45,7 +40,6 @@ from vibrocast.codec.registry import (
     codec_by_name as codec_by_name,
     decoder as decoder,
 )
-from vibrocast.codec.shaping import DEFAULT_TOUCH as DEFAULT_TOUCH
 from vibrocast.codec.source import (
     Progress as Progress,
     Source as Source,
@@ -53,7 +47,7 @@ from vibrocast.codec.source import (
     live_format as live_format,
     live_framing as live_framing,
     recording_format as recording_format,
-    shape_setting as shape_setting,
+    timed_framing as timed_framing,
 )
 from vibrocast.codec.stream import Stream as Stream, gain_for as gain_for, nearest_gain as nearest_gain
 from vibrocast.codec.target_search import (
@@ -62,3 +56,4 @@ from vibrocast.codec.target_search import (
     encode_to_rate as encode_to_rate,
     encode_to_snr as encode_to_snr,
 )
+from vibrocast.codec.threshold import DEFAULT_TOUCH as DEFAULT_TOUCH, shape_setting as shape_setting

@@ -9,14 +9,23 @@ block. Blocks do not overlap. A whole file is one transform, whose coefficients 
 docs/reference/bitstream.md has the layout, docs/reference/codecs.md the choices.
 """
 
+import heapq
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.codec.core import UNIT, CoreDecoder, core_state, damaged_packet, does_not_fit
-from vibrocast.codec.huffman import canonical_codes, code_lengths, pack_bits
+from vibrocast.codec.core import (
+    UNIT,
+    CoreDecoder,
+    PacketwiseEncoder,
+    core_state,
+    damaged_packet,
+    does_not_fit,
+    faded_backwards,
+)
 from vibrocast.codec.interface import (
     AUTO,
     WHOLE,
@@ -35,7 +44,6 @@ from vibrocast.codec.interface import (
     number,
     word,
 )
-from vibrocast.codec.packetwise import PacketwiseEncoder, faded_backwards
 from vibrocast.codec.threshold import DETECTION_THRESHOLD, read_threshold, threshold_amplitude
 from vibrocast.device_protocol.coded_stream import MAX_PACKET_BYTES, PROFILE_UNIT
 from vibrocast.device_protocol.encoding import pack_varint
@@ -61,6 +69,8 @@ MIN_HEIGHT_UM = 0.05
 """S of the source paper."""
 MIN_OF_RMS = 0.05
 """S in other units, relative to the RMS value of a coefficient. 0.1 gains 1 dB at 14 levels, but ends at 25 dB."""
+
+MAX_CODE = 15
 
 _RANGE_CODES_PER_OCTAVE = 256
 _LEVEL_CODES_PER_OCTAVE = 16
@@ -335,6 +345,50 @@ def huffman_code(values: NDArray[np.int64], zeros: bool | None) -> bytes:
         table.insert(0, (int(zeros), 1))
     words, sizes = (np.array(part, dtype=np.int64) for part in zip(*table, strict=True))
     return pack_bits(np.concatenate([words, codes]), np.concatenate([sizes, np.array(lengths)[symbols] + low_bits]))
+
+
+def code_lengths(counts: Sequence[int]) -> list[int]:
+    """Return the length of each symbol's code in bits, at most MAX_CODE; 0 for a symbol that does not occur.
+
+    D. Huffman, "A method for the construction of minimum-redundancy codes", Proc. IRE 40 (1952). The code is complete:
+    if only one symbol occurs, a second one gets a code too. While a code is too long, the counts are halved, as in
+    bzip2.
+    """
+    shared = list(counts)
+    while sum(count > 0 for count in shared) < 2:
+        shared[shared.index(0)] = 1
+    while True:
+        lengths = [0] * len(shared)
+        heap: list[tuple[int, tuple[int, ...]]] = [
+            (count, (symbol,)) for symbol, count in enumerate(shared) if count > 0
+        ]
+        heapq.heapify(heap)
+        while len(heap) > 1:
+            (first, left), (second, right) = heapq.heappop(heap), heapq.heappop(heap)
+            for symbol in left + right:
+                lengths[symbol] += 1
+            heapq.heappush(heap, (first + second, left + right))
+        if max(lengths) <= MAX_CODE:
+            return lengths
+        shared = [(count + 1) // 2 for count in shared]
+
+
+def canonical_codes(lengths: Sequence[int]) -> list[int]:
+    """Return the code of each symbol: numbers in order of length, then of symbol; 0 for a symbol without a code."""
+    codes = [0] * len(lengths)
+    code = previous = 0
+    for length, symbol in sorted((length, symbol) for symbol, length in enumerate(lengths) if length):
+        code <<= length - previous
+        codes[symbol] = code
+        code, previous = code + 1, length
+    return codes
+
+
+def pack_bits(words: NDArray[np.int64], lengths: NDArray[np.int64]) -> bytes:
+    """Join words of these lengths in bits, each from its highest bit on; zeros fill the last byte."""
+    ends = np.cumsum(lengths)
+    shifts = np.repeat(ends, lengths) - 1 - np.arange(ends[-1] if len(ends) else 0)
+    return np.packbits((np.repeat(words, lengths) >> shifts & 1).astype(np.uint8)).tobytes()
 
 
 def make_encoder(

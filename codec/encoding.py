@@ -1,4 +1,4 @@
-"""Encodes recordings: resamples, removes the lowest band, searches for the rate or the SNR, measures the result."""
+"""Encodes recordings and height profiles: resamples, removes the lowest band, searches for a target, measures."""
 
 import bisect
 import itertools
@@ -6,14 +6,22 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Generic, TypeVar, overload
+from pathlib import Path
+from typing import Any, Generic, TypedDict, TypeVar, Unpack, overload
 
 import numpy as np
 
-from vibrocast import codec, models, textures
+from vibrocast import models, textures
+from vibrocast.codec.interface import Codec, CodecError, Setting, TargetUnreachable
+from vibrocast.codec.metrics import channel_snrs_db
+from vibrocast.codec.metrics import snr_db as mean_snr_db
+from vibrocast.codec.rate_control import Outcome, RateTarget, encode_rate_controlled, outcome
+from vibrocast.codec.registry import DEFAULT_CODEC, codec_by_identifier, codec_by_name
+from vibrocast.codec.source import Progress, Source, recording_format, timed_framing
 from vibrocast.codec.stream import CodingQuality, Stream, check_length
-from vibrocast.codec.threshold import PHYSICAL_UNITS, felt_error, read_threshold, skin_snr_db
-from vibrocast.device_protocol.coded_stream import StreamHeader
+from vibrocast.codec.target_search import RATE_TOLERANCE, SNR_TOLERANCE_DB, encode_to_rate, encode_to_snr
+from vibrocast.codec.threshold import PHYSICAL_UNITS, felt_error, read_threshold, shape_setting, skin_snr_db
+from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ, PROFILE_UNIT, StreamError, StreamHeader
 
 Made = TypeVar("Made")
 DEFAULT_SNR_DB = 14.8
@@ -21,6 +29,15 @@ DEFAULT_SNR_DB = 14.8
 DEFAULT_STREAM_RATE_HZ = 2800
 BEGINNING_SAMPLES = 4096
 """In as many samples per channel, from all over a recording, the setting of a stream is found that plays at once."""
+PROFILE_BAND_HZ = 400.0
+"""What is worth coding of a profile at the slowest hand: up to here the DCT paper's display renders its textures."""
+SLOWEST_MM_S = 10.0
+
+# Parts of a profile's rate: up to where it is rendered exactly, and without images (vibrocast/profile.h).
+_EXACT_PART, _BAND_PART = 0.34, 0.435
+# The period of a rendered profile is a multiple of a power of two, at most this one (vibrocast/profile.h).
+_PERIOD_SAMPLES = 128
+_CROSSFADE_PART = 16
 
 
 @dataclass(frozen=True)
@@ -37,140 +54,164 @@ class Encoding:
         return self.stream.quality
 
 
-def encode_recording(  # noqa: PLR0913 - the options of the public `encode`, which passes them on by name
+class EncodingOptions(TypedDict, total=False):
+    """How a recording is coded; what is left out, or None, has its default.
+
+    Attributes:
+        model: By default the built-in tables. A codec without such takes the choice of `first_reachable` among the
+            models that ship.
+        rate_bps: Target rate, which counts the bits of the whole .vct file.
+        snr_db: Target SNR of every channel; without a rate, DEFAULT_SNR_DB. A codec that keeps no waveform has none:
+            defaults complete its setting. The same holds for a model with one rate, if you give it.
+        setting: The part of the codec's setting that you fix. One that leaves nothing to search for is used as it is,
+            and so is one that cannot reach DEFAULT_SNR_DB, as a threshold cut.
+        live: Whether to add refreshes, for a link that may lose packets.
+        unit: The stream's; by default the recording's.
+        highpass_hz: `textures.highpass` removes the band below it first; None = the whole band is coded.
+        touch: Strength by which the error is shaped for touch, 0 to 1; by default as `shape_setting` says.
+        packet_s: Duration of packets, rounded up to whole blocks; by default that of the fewest bytes or, with `live`,
+            of 4 blocks.
+    """
+
+    model: models.Model | None
+    rate_bps: float | None
+    snr_db: float | None
+    setting: Setting | None
+    live: bool
+    unit: str | None
+    highpass_hz: float | None
+    touch: float | None
+    packet_s: float | None
+
+
+def encode_recording(
     recording: textures.Recording,
     stream_rate_hz: int = DEFAULT_STREAM_RATE_HZ,
     codec_name: str | None = None,
-    rate_bps: float | None = None,
-    snr_db: float | None = None,
-    setting: codec.Setting | None = None,
-    model: models.Model | None = None,
-    runtime: str | None = None,
-    live: bool = False,
-    progress: Callable[[float], None] | None = None,
-    unit: str | None = None,
-    highpass_hz: float | None = textures.HIGHPASS_HZ,
-    touch: float | None = None,
-    packet_s: float | None = None,
+    progress: Progress | None = None,
+    **options: Unpack[EncodingOptions],
 ) -> Encoding:
-    """Resample a recording to the stream's rate and code it to a rate or, without one, to an SNR (DEFAULT_SNR_DB).
+    """Resample a recording to the stream's rate and code it to a rate or an SNR.
 
-    A codec that keeps no waveform has no SNR: without a rate, defaults complete its setting. The same holds for a model
-    with one rate, if you give it.
-
-    `codec_name`: None = the model's codec, or DEFAULT_CODEC. `rate_bps` counts the bits of the whole .vct file.
-    `setting`: the part of the codec's setting that you fix; one that leaves nothing to search for is used as it is, and
-    so is one that cannot reach DEFAULT_SNR_DB, as a threshold cut.
-    `model`: None = the built-in tables. A codec without such takes the choice of `first_reachable` among the models
-    that ship. `runtime`: as in `Stream`. `live` adds refreshes, for a link that may lose packets. `progress` is called
-    with the finished part of the search, from 0 to 1. `unit`: the stream's, None = the recording's. `highpass_hz`:
-    `textures.highpass` removes the band below it first; None = the whole band is coded. `touch`: strength by
-    which the error is shaped for touch, 0 to 1; None = as `codec.shape_setting` says.
-    `packet_s`: duration of packets, rounded up to whole blocks; None = the fewest bytes or, with `live`, 4 blocks.
-
-    Raises CodecError (also when the target rate or SNR cannot be met), ModelError, StreamError or TextureError.
+    `codec_name`: None = the model's codec, or DEFAULT_CODEC. `progress` is called with the finished part of the search,
+    from 0 to 1. Raises CodecError (also when the target rate or SNR cannot be met), ModelError, StreamError or
+    TextureError.
     """
-    task = _Task.of(
-        recording,
-        stream_rate_hz,
-        codec_name,
-        rate_bps,
-        snr_db,
-        setting,
-        model,
-        live,
-        unit,
-        highpass_hz,
-        touch,
-        packet_s,
+    task = _Task(recording, stream_rate_hz, codec_name, options)
+    return first_reachable(task.chosen, task.model, task.code, progress, task.choice)
+
+
+def encode_live(
+    recording: textures.Recording,
+    target: RateTarget,
+    stream_rate_hz: int = DEFAULT_STREAM_RATE_HZ,
+    codec_name: str | None = None,
+    progress: Progress | None = None,
+    **options: Unpack[EncodingOptions],
+) -> tuple[Stream, Outcome]:
+    """Resample a recording to the stream's rate and code it as a live stream to a target of rate control.
+
+    The target takes the place of a rate and an SNR in the options. Raises as `encode_recording`.
+    """
+    task = _Task(recording, stream_rate_hz, codec_name, {**options, "live": True})
+    samples, signal_format = task.resampled.samples, recording_format(task.resampled)
+
+    def code(model: models.Model | None, tell: Progress | None) -> tuple[Stream, Outcome]:
+        policy, framing = target.policy(signal_format), target.framing(stream_rate_hz)
+        made = encode_rate_controlled(task.source(model, tell), task.given, policy, framing)
+        stream = measure_encoding(task.resampled, made, passed=task.passed).stream
+        return stream, outcome(stream, samples, target.rate_bps, policy)
+
+    choice = FamilyChoice[tuple[Stream, Outcome]](
+        lambda model: unsearched_excess(task.source(model), task.given, target.rate_bps, None),
+        lambda made: -made[1].snr_db,
     )
-    encoding = first_reachable(task.chosen, model, task.code, progress, task.choice)
-    return replace(encoding, stream=replace(encoding.stream, runtime=runtime))
+    return first_reachable(task.chosen, task.model, code, progress, choice)
 
 
-@dataclass(frozen=True)
+def begin_encoding(
+    recording: textures.Recording,
+    stream_rate_hz: int = DEFAULT_STREAM_RATE_HZ,
+    codec_name: str | None = None,
+    least_full_scale: float = 0.0,
+    **options: Unpack[EncodingOptions],
+) -> "GrowingStream":
+    """Begin to code a recording as a live stream, so that it can play at once.
+
+    Without `snr_db`, the setting for DEFAULT_SNR_DB is found in an excerpt of BEGINNING_SAMPLES, so the whole may miss
+    it by some tenths of a dB. `least_full_scale`: of each channel, in the recording's unit. Raises as
+    `encode_recording`. A codec without built-in tables needs a model.
+    """
+    task = _Task(recording, stream_rate_hz, codec_name, {**options, "live": True})
+    source = task.source(task.model).with_full_scale(least_full_scale)
+    excerpt = source.excerpt(BEGINNING_SAMPLES) if options.get("snr_db") is None else None
+    stream, _ = task.searched(excerpt or source)
+    assert stream.setting is not None, "it has just been coded"
+    header, packets = source.begin(stream.setting)
+    samples = len(task.resampled.samples)
+    count = -(-(samples + stream.delay_samples) // stream.packet_samples)
+    return GrowingStream(header, GrowingPackets(count, packets), stream.packet_samples, stream.image, task)
+
+
 class _Task:
-    """A recording to be coded, and its target; the fields are as in `encode_recording`.
+    """A recording to be coded, and its target.
 
     `passed`: the recording after the high-pass; `resampled`: then at the stream's rate. `given`: the checked part of
-    the setting. `by_default`: whether the SNR is DEFAULT_SNR_DB because no target was given.
+    the setting. `_by_default`: whether the SNR is DEFAULT_SNR_DB because no target was given.
     """
 
-    passed: textures.HighPassed
-    resampled: textures.Recording
-    chosen: codec.Codec
-    given: codec.Setting
-    rate_bps: float | None
-    snr_db: float | None
-    by_default: bool
-    unit: str
-    live: bool
-    shape: codec.Setting
-    framing: codec.Framing | None
-
-    @classmethod
-    def of(  # noqa: PLR0913 - the options of `encode_recording`
-        cls,
-        recording: textures.Recording,
-        stream_rate_hz: int,
-        codec_name: str | None,
-        rate_bps: float | None,
-        snr_db: float | None,
-        setting: codec.Setting | None,
-        model: models.Model | None,
-        live: bool,
-        unit: str | None,
-        highpass_hz: float | None,
-        touch: float | None,
-        packet_s: float | None,
-    ) -> "_Task":
+    def __init__(
+        self, recording: textures.Recording, stream_rate_hz: int, codec_name: str | None, options: EncodingOptions
+    ) -> None:
         """Filter and resample the recording, and check the choices. Raises as `encode_recording`."""
-        if rate_bps is not None and snr_db is not None:
-            raise codec.CodecError(
+        self._rate_bps, self._snr_db = options.get("rate_bps"), options.get("snr_db")
+        if self._rate_bps is not None and self._snr_db is not None:
+            raise CodecError(
                 "`rate_bps` and `snr_db` are both given", action="give one of them", parameter=("rate_bps", "snr_db")
             )
-        passed = textures.highpass(recording, highpass_hz)
-        resampled = textures.resample(passed.recording, stream_rate_hz)
-        check_length(resampled.samples.size)
-        chosen = chosen_codec(codec_name, model)
-        given = chosen.checked(setting or {})
-        by_default = rate_bps is None and snr_db is None
-        if not chosen.leaves_open(given):
-            if not by_default:
-                raise codec.CodecError(
+        self.passed = textures.highpass(recording, options.get("highpass_hz", textures.HIGHPASS_HZ))
+        self.resampled = textures.resample(self.passed.recording, stream_rate_hz)
+        check_length(self.resampled.samples.size)
+        self.model = options.get("model")
+        self.chosen = chosen_codec(codec_name, self.model)
+        self.given = self.chosen.checked(options.get("setting") or {})
+        self._by_default = self._rate_bps is None and self._snr_db is None
+        if not self.chosen.leaves_open(self.given):
+            if not self._by_default:
+                raise CodecError(
                     "the setting fixes the quality; leave out the rate or SNR, or that part of the setting"
                 )
-        elif by_default and chosen.keeps_waveform and not (model and chosen.one_rate_a_model):
-            snr_db = DEFAULT_SNR_DB
-        unit = unit or resampled.unit
-        shape = codec.shape_setting(chosen, touch, stream_rate_hz, unit, given)
-        framing = None if packet_s is None else codec.timed_framing(packet_s, stream_rate_hz)
-        return cls(passed, resampled, chosen, given, rate_bps, snr_db, by_default, unit, live, shape, framing)
+        elif self._by_default and self.chosen.keeps_waveform and not (self.model and self.chosen.one_rate_a_model):
+            self._snr_db = DEFAULT_SNR_DB
+        self._unit, self._live = options.get("unit") or self.resampled.unit, options.get("live", False)
+        self._shape = shape_setting(self.chosen, options.get("touch"), stream_rate_hz, self._unit, self.given)
+        packet_s = options.get("packet_s")
+        self._framing = None if packet_s is None else timed_framing(packet_s, stream_rate_hz)
 
-    def source(self, model: models.Model | None, tell: codec.Progress | None = None) -> codec.Source:
+    def source(self, model: models.Model | None, tell: Progress | None = None) -> Source:
         """Return the signal, to be coded with a model."""
         samples, rate_hz = self.resampled.samples, round(self.resampled.rate_hz)
-        return codec.Source(
-            samples, rate_hz, self.chosen.name, self.unit, self.live, model, tell, self.framing, self.shape
+        return Source.of(
+            samples, rate_hz, self.chosen.name, self._unit, self._live, model, tell, self._framing, self._shape
         )
 
-    def searched(self, signal: codec.Source) -> tuple[Stream, str | None]:
+    def searched(self, signal: Source) -> tuple[Stream, str | None]:
         """Return a signal coded to the target, and why the target was given up, if it was. Raises CodecError."""
-        if self.rate_bps is not None:
-            return codec.encode_to_rate(signal, self.rate_bps, self.given), None
-        if self.snr_db is not None:
+        if self._rate_bps is not None:
+            return encode_to_rate(signal, self._rate_bps, self.given), None
+        if self._snr_db is not None:
             try:
-                return codec.encode_to_snr(signal, self.snr_db, self.given), None
-            except codec.TargetUnreachable as error:
-                if not (self.by_default and self.given) or self.chosen.needs_model:
+                return encode_to_snr(signal, self._snr_db, self.given), None
+            except TargetUnreachable as error:
+                if not (self._by_default and self.given) or self.chosen.needs_model:
                     raise
                 return signal.encode(self.given), f"{error}; the rest of the setting has its defaults"
         return signal.encode(self.given), None
 
-    def code(self, model: models.Model | None, tell: codec.Progress | None) -> Encoding:
+    def code(self, model: models.Model | None, tell: Progress | None) -> Encoding:
         """Return the recording coded with a model, and measured. Raises CodecError."""
         stream, note = self.searched(self.source(model, tell))
-        encoding = measure_encoding(self.resampled, stream, self.rate_bps, self.snr_db, self.passed)
+        encoding = measure_encoding(self.resampled, stream, self._rate_bps, self._snr_db, self.passed)
         if note is None:
             return encoding
         return replace(encoding, stream=replace(encoding.stream, quality=replace(encoding.quality, note=note)))
@@ -178,15 +219,15 @@ class _Task:
     @property
     def choice(self) -> "FamilyChoice[Encoding] | None":
         """How a member of a family of models is chosen; None without a target."""
-        if self.rate_bps is None and self.snr_db is None:
+        if self._rate_bps is None and self._snr_db is None:
             return None
 
         def cost(encoding: Encoding) -> float:
             ratio_db = encoding.quality.snr_db
-            return -ratio_db if self.rate_bps is not None and ratio_db is not None else encoding.stream.size_bytes
+            return -ratio_db if self._rate_bps is not None and ratio_db is not None else encoding.stream.size_bytes
 
         return FamilyChoice(
-            lambda model: unsearched_excess(self.source(model), self.given, self.rate_bps, self.snr_db), cost
+            lambda model: unsearched_excess(self.source(model), self.given, self._rate_bps, self._snr_db), cost
         )
 
 
@@ -238,36 +279,6 @@ class GrowingStream:
         return measure_encoding(self.recording, stream, passed=self._task.passed)
 
 
-def begin_encoding(
-    recording: textures.Recording,
-    stream_rate_hz: int = DEFAULT_STREAM_RATE_HZ,
-    codec_name: str | None = None,
-    snr_db: float | None = None,
-    setting: codec.Setting | None = None,
-    model: models.Model | None = None,
-    highpass_hz: float | None = textures.HIGHPASS_HZ,
-    touch: float | None = None,
-    least_full_scale: float = 0.0,
-) -> GrowingStream:
-    """Begin to code a recording as a live stream, so that it can play at once.
-
-    Without `snr_db`, the setting for DEFAULT_SNR_DB is found in an excerpt of BEGINNING_SAMPLES, so the whole may miss
-    it by some tenths of a dB. `least_full_scale`: of each channel, in the recording's unit. The other parameters are
-    those of `encode_recording`, and so are the errors. A codec without built-in tables needs a model.
-    """
-    task = _Task.of(
-        recording, stream_rate_hz, codec_name, None, snr_db, setting, model, True, None, highpass_hz, touch, None
-    )
-    source = task.source(model).with_full_scale(least_full_scale)
-    excerpt = source.excerpt(BEGINNING_SAMPLES) if snr_db is None else None
-    stream, _ = task.searched(excerpt or source)
-    assert stream.setting is not None, "it has just been coded"
-    header, packets = source.begin(stream.setting)
-    samples = len(task.resampled.samples)
-    count = -(-(samples + stream.delay_samples) // stream.packet_samples)
-    return GrowingStream(header, GrowingPackets(count, packets), stream.packet_samples, stream.image, task)
-
-
 @dataclass(frozen=True)
 class FamilyChoice(Generic[Made]):
     """How a member of a family of models is chosen for a target.
@@ -280,23 +291,21 @@ class FamilyChoice(Generic[Made]):
     cost: Callable[[Made], float]
 
 
-def unsearched_excess(
-    source: codec.Source, setting: codec.Setting, rate_bps: float | None, snr_db: float | None
-) -> float:
+def unsearched_excess(source: Source, setting: Setting, rate_bps: float | None, snr_db: float | None) -> float:
     """Return how far a setting lies above a rate, in nepers, or an SNR, in dB. Raises CodecError."""
     stream = source.encode(setting)
     if rate_bps is not None:
         return math.log(stream.bits_per_second / rate_bps)
-    ratio_db = codec.snr_db(source.samples, stream.decode())
+    ratio_db = mean_snr_db(source.samples, stream.decode())
     assert snr_db is not None, "there is a rate or an SNR to meet"
     return math.inf if ratio_db is None else ratio_db - snr_db
 
 
 def first_reachable(
-    chosen: codec.Codec,
+    chosen: Codec,
     model: models.Model | None,
-    code: Callable[[models.Model | None, Callable[[float], None] | None], Made],
-    progress: Callable[[float], None] | None,
+    code: Callable[[models.Model | None, Progress | None], Made],
+    progress: Progress | None,
     choice: FamilyChoice[Made] | None,
 ) -> Made:
     """Return the result of `code` with the model or, if the codec needs one, with a model that ships.
@@ -309,7 +318,7 @@ def first_reachable(
     if model or not chosen.needs_model:
         return code(model, progress)
     every = families(chosen)
-    unreachable: codec.TargetUnreachable | None = None
+    unreachable: TargetUnreachable | None = None
     for number, members in enumerate(every):
         if choice is None:
             candidates = [middle(members)]
@@ -323,24 +332,24 @@ def first_reachable(
             tell = None if progress is None else partial(_tell_of_part, progress, begun, share)
             try:
                 made.append(code(candidate, tell))
-            except codec.TargetUnreachable as error:
+            except TargetUnreachable as error:
                 unreachable = error
         if made:
             return made[0] if choice is None else min(made, key=choice.cost)
     raise unreachable or _no_model(chosen)
 
 
-def chosen_codec(codec_name: str | None, model: models.Model | None) -> codec.Codec:
+def chosen_codec(codec_name: str | None, model: models.Model | None) -> Codec:
     """Return the codec of this name; None = the model's, or DEFAULT_CODEC. Raises CodecError on a mismatch."""
     if codec_name is None:
-        codec_name = codec.DEFAULT_CODEC if model is None else codec.codec_by_identifier(model.codec_identifier).name
-    chosen = codec.codec_by_name(codec_name)
+        codec_name = DEFAULT_CODEC if model is None else codec_by_identifier(model.codec_identifier).name
+    chosen = codec_by_name(codec_name)
     if model is not None and model.codec_identifier != chosen.identifier:
-        raise codec.CodecError(f"the model {model.name} is not for the codec {codec_name}; give another model or codec")
+        raise CodecError(f"the model {model.name} is not for the codec {codec_name}; give another model or codec")
     return chosen
 
 
-def families(chosen: codec.Codec) -> list[list[models.Model]]:
+def families(chosen: Codec) -> list[list[models.Model]]:
     """Return the families of models that ship for a codec: those trained for SNR first, then by size.
 
     A family is as large as its largest image. Raises as `models.shipped`.
@@ -361,7 +370,7 @@ def middle(members: Sequence[models.Model]) -> models.Model:
     return members[len(members) // 2]
 
 
-def default_model(chosen: codec.Codec) -> models.Model:
+def default_model(chosen: Codec) -> models.Model:
     """Return the model of a codec for a signal that is not known yet: the middle member of the first of `families`.
 
     Raises ModelError if none ships, and as `models.shipped`.
@@ -371,7 +380,7 @@ def default_model(chosen: codec.Codec) -> models.Model:
     raise _no_model(chosen)
 
 
-def _no_model(chosen: codec.Codec) -> models.ModelError:
+def _no_model(chosen: Codec) -> models.ModelError:
     return models.ModelError(
         f"no model for the codec {chosen.name} ships",
         action="train one, and give its folder as `model`",
@@ -381,11 +390,11 @@ def _no_model(chosen: codec.Codec) -> models.ModelError:
 
 def brings_built_in_tables(model: models.Model) -> bool:
     """Return whether a model's tables equal its codec's built-in ones. Raises CodecError for an unknown codec."""
-    built_in_tables = codec.codec_by_identifier(model.codec_identifier).built_in_tables
+    built_in_tables = codec_by_identifier(model.codec_identifier).built_in_tables
     return built_in_tables is not None and model.tables == built_in_tables()
 
 
-def _tell_of_part(progress: Callable[[float], None], begun: float, share: float, done: float) -> None:
+def _tell_of_part(progress: Progress, begun: float, share: float, done: float) -> None:
     """Report the progress of a part that begins at `begun` and makes up `share` of the whole."""
     progress(begun + share * done)
 
@@ -403,14 +412,14 @@ def measure_encoding(
     """
     decoded = stream.decode()
     narrower = passed is not None and recording.rate_hz < passed.recording.rate_hz
-    each_db = tuple(map(_finite, codec.channel_snrs_db(recording.samples, decoded)))
+    each_db = tuple(map(_finite, channel_snrs_db(recording.samples, decoded)))
     at_skin_db, weighted_db, felt = None, None, None
     if stream.header.unit in PHYSICAL_UNITS:
         judged = recording.samples, decoded, recording.rate_hz, stream.header.unit
         at_skin_db, weighted_db = skin_snr_db(*judged), skin_snr_db(*judged, read_threshold())
         felt = felt_error(*judged)
     quality = CodingQuality(
-        snr_db=_finite(codec.snr_db(recording.samples, decoded)),
+        snr_db=_finite(mean_snr_db(recording.samples, decoded)),
         snr_db_per_channel=each_db,
         skin_snr_db=at_skin_db,
         weighted_skin_snr_db=weighted_db,
@@ -434,12 +443,12 @@ def _shortfall(
     stream: Stream, each_db: Sequence[float | None], rate_bps: float | None, snr_db: float | None
 ) -> str | None:
     """Return why the target rate, or else SNR, was missed by more than its tolerance; None when it was met."""
-    if rate_bps is not None and stream.bits_per_second < rate_bps * (1 - codec.RATE_TOLERANCE):
+    if rate_bps is not None and stream.bits_per_second < rate_bps * (1 - RATE_TOLERANCE):
         return f"{stream.bits_per_second:.0f} bit/s instead of {rate_bps:.0f}: no setting below it comes nearer"
     audible = [(ratio_db, number) for number, ratio_db in enumerate(each_db, 1) if ratio_db is not None]
     if snr_db is not None and audible:
         furthest_db, number = max(audible, key=lambda ratio: abs(ratio[0] - snr_db))
-        if abs(furthest_db - snr_db) > codec.SNR_TOLERANCE_DB:
+        if abs(furthest_db - snr_db) > SNR_TOLERANCE_DB:
             where = f" in channel {number}" if len(each_db) > 1 else ""
             return f"{furthest_db:.2f} dB instead of {snr_db:g}{where}: no setting above it comes nearer"
     return None
@@ -447,3 +456,82 @@ def _shortfall(
 
 def _finite(ratio_db: float | None) -> float | None:
     return ratio_db if ratio_db is not None and math.isfinite(ratio_db) else None
+
+
+def profile_recording(path: Path, **choices: Any) -> textures.Recording:
+    """Read a height profile as `textures.load` does, form removed: um, its rate in samples per metre.
+
+    Raises TextureError.
+    """
+    if choices.get("hand_speed_mm_s") is not None:
+        raise textures.TextureError(
+            f"{path}: a spatial stream is coded for every hand speed; leave out hand_speed_mm_s"
+        )
+    # A hand at 1 m/s passes as many samples in a second as there are in a metre.
+    recording = textures.load(path, **{**choices, "hand_speed_mm_s": 1000.0})
+    if recording.unit != "um":
+        raise textures.TextureError(f"{path}: in {recording.unit}; a spatial stream needs a height profile")
+    return recording
+
+
+def encode_profile(
+    recording: textures.Recording,
+    slowest_mm_s: float = SLOWEST_MM_S,
+    band_hz: float = PROFILE_BAND_HZ,
+    crossfade: bool = False,
+    **quality: Any,
+) -> Encoding:
+    """Code a height profile (`profile_recording`) as a spatial stream.
+
+    The pitch is such that a hand at `slowest_mm_s` feels all up to `band_hz`, but no finer than the profile needs. It
+    divides the profile's length, so every controller repeats the whole of it. `crossfade`: the end fades into the
+    beginning over a sixteenth of the length, and the rest repeats. `options`: as of
+    `encode_recording`, without a rate. Raises as that.
+    """
+    if crossfade:
+        recording = _crossfaded(recording)
+    wanted = band_hz / (slowest_mm_s / 1000) / _EXACT_PART
+    samples_per_metre = math.ceil(min(wanted, recording.rate_hz / 2 / _EXACT_PART))
+    if samples_per_metre > MAX_RATE_HZ:
+        slowest_possible = 1000 * band_hz / (_EXACT_PART * MAX_RATE_HZ)
+        raise StreamError(
+            f"{samples_per_metre} samples per metre, at most {MAX_RATE_HZ} fit a stream: ask for a slowest hand speed "
+            f"of {slowest_possible:.3g} mm/s or more, or a narrower band"
+        )
+    most = math.floor(recording.seconds * MAX_RATE_HZ / _PERIOD_SAMPLES)
+    if most < 1:
+        raise StreamError(
+            f"{1000 * recording.seconds:.3g} mm are too short to repeat; give a profile of at least "
+            f"{1000 * _PERIOD_SAMPLES / MAX_RATE_HZ:g} mm"
+        )
+    periods = min(most, math.ceil(recording.seconds * samples_per_metre / _PERIOD_SAMPLES))
+    recording = _resampled(recording, periods * _PERIOD_SAMPLES)
+    return encode_recording(
+        recording,
+        stream_rate_hz=round(recording.rate_hz),
+        live=True,
+        unit=PROFILE_UNIT,
+        highpass_hz=None,
+        **quality,
+    )
+
+
+def _crossfaded(recording: textures.Recording) -> textures.Recording:
+    """Return a profile whose end fades into its beginning, so that it repeats without a step."""
+    faded = max(1, len(recording.samples) // _CROSSFADE_PART)
+    rise = 0.5 - 0.5 * np.cos(np.pi * (np.arange(faded) + 0.5) / faded)[:, None]
+    samples = recording.samples[:-faded].copy()
+    samples[:faded] = rise * samples[:faded] + (1 - rise) * recording.samples[-faded:]
+    return replace(recording, samples=samples)
+
+
+def _resampled(recording: textures.Recording, samples: int) -> textures.Recording:
+    """Return a profile of the same length in other samples, band-limited so that no image of it is rendered.
+
+    Its cosine series is the same up to there, so the ends keep their heights. Samples per metre are rounded.
+    """
+    from scipy.fft import dct, idct
+
+    series = dct(recording.samples, axis=0, norm="ortho")[: round(2 * _BAND_PART * samples)]
+    heights = idct(series, n=samples, axis=0, norm="ortho") * math.sqrt(samples / len(recording.samples))
+    return replace(recording, samples=heights, rate_hz=float(round(samples / recording.seconds)))

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.codec.core import UNIT, CoreDecoder, CoreEncoder
+from vibrocast.codec.core import RATE_CONTROLLED, UNIT, CoreDecoder, CoreEncoder, PacketwiseEncoder, step_code
 from vibrocast.codec.eva_image import EvaImage, learned_transform, with_runtime
 from vibrocast.codec.graphs import (
     CONTEXT_COLUMNS,
@@ -31,8 +31,6 @@ from vibrocast.codec.interface import (
     SignalFormat,
     numbers,
 )
-from vibrocast.codec.mdct import RATE_CONTROLLED, step_code
-from vibrocast.codec.packetwise import PacketwiseEncoder
 from vibrocast.device_protocol.encoding import pack_varint
 from vibrocast.firmware.native_core import ffi, library
 

@@ -2,14 +2,23 @@
 
 import math
 from collections.abc import Sequence
-from functools import cache, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.codec import shaping
-from vibrocast.codec.core import UNIT, CoreDecoder, CoreEncoder, damaged_packet
+from vibrocast.codec.core import (
+    HOPS,
+    RATE_CONTROLLED,
+    STEP_CODES,
+    UNIT,
+    CoreDecoder,
+    CoreEncoder,
+    PacketwiseEncoder,
+    damaged_packet,
+    step_code,
+)
 from vibrocast.codec.interface import (
     AUTO,
     Codec,
@@ -26,22 +35,17 @@ from vibrocast.codec.interface import (
     numbers,
     word,
 )
-from vibrocast.codec.packetwise import PacketwiseEncoder
 from vibrocast.codec.rotation import MAX_DELAY, Rotation, aligned, candidates
-from vibrocast.codec.water_filling import WaterFilling
+from vibrocast.codec.threshold import FLAT, parsed_shape
 from vibrocast.device_protocol.coded_stream import packet_sequence
 from vibrocast.device_protocol.encoding import pack_varint, unpack_varint
 from vibrocast.firmware.native_core import ffi, library
 
 NAME = "mdct"
 IDENTIFIER = 1
-HOPS = (16, 32, 64, 128)
 MAX_PACKET_BLOCKS = 2047
-STEP_CODES = 21 * 64
 STEP_CODES_OF_QUANTISER_OFFSET = 4
 """Step codes in one unit of the quantiser offset."""
-RATE_CONTROLLED = b"\x01"
-"""Features of a stream whose packets state their quantiser offsets; it ends the configuration of `slp` and `eva`."""
 SHAPED = 4
 """Bit of a configuration's first number whose stream has steps that differ over frequency."""
 ROTATION = 2
@@ -65,6 +69,11 @@ _BLOCKS_SHIFT = 3
 _SHAPE_UNITS = (14 / 64, 28 / 64, 42 / 64, 56 / 64)
 """Octaves: of the shapes for touch at the strengths 0.25, 0.5, 0.75 and 1, a third of the greatest."""
 
+ERROR_OF_STEP = 1 / 3
+"""Squared error of a coefficient above it, in squared steps: the mean over recordings of `mdct`, from 0 to 45 dB."""
+_BITS_OF_IDEAL = 1.14
+_CODE_BITS = 20
+_SUM_OF_WEIGHTS = 4 * 8
 
 MIN_STEP = 2.0**-18
 MAX_STEP = 2.0**6
@@ -73,13 +82,6 @@ MAX_STEP = 2.0**6
 def hop_samples(rate_hz: float) -> int:
     """Return the hop of live streams: 32 samples, or 64 from 5600 Hz on, where a block of 128 lasts 23 ms at most."""
     return 64 if rate_hz >= 5600 else 32
-
-
-def step_code(step: float) -> int:
-    """Return the code of the quantiser step nearest `step` (relative to full scale): 64 codes an octave."""
-    unit_step = min(max(step * UNIT, 64.0), 127.0 * 2**20)
-    exponent = math.floor(math.log2(unit_step / 64))
-    return min(max(64 * exponent + round(math.ldexp(unit_step, -exponent)) - 64, 0), STEP_CODES - 1)
 
 
 def step_of(code: int) -> float:
@@ -128,20 +130,6 @@ def built_in_tables() -> bytes:
     return bytes(ffi.buffer(core.vc_mdct_builtin_tables(), core.vc_mdct_tables_size()))
 
 
-@cache
-def analysis_matrix(hop: int) -> Signal:
-    """Return the windowed forward MDCT (2 hop, hop): sqrt(2/N) w[n] cos(pi/N (n + 1/2 + N/2)(k + 1/2)), sine window w.
-
-    Princen, Johnson and Bradley, "Subband/transform coding using filter bank designs based on time domain aliasing
-    cancellation", 1987.
-    """
-    n = np.arange(2 * hop)[:, None]
-    k = np.arange(hop)[None, :]
-    window = np.sin(np.pi * (n + 0.5) / (2 * hop))
-    matrix: Signal = np.sqrt(2 / hop) * window * np.cos(np.pi / hop * (n + 0.5 + hop / 2) * (k + 0.5))
-    return matrix
-
-
 def limited(coefficients: Signal) -> NDArray[np.int32]:
     """Return coefficients in the core's unit, rounded, within what the core takes."""
     rounded = np.rint(coefficients)
@@ -184,7 +172,7 @@ class MdctEncoder(PacketwiseEncoder):
         `rd_weight`: weight of bits against squared error in rounding, 1 = the best for its rate, 0 = the least error.
         `hop`: one of HOPS, None = the one of live streams. `noise_filling`: magnitude that replaces coefficients
         rounded to zero, in quantiser steps. `rate_control`: chooses the quantiser offset of each packet, in 1/16 octave
-        of the steps; None = no offsets. `shape`: octaves by which steps are coarser at `shaping.NODES`; their mean
+        of the steps; None = no offsets. `shape`: octaves by which steps are coarser at `threshold.NODES`; their mean
         stays that of `steps`. `rotation`: mixes the channels, None = each is coded alone. Raises CodecError for a
         channel count, step, packet length, hop, noise filling or tables that the codec cannot have.
         """
@@ -348,10 +336,53 @@ def _delay_samples(hop: int, rotation: Rotation | None) -> int:
     return hop + (rotation.delay_samples if rotation else 0)
 
 
-def _water_filling(normalised: Signal, hop: int) -> WaterFilling:
+class _WaterFilling:
+    """Spectra as Gaussian variables, each of the power around it, coded by reverse water-filling.
+
+    A variable of power p then has the error D = min(p, level), and takes log2(p / D) / 2 bits (Cover and Thomas,
+    *Elements of Information Theory*, 10.3.3). On the development recordings, the SNR of `mdct` differs from this by
+    0.4 dB, and its bits by 6 % (standard deviations).
+    """
+
+    def __init__(self, spectra: NDArray[np.int32], unit: float) -> None:
+        """Take coefficients (blocks, channels, bins), full scale = `unit`."""
+        powers = np.pad(np.square(spectra.astype(np.float32)), ((1, 1), (0, 0), (2, 2)), mode="edge")
+        # Weights over blocks are 1, 2, 1, and over bins 1, 2, 2, 2, 1.
+        for axis, distances in ((0, (1, 1)), (2, (1, 2, 1))):
+            for distance in distances:
+                powers = _summed(powers, distance, axis)
+        # Counted by their level, the powers of a long signal take no more time than those of a short one. The upper
+        # bits of a number are its octave and, in eighths, its place in the octave.
+        codes = powers.view(np.int32) >> _CODE_BITS
+        levels = (codes - np.min(codes, initial=0)).swapaxes(0, 1)
+        length = 1 + int(np.max(levels, initial=0))
+        self._counts = np.array([np.bincount(channel.ravel(), minlength=length) for channel in levels])
+        sums = np.bincount(levels.ravel(), powers.swapaxes(0, 1).ravel(), length)
+        self._powers = sums / np.maximum(np.sum(self._counts, axis=0), 1) / (_SUM_OF_WEIGHTS * unit**2)
+
+    def bits(self, steps: Signal) -> float:
+        """Return the bits over all channels; `steps`: of each channel, (channels,)."""
+        octaves = np.log2(np.maximum(self._powers / (ERROR_OF_STEP * np.square(steps)[:, None]), 1))
+        return _BITS_OF_IDEAL * float(np.sum(self._counts * octaves)) / 2
+
+    def squared_errors(self, steps: Signal) -> Signal:
+        """Return the sum of squared errors of each channel, (channels,)."""
+        errors: Signal = np.sum(
+            self._counts * np.minimum(self._powers, ERROR_OF_STEP * np.square(steps)[:, None]), axis=1
+        )
+        return errors
+
+
+def _summed(powers: NDArray[np.float32], distance: int, axis: int) -> NDArray[np.float32]:
+    """Return the sums of neighbours at a distance along an axis."""
+    before = (slice(None),) * axis
+    return powers[(*before, slice(distance, None))] + powers[(*before, slice(None, -distance))]
+
+
+def _water_filling(normalised: Signal, hop: int) -> _WaterFilling:
     """Return the estimate of coding samples (n, channels), full scale = 1, at a hop."""
     padded = np.pad(normalised, ((hop, hop + -len(normalised) % hop), (0, 0)))
-    return WaterFilling(spectra(padded, hop), UNIT)
+    return _WaterFilling(spectra(padded, hop), UNIT)
 
 
 def estimate(samples: Signal, signal_format: SignalFormat, setting: Setting, model: Model | None) -> Estimate:
@@ -391,7 +422,7 @@ def make_encoder(
         hop,
         number(setting, "noise_filling"),
         rate_control,
-        shaping.parsed_shape(word(setting, "shape")),
+        parsed_shape(word(setting, "shape")),
         rotation,
     )
 
@@ -481,7 +512,7 @@ CODEC = Codec(
         ),
         "shape": Parameter(
             "octaves by which steps are coarser at 0, 1/32, 1/16 ... 1 of half the rate, divided by slashes",
-            shaping.FLAT,
+            FLAT,
             text=True,
         ),
     },

@@ -2,11 +2,12 @@
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.codec.core import UNIT, CoreDecoder, CoreEncoder
+from vibrocast.codec.core import HOPS, UNIT, CoreDecoder, CoreEncoder, PacketwiseEncoder
 from vibrocast.codec.interface import (
     Codec,
     CodecError,
@@ -21,8 +22,6 @@ from vibrocast.codec.interface import (
     reject_rate_control,
     word,
 )
-from vibrocast.codec.mdct import HOPS, analysis_matrix
-from vibrocast.codec.packetwise import PacketwiseEncoder
 
 NAME = "parametric"
 IDENTIFIER = 11
@@ -54,6 +53,20 @@ _RIDGE_SHARE = 0.25
 """Part of the signal's energy that ridges must hold to be coded."""
 _BATCH = 64
 """Frames that are searched for ridges at a time, to limit memory."""
+
+
+@cache
+def analysis_matrix(hop: int) -> Signal:
+    """Return the windowed forward MDCT (2 hop, hop): sqrt(2/N) w[n] cos(pi/N (n + 1/2 + N/2)(k + 1/2)), sine window w.
+
+    Princen, Johnson and Bradley, "Subband/transform coding using filter bank designs based on time domain aliasing
+    cancellation", 1987.
+    """
+    n = np.arange(2 * hop)[:, None]
+    k = np.arange(hop)[None, :]
+    window = np.sin(np.pi * (n + 0.5) / (2 * hop))
+    matrix: Signal = np.sqrt(2 / hop) * window * np.cos(np.pi / hop * (n + 0.5 + hop / 2) * (k + 0.5))
+    return matrix
 
 
 def band_edges(hop: int, bands: str) -> NDArray[np.intp]:

@@ -7,6 +7,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from vibrocast.codec.core import PacketwiseEncoder, faded_backwards
 from vibrocast.codec.interface import (
     Codec,
     CodecError,
@@ -22,7 +23,6 @@ from vibrocast.codec.interface import (
     number,
     reject_rate_control,
 )
-from vibrocast.codec.packetwise import PacketwiseEncoder, faded_backwards
 from vibrocast.device_protocol.encoding import pack_varint
 
 GROUP = "vibrocast.codecs"

@@ -1,16 +1,18 @@
-"""Policies of rate control: a constant rate (leaky bucket), or a quality up to a rate.
+"""Rate control of live streams: targets, policies that choose the quality of each packet, and how a target was met.
 
 A policy is a codec.interface.RateControl. It chooses the quantiser offset of each packet from all of that packet's
-input, and no later input. `rate_controlled_encoder` joins a codec with a policy. docs/benchmarks/rate_control.md shows
-the results.
+input, and no later input. `encode_rate_controlled` codes a signal with one. docs/benchmarks/rate_control.md shows the
+results.
 """
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from typing import TypeAlias
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol, Self, TypeAlias, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vibrocast.codec.interface import (
     Choice,
@@ -21,12 +23,16 @@ from vibrocast.codec.interface import (
     Framing,
     Model,
     Setting,
+    Signal,
     SignalFormat,
     TargetUnreachable,
     Trial,
 )
-from vibrocast.codec.quality_meters import QualityMeter
-from vibrocast.codec.trial import Attempts, DecoderProbe, within
+from vibrocast.codec.source import MAX_PACKET_BYTES, REFRESH_S, Source
+from vibrocast.codec.stream import Stream
+from vibrocast.device_protocol.frames import MAX_PAYLOAD_BYTES, write_frame
+from vibrocast.device_protocol.messages import SinglePacket, pack
+from vibrocast.errors import InputError
 
 DEFAULT_RATE_BUFFER_S = 0.018
 """Size of the rate buffer, as time at the rate: 1 % of 2 s, less a tenth, because packets seldom add up to just 2 s."""
@@ -35,8 +41,8 @@ FRAMES_ADD = 0.101
 kbit/s, the wire then adds at most 12 %."""
 MAX_PACKET_S = 2.0
 """Longest packet: a rate is held over any 2 s."""
-REFRESH_S = 2.0
-"""Time from one refresh to the next in a rate-controlled stream."""
+WINDOW_S = 2.0
+"""A rate is held over any run of whole packets of this length."""
 
 FrameBytes: TypeAlias = Callable[[bytes], int]
 """Counts the bytes that a packet's frame adds to it. Raises CodecError for a packet that no frame carries."""
@@ -50,6 +56,169 @@ _PACKETS_FOR_FULL_SWING = 4.0
 _PROBE_PACKETS = 4
 # A sequence number takes one byte at first, and four from packet 2^20 on.
 _SEQUENCE_GROWTH_BYTES = 3
+
+
+# Forward masking of vibration at the fingertip fades within some 0.25 s (Gescheider, Bolanowski and Verrillo,
+# "Vibrotactile masking: effects of stimulus onset asynchrony and stimulus frequency", JASA 85, 1989).
+_MASKING_S = 0.25
+_QUIET_DB = 20.0
+_MIN_BIT = 2.0**-15
+_FIRST_STRIDE = 2
+
+
+def added_bytes(packet: bytes) -> int:
+    """Return the bytes that a frame of its own adds to a packet: 6 for up to 250 bytes, as policies count them.
+
+    Raises TargetUnreachable for a packet that no frame carries.
+    """
+    try:
+        return len(write_frame(pack(SinglePacket(0, packet)))) - len(packet)
+    except InputError as error:
+        raise TargetUnreachable(
+            f"a packet of {len(packet)} bytes cannot be sent, because a frame carries {MAX_PAYLOAD_BYTES}; "
+            "choose a lower rate or quality, or shorter packets"
+        ) from error
+
+
+class SnrMeter:
+    """The quality of a decoded packet: its signal-to-noise ratio in dB, the mean over channels.
+
+    A quiet packet need not reach it: a strong vibration masks a weaker one shortly after. For each channel, the error
+    is compared with the greatest of three powers: the packet's; 20 dB below that of the last 0.25 s (an exponential
+    mean); that of one least significant bit. So a pause after a loud texture gets no bits for masked noise, and digital
+    silence gets none at all. The loud texture is forgotten by 17 dB a second; then a quiet texture is coded in full.
+    """
+
+    def __init__(self, rate_hz: float) -> None:
+        self._rate_hz = rate_hz
+        self._power: NDArray[np.float64] | None = None
+
+    def quality_db(self, samples: Signal, decoded: Signal) -> float:
+        """Return the ratio of a packet; both arrays: float64 (packet_samples, channels), full scale 1."""
+        floor = np.maximum(self._recent_power(samples) * 10 ** (-_QUIET_DB / 10), _MIN_BIT**2)
+        power = np.maximum(np.mean(np.square(samples), axis=0), floor)
+        # The error of rounding to int16, uniform over one least significant bit, has this power.
+        error = np.maximum(np.mean(np.square(samples - decoded), axis=0), _MIN_BIT**2 / 12)
+        return float(np.mean(10 * np.log10(power / error)))
+
+    def update(self, samples: Signal, decoded: Signal) -> None:
+        """Remember the power of the packet that was chosen."""
+        self._power = self._recent_power(samples)
+
+    def _recent_power(self, samples: Signal) -> NDArray[np.float64]:
+        power: NDArray[np.float64] = np.mean(np.square(samples), axis=0)
+        if self._power is None:
+            return power
+        kept = math.exp(-len(samples) / self._rate_hz / _MASKING_S)
+        return kept * self._power + (1 - kept) * power
+
+
+class CopyableDecoder(Decoder, Protocol):
+    """A decoder whose state can be copied, to test packets on the copy."""
+
+    def copy(self) -> Self:
+        """Return an independent decoder in the same state."""
+
+
+class Attempts:
+    """The packets of a trial at its quantiser offsets, each coded once."""
+
+    def __init__(self, trial: Trial, sent_bytes: Callable[[bytes], int]) -> None:
+        """`sent_bytes`: returns the bytes of a packet and its frame."""
+        self.trial = trial
+        self.quantiser_offsets = trial.quantiser_offsets
+        self._sent_bytes = sent_bytes
+        self._packets: dict[int, bytes | None] = {}
+
+    def packet(self, quantiser_offset: int) -> bytes | None:
+        """Return the packet at a quantiser offset; None if it would be too long."""
+        if quantiser_offset not in self._packets:
+            try:
+                self._packets[quantiser_offset] = self.trial.packet(quantiser_offset)
+            except CodecError:
+                self._packets[quantiser_offset] = None
+        return self._packets[quantiser_offset]
+
+    def coded(self, quantiser_offset: int) -> bytes:
+        """Return the packet at a quantiser offset. Raises CodecError if it would be too long."""
+        packet = self.packet(quantiser_offset)
+        return self.trial.packet(quantiser_offset) if packet is None else packet
+
+    def size_bytes(self, quantiser_offset: int) -> float:
+        """Return the bytes of the packet with its frame; infinity if it would be too long."""
+        packet = self.packet(quantiser_offset)
+        try:
+            return math.inf if packet is None else self._sent_bytes(packet)
+        except CodecError:
+            return math.inf  # no frame carries it
+
+    def finest(self, holds: Callable[[int], bool], start: int) -> int | None:
+        """Return a quantiser offset at which `holds`, and not at the next finer one; None if it holds at none.
+
+        `holds` is true, on the whole, for coarse offsets and false for fine ones. Steps away from `start` double until
+        the change lies between two tested offsets. Then the distance between these is halved.
+        """
+        first, last = self.quantiser_offsets[0], self.quantiser_offsets[-1]
+        fails, succeeds = first - 1, last + 1
+        quantiser_offset, stride = within(self.quantiser_offsets, start), _FIRST_STRIDE
+        while succeeds - fails > 1:
+            if holds(quantiser_offset):
+                succeeds = quantiser_offset
+            else:
+                fails = quantiser_offset
+            if fails < first:
+                quantiser_offset = max(first, succeeds - stride)
+            elif succeeds > last:
+                quantiser_offset = min(last, fails + stride)
+            else:
+                quantiser_offset = (fails + succeeds) // 2
+            stride *= 2
+        if succeeds <= last:
+            return succeeds
+        return next(filter(holds, reversed(self.quantiser_offsets)), None)
+
+
+def within(quantiser_offsets: range, quantiser_offset: int) -> int:
+    """Return the offset of the range that is nearest to a quantiser offset."""
+    return min(max(quantiser_offset, quantiser_offsets[0]), quantiser_offsets[-1])
+
+
+class DecoderProbe:
+    """Decodes the packets of one stream as the far end will; a meter measures their quality."""
+
+    def __init__(self, meter: SnrMeter) -> None:
+        self._meter = meter
+        self._decoder: CopyableDecoder | None = None
+
+    def begin(self, decoder: Decoder) -> None:
+        """Begin with a decoder in the state of the far end. Raises CodecError if its state cannot be copied."""
+        if not hasattr(decoder, "copy"):
+            raise CodecError("this codec cannot hold a quality; ask for a constant rate, or choose another codec")
+        self._decoder = cast(CopyableDecoder, decoder)
+
+    def quality_db(self, attempts: Attempts, quantiser_offset: int) -> float:
+        """Return the quality of the packet; infinity if it is too long to be coded."""
+        packet = attempts.packet(quantiser_offset)
+        if packet is None:
+            return math.inf
+        assert self._decoder is not None, "it has begun"
+        return self._meter.quality_db(attempts.trial.samples, self._decoder.copy().decode(packet) / 32768)
+
+    def coarsest_with(self, attempts: Attempts, quality_db: float) -> int:
+        """Return the coarsest offset with the quality; the finest that can be coded if none has it."""
+        worse = attempts.finest(lambda each: self.quality_db(attempts, each) < quality_db, attempts.trial.previous)
+        quantiser_offset = (
+            attempts.quantiser_offsets[-1] if worse is None else within(attempts.quantiser_offsets, worse - 1)
+        )
+        if attempts.packet(quantiser_offset) is not None:
+            return quantiser_offset
+        codable = attempts.finest(lambda each: attempts.packet(each) is not None, quantiser_offset)
+        return attempts.quantiser_offsets[-1] if codable is None else codable
+
+    def update(self, attempts: Attempts, quantiser_offset: int) -> None:
+        """Decode the packet that was chosen."""
+        assert self._decoder is not None, "it has begun"
+        self._meter.update(attempts.trial.samples, self._decoder.decode(attempts.coded(quantiser_offset)) / 32768)
 
 
 class RateBuffer:
@@ -187,7 +356,7 @@ class CappedRate(RatePolicy):
     def __init__(
         self,
         quality_db: float,
-        meter: QualityMeter,
+        meter: SnrMeter,
         bits_per_second: float,
         frame_bytes: FrameBytes | int = 0,
         rate_buffer_s: float = DEFAULT_RATE_BUFFER_S,
@@ -221,7 +390,7 @@ class ConstantRate(RatePolicy):
         bits_per_second: float,
         frame_bytes: FrameBytes | int = 0,
         rate_buffer_s: float = DEFAULT_RATE_BUFFER_S,
-        meter: QualityMeter | None = None,
+        meter: SnrMeter | None = None,
     ) -> None:
         super().__init__(RateBuffer(bits_per_second, rate_buffer_s, full=0.5), frame_bytes)
         self._probe = None if meter is None else DecoderProbe(meter)
@@ -306,27 +475,6 @@ def rate_controlled_encoder(
     return encoder
 
 
-def equal_error(codec: Codec, signal_format: SignalFormat) -> Setting:
-    """Return the part of a setting that gives all channels equal steps in their physical unit, and so an equal error.
-
-    At one quantiser offset, bits then go to the channels that need them, and a channel below the error gets none:
-    reverse water-filling (Cover and Thomas, Elements of Information Theory, 2nd ed., 10.3.3). The total error is the
-    least for the rate. By default all channels have the same SNR. Raises CodecError for a codec whose steps do not
-    differ by channel.
-    """
-    name = codec.step_parameter
-    if name is None:
-        raise CodecError(f"the steps of {codec.name} do not differ by channel; choose another codec for an equal error")
-    physical = np.array(signal_format.rms) * np.array(signal_format.gains)
-    steps = float(codec.parameters[name].default) * math.sqrt(np.mean(np.square(physical))) / physical
-    return {name: tuple(map(float, steps))}
-
-
-def timed_framing(packet_s: float, rate_hz: float) -> Framing:
-    """Return the framing for packets of this duration in s, with a refresh every 2 s (REFRESH_S)."""
-    return Framing(max(1, round(packet_s * rate_hz)), max(1, round(REFRESH_S / packet_s)))
-
-
 def rate_controlled_framing(
     bits_per_second: float, rate_hz: float, frame_bytes: FrameBytes, max_s: float = math.inf
 ) -> Framing:
@@ -348,3 +496,142 @@ def rate_controlled_framing(
             f"{seconds:.1f} s; choose {math.ceil(sent_bits / MAX_PACKET_S)} bit/s or more, or shorter packets"
         )
     return Framing(max(1, math.ceil(seconds * rate_hz)), max(1, round(REFRESH_S / seconds)))
+
+
+def encode_rate_controlled(source: Source, setting: Setting, policy: RatePolicy, framing: Framing) -> Stream:
+    """Code a signal in one pass, like a live stream, with a policy that controls the rate.
+
+    Raises CodecError as `encode`, and for packets longer than MAX_PACKET_BYTES; TargetUnreachable as
+    `rate_controlled_encoder`.
+    """
+    setting = source.resolved(setting)
+    encoder = rate_controlled_encoder(source.codec, setting, source.format, framing, source.model, policy)
+    coded = source.coded(setting, encoder)
+    if (longest := max(map(len, coded.packets))) > MAX_PACKET_BYTES:
+        raise CodecError(
+            f"a packet of {longest} bytes, and a controller need not take more than {MAX_PACKET_BYTES}; choose shorter "
+            "packets, or a lower rate or quality"
+        )
+    return coded
+
+
+@dataclass(frozen=True)
+class RateTarget:
+    """A target for rate control: a constant rate; or a quality of every packet, up to a capped rate.
+
+    `constant_rate_bps`, `capped_rate_bps`: of all channels, frames included. `snr_db`: the quality. `rate_buffer_s`:
+    size of the rate buffer. None = the size that holds a rate within 1 % over any 2 s; a larger one makes the SNR more
+    even.
+    """
+
+    constant_rate_bps: float | None = None
+    capped_rate_bps: float | None = None
+    snr_db: float | None = None
+    rate_buffer_s: float | None = None
+
+    @property
+    def rate_bps(self) -> float:
+        """The rate that a stream does not exceed. Raises CodecError without one."""
+        rate_bps = self.capped_rate_bps if self.constant_rate_bps is None else self.constant_rate_bps
+        if rate_bps is None:
+            raise CodecError("a rate is needed; give a constant rate, or a capped one")
+        return rate_bps
+
+    def policy(self, signal_format: SignalFormat) -> RatePolicy:
+        """Return the policy, for one stream. Raises CodecError for an impossible target."""
+        rate_buffer_s = DEFAULT_RATE_BUFFER_S if self.rate_buffer_s is None else self.rate_buffer_s
+        if self.constant_rate_bps is not None:
+            # The default rate buffer leaves a meter nothing to choose.
+            meter = None if self.rate_buffer_s is None else SnrMeter(signal_format.rate_hz)
+            return ConstantRate(self.constant_rate_bps, added_bytes, rate_buffer_s, meter)
+        if self.snr_db is None:
+            raise CodecError("a quality is needed; give an SNR")
+        return CappedRate(self.snr_db, SnrMeter(signal_format.rate_hz), self.rate_bps, added_bytes, rate_buffer_s)
+
+    def framing(self, rate_hz: int) -> Framing:
+        """Return how a stream of this sample rate is cut into packets: the shortest that the rate allows."""
+        return rate_controlled_framing(self.rate_bps, rate_hz, added_bytes)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a stream met its target.
+
+    `sent_bps`: packets and their frames; `packets_bps`: packets alone. `furthest`: largest deviation from the rate over
+    any run of packets of 2 s, relative to the rate; None if the stream is shorter. `peak_bps`:
+    highest rate over such a run; None if the stream is shorter. `padding`: part of the bytes sent that is padding.
+    `packet_snrs_db`: of all packets except those 20 dB below the recording. `packet_s`: duration of a packet.
+    """
+
+    sent_bps: float
+    packets_bps: float
+    furthest: float | None
+    peak_bps: float | None
+    padding: float
+    packet_snrs_db: tuple[float, ...]
+    packet_s: float
+
+    @property
+    def frames_add(self) -> float:
+        """Bytes that the frames add, relative to the packets."""
+        return self.sent_bps / self.packets_bps - 1
+
+    @property
+    def snr_db(self) -> float:
+        """Mean SNR over the packets; NaN if all are silent."""
+        return float(np.mean(self.packet_snrs_db)) if self.packet_snrs_db else math.nan
+
+    @property
+    def snr_range_db(self) -> tuple[float, float]:
+        """The 5th and the 95th percentile of the packets' SNR; NaN if all are silent."""
+        if not self.packet_snrs_db:
+            return math.nan, math.nan
+        low, high = np.percentile(self.packet_snrs_db, (5, 95))
+        return float(low), float(high)
+
+    @property
+    def snr_deviation_db(self) -> float:
+        """Standard deviation of the packets' SNR; NaN if all are silent."""
+        return float(np.std(self.packet_snrs_db)) if self.packet_snrs_db else math.nan
+
+
+def outcome(stream: Stream, samples: Signal, rate_bps: float, policy: RatePolicy) -> Outcome:
+    """Return how a stream of samples (n, channels) met the target rate of its policy. Raises CodecError."""
+    packet_s = stream.packet_samples / stream.header.rate_hz
+    sizes = [len(packet) + added_bytes(packet) for packet in stream.packets]
+    seconds = packet_s * len(sizes)
+    window_bps = _window_bps(sizes, packet_s)
+    return Outcome(
+        sent_bps=8 * sum(sizes) / seconds,
+        packets_bps=8 * sum(map(len, stream.packets)) / seconds,
+        furthest=max((each / rate_bps - 1 for each in window_bps), key=abs, default=None),
+        peak_bps=max(window_bps, default=None),
+        padding=policy.padding_bytes / sum(sizes),
+        packet_snrs_db=tuple(_packet_snrs_db(samples, stream)),
+        packet_s=packet_s,
+    )
+
+
+def _window_bps(sizes: Sequence[int], packet_s: float) -> list[float]:
+    """Return the rate of every run of packets that lasts 2 s; empty if all packets last less."""
+    run = math.ceil(WINDOW_S / packet_s - 1e-9)
+    if run > len(sizes):
+        return []
+    return [8 * float(each) / (run * packet_s) for each in np.convolve(sizes, np.ones(run), "valid")]
+
+
+def _packet_snrs_db(samples: Signal, stream: Stream) -> list[float]:
+    """Return the SNR of each packet over all channels, without quiet packets."""
+    # Leave out the last packet: it is seldom full, so it has bits to spare.
+    first_end = stream.packet_samples - stream.delay_samples % stream.packet_samples
+    *cuts, end = [0, *range(first_end, len(samples) + 1, stream.packet_samples)]
+    if not cuts:
+        cuts, end = [0], len(samples)
+    samples, decoded = samples[:end], stream.decode()[:end]
+    scale = np.sqrt(np.mean(np.square(samples), axis=0))
+    normalised = np.where(scale > 0, scale, 1.0)
+    power = np.add.reduceat(np.sum(np.square(samples / normalised), axis=1), cuts)
+    error = np.add.reduceat(np.sum(np.square((samples - decoded) / normalised), axis=1), cuts)
+    lengths = np.diff([*cuts, len(samples)])
+    loud = (power > lengths * np.sum(power) / len(samples) * 10 ** (-_QUIET_DB / 10)) & (error > 0)
+    return [float(ratio) for ratio in 10 * np.log10(power[loud] / error[loud])]

@@ -1,16 +1,15 @@
 """A signal ready to be coded: its format, how its packets are cut, and the stream that a setting makes of it."""
 
-import copy
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
-from typing import TypeAlias
+from dataclasses import dataclass, field, replace
+from typing import Self, TypeAlias
 
 import numpy as np
 
 from vibrocast import textures
-from vibrocast.codec import mdct, shaping
+from vibrocast.codec import mdct
 from vibrocast.codec.interface import (
     AUTO,
     Codec,
@@ -26,24 +25,27 @@ from vibrocast.codec.interface import (
     parts,
     peak_of,
 )
-from vibrocast.codec.rate_control import RatePolicy, rate_controlled_encoder
 from vibrocast.codec.registry import DEFAULT_CODEC, check_model, codec_by_name
 from vibrocast.codec.stream import MAX_GAIN, Stream, gain_for, image_hash
-from vibrocast.codec.threshold import PHYSICAL_UNITS
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT, StreamHeader
 from vibrocast.models import Model
 
 LIVE_PACKET_BLOCKS = 4
 LIVE_REFRESH_S = 0.25
+REFRESH_S = 2.0
+"""Time from one refresh to the next in streams whose packets have a given duration or rate."""
 _FILE_PACKET_BLOCKS = 128
 _FILE_PACKET_SAMPLES = 4096
 """Samples over all channels of a packet that no host can split: each board in firmware/build.py takes it."""
 _WHOLE_FILE_BLOCKS = 1024
 """Blocks over all channels of a recording that becomes one packet, if hosts can split it for a controller."""
-# Every packet fits into one frame of the wire protocol, so a file can be played as it is.
-_MAX_PACKET_BYTES = 4000
+MAX_PACKET_BYTES = 4000
+"""Every packet fits into one frame of the wire protocol, so a file can be played as it is."""
 _STEPS_BETWEEN = 8
 """Steps from one rate point to the next, if the setting is a fraction."""
+_EXCERPT = 8
+"""A signal this many times as long as an excerpt has one."""
+_EXCERPT_PIECE = 1024
 _BEGUN_SAMPLES = 1 << 9
 """Samples per channel that are coded at a time while a stream plays."""
 _ROUNDING_ERROR = 1 / 12 / 32_768**2
@@ -58,6 +60,11 @@ def live_framing(rate_hz: int) -> Framing:
     """Return the framing for streaming: packets of 4 blocks, a refresh at least every 0.25 s."""
     packet_samples = LIVE_PACKET_BLOCKS * mdct.hop_samples(rate_hz)
     return Framing(packet_samples, max(1, math.floor(LIVE_REFRESH_S * rate_hz / packet_samples)))
+
+
+def timed_framing(packet_s: float, rate_hz: float) -> Framing:
+    """Return the framing for packets of this duration in s, with a refresh every 2 s (REFRESH_S)."""
+    return Framing(max(1, round(packet_s * rate_hz)), max(1, round(REFRESH_S / packet_s)))
 
 
 def file_framing(codec: Codec, samples: int, rate_hz: int, channels: int) -> Framing:
@@ -90,12 +97,9 @@ def encode(
 ) -> Stream:
     """Code samples (n, channels) in a physical unit with a codec's setting; missing parameters have their defaults.
 
-    `live`: in short packets with regular refreshes, for streaming; otherwise in the fewest bytes, for a file.
-    `framing`: how the packets of a live stream are cut; None = as `live_framing`. `progress` is called with the
-    finished part, from 0 to 1. Raises CodecError for an empty signal, NaN, infinity, an invalid setting, or a channel
-    count, level or unit that cannot be coded.
+    The other parameters are as in `Source.of`. Raises CodecError as it, and for an invalid setting.
     """
-    return Source(samples, rate_hz, codec, unit, live, model, progress, framing).encode(setting)
+    return Source.of(samples, rate_hz, codec, unit, live, model, progress, framing).encode(setting)
 
 
 def live_format(
@@ -121,41 +125,31 @@ def recording_format(recording: textures.Recording) -> SignalFormat:
     return live_format(round(recording.rate_hz), recording.unit, peaks.tolist(), rms.tolist())
 
 
-def shape_setting(
-    codec: Codec, touch: float | None, rate_hz: float, unit: str, setting: Setting | None = None
-) -> Setting:
-    """Return the part of a codec's setting that serves touch, with a strength from 0, flat, to 1.
-
-    `touch`: None = the default where the codec has shapes and the unit is physical, else 0. `setting`: what else is
-    given; a shape in it stands before the default. Raises CodecError as `shaping.touch_shape`, where both a strength
-    and a shape are given, and for a strength above 0 of a codec without shapes.
-    """
-    has_shapes = codec.shape_parameter is not None
-    given = has_shapes and codec.shape_parameter in (setting or {})
-    if touch is None:
-        touch = shaping.DEFAULT_TOUCH if has_shapes and not given and unit in PHYSICAL_UNITS else 0.0
-    elif given:
-        raise CodecError("a strength of touch and a shape are both given; give one of them")
-    if touch == 0 or codec.shape_parameter is None:
-        if touch != 0:
-            raise CodecError(f"{codec.name} cannot shape its error for touch; choose {DEFAULT_CODEC}, or a touch of 0")
-        return {}
-    return {codec.shape_parameter: shaping.shape_text(shaping.touch_shape(touch, rate_hz, unit))}
-
-
-_EXCERPT = 8
-"""A signal this many times as long as an excerpt has one."""
-_EXCERPT_PIECE = 1024
-
-
+@dataclass(eq=False)
 class Source:
-    """A signal ready to be coded at any setting, as a file or as a live stream.
+    """A signal ready to be coded at any setting, as a file or as a live stream; `of` makes one.
 
-    `format`: its properties for the encoder. `heard`: the channels that are not silent.
+    `samples`: float64 (n, channels) in the unit of `format`. `framing`: how packets are cut. `shape`: part of every
+    setting that does not state it, as from `shape_setting`. `heard`: the channels that are not silent. `progress`:
+    called with the finished part of a search, from 0 to 1. `whole`: the signal that an excerpt is of.
     """
 
-    def __init__(
-        self,
+    codec: Codec
+    samples: Signal
+    format: SignalFormat
+    framing: Framing
+    live: bool
+    model: Model | None
+    shape: Setting
+    heard: list[int]
+    progress: Progress | None = None
+    whole: "Source | None" = None
+    _trials: int = field(default=0, init=False)
+    _choices: dict[tuple[tuple[str, str], ...], Setting] = field(default_factory=dict, init=False)
+
+    @classmethod
+    def of(
+        cls,
         samples: Signal,
         rate_hz: int,
         codec: str = DEFAULT_CODEC,
@@ -165,10 +159,12 @@ class Source:
         progress: Progress | None = None,
         framing: Framing | None = None,
         shape: Setting | None = None,
-    ) -> None:
-        """Take samples (n, channels) in a physical unit; the parameters are as in `encode`. Raises CodecError.
+    ) -> Self:
+        """Take samples (n, channels) in a physical unit.
 
-        `shape`: part of every setting that does not state it, as from `shape_setting`; None = the codec's default.
+        `live`: in short packets with regular refreshes, for streaming; otherwise in the fewest bytes, for a file.
+        `framing`: None = as `live_framing` or `file_framing`. `shape`: None = the codec's default. Raises CodecError
+        for an empty signal, NaN, infinity, or a channel count, level or unit that cannot be coded.
         """
         if samples.ndim != 2 or samples.shape[1] < 1:
             raise CodecError(f"samples of shape {samples.shape} do not fit; give (n, channels)")
@@ -176,44 +172,31 @@ class Source:
             raise CodecError("the signal is empty; give at least one sample")
         if not all(np.all(np.isfinite(samples[part])) for part in parts(len(samples))):
             raise CodecError("the signal holds NaN or infinity; repair the recording first")
-        self.codec = codec_by_name(codec)
-        check_model(self.codec, model is not None)
-        self.codec.forget()
-        self.samples = samples
-        self.model = model
-        self._progress = progress or (lambda part: None)
-        self._live = live
+        known = codec_by_name(codec)
+        check_model(known, model is not None)
         if framing is None:
-            framing = (
-                live_framing(rate_hz) if live else file_framing(self.codec, len(samples), rate_hz, samples.shape[1])
-            )
-        self._framing = framing
+            framing = live_framing(rate_hz) if live else file_framing(known, len(samples), rate_hz, samples.shape[1])
         gains = tuple(gain_for(peak_of(channel)) for channel in samples.T)
         energies = sum(np.sum(np.square(samples[part] / np.array(gains)), axis=0) for part in parts(len(samples)))
         rms = tuple(math.sqrt(energy / len(samples)) or 1.0 for energy in np.atleast_1d(energies))
         # A height profile is loaded whole, however short its packets are.
         length = None if live and unit != PROFILE_UNIT else len(samples)
-        self.format = SignalFormat(rate_hz, unit, gains, rms, length)
-        self.heard: list[int] = np.flatnonzero(energies).tolist()
-        self._shape = shape or {}
-        self._trials = 0
-        self._whole = self
-        self._choices: dict[tuple[tuple[str, str], ...], Setting] = {}
+        signal_format = SignalFormat(rate_hz, unit, gains, rms, length)
+        heard = np.flatnonzero(energies).tolist()
+        return cls(known, samples, signal_format, framing, live, model, shape or {}, heard, progress)
 
     def encode(self, setting: Setting) -> Stream:
         """Code with a setting; shorten packets that grow too long. Raises CodecError as `codec.encode`.
 
         Few levels may raise the peak. A stream that only hosts decode gets a full scale that clips nothing of it.
         """
-        setting = self.resolved(setting)
-        framing = self._framing
+        setting, framing = self.resolved(setting), self.framing
         tried_samples = 0
         while True:
             encoder = self.codec.make_encoder(setting, self.format, framing, self.model, None)
-            packets = self._packets(encoder)
+            coded = self.coded(setting, encoder)
             as_short_as_can_be = encoder.packet_samples in (1, tried_samples)
-            if max(map(len, packets)) <= _MAX_PACKET_BYTES or as_short_as_can_be:
-                coded = self._coded(setting, encoder, packets)
+            if max(map(len, coded.packets)) <= MAX_PACKET_BYTES or as_short_as_can_be:
                 doubled = tuple(2 * gain for gain in self.format.gains)
                 return self._with_gains(doubled).encode(setting) if self._clips(coded) else coded
             tried_samples = encoder.packet_samples
@@ -228,11 +211,9 @@ class Source:
         if len(self.samples) < _EXCERPT * samples or pieces < 1:
             return None
         starts = np.linspace(0, len(self.samples) - _EXCERPT_PIECE, pieces).astype(int)
-        excerpt = copy.copy(self)  # its `_whole` makes the codec's choices
-        excerpt.samples = np.concatenate([self.samples[start : start + _EXCERPT_PIECE] for start in starts])
-        excerpt.format = replace(self.format, samples=None if self.format.samples is None else len(excerpt.samples))
-        excerpt._progress = lambda part: None
-        return excerpt
+        cut = np.concatenate([self.samples[start : start + _EXCERPT_PIECE] for start in starts])
+        signal_format = replace(self.format, samples=None if self.format.samples is None else len(cut))
+        return replace(self, samples=cut, format=signal_format, progress=None, whole=self)
 
     def squared_errors(self, coded: Stream) -> Signal:
         """Return the sum of squared errors of each channel (channels,) in a stream of it, relative to full scale."""
@@ -241,24 +222,9 @@ class Source:
             errors += np.sum(np.square((self.samples[part] - decoded[part]) / gains), axis=0)
         return errors
 
-    def encode_rate_controlled(self, setting: Setting, policy: RatePolicy, framing: Framing) -> Stream:
-        """Code in one pass, like a live stream, with a policy that controls the rate.
-
-        Raises CodecError as `encode`, and for packets longer than 4000 bytes; TargetUnreachable as
-        `rate_controlled_encoder`.
-        """
-        encoder = rate_controlled_encoder(self.codec, self.resolved(setting), self.format, framing, self.model, policy)
-        packets = self._packets(encoder)
-        if max(map(len, packets)) > _MAX_PACKET_BYTES:
-            raise CodecError(
-                f"a packet of {max(map(len, packets))} bytes, and a controller need not take more than "
-                f"{_MAX_PACKET_BYTES}; choose shorter packets, or a lower rate or quality"
-            )
-        return self._coded(setting, encoder, packets)
-
     def begin(self, setting: Setting) -> tuple[StreamHeader, Iterator[bytes]]:
         """Return the header, and the packets as they are asked for. Raises CodecError as `codec.encode`."""
-        encoder = self.codec.make_encoder(self.resolved(setting), self.format, self._framing, self.model, None)
+        encoder = self.codec.make_encoder(self.resolved(setting), self.format, self.framing, self.model, None)
 
         def packets() -> Iterator[bytes]:
             for start in range(0, len(self.samples), _BEGUN_SAMPLES):
@@ -279,10 +245,9 @@ class Source:
         return self._with_gains(tuple(max(gain, gain_for(least)) if least else gain for gain in self.format.gains))
 
     def _with_gains(self, gains: tuple[float, ...]) -> "Source":
-        scaled = copy.copy(self)
         each = zip(self.format.rms, self.format.gains, gains, strict=True)
-        scaled.format = replace(self.format, gains=gains, rms=tuple(rms * own / gain for rms, own, gain in each))
-        return scaled
+        rms = tuple(rms * own / gain for rms, own, gain in each)
+        return replace(self, format=replace(self.format, gains=gains, rms=rms))
 
     def settings(self, given: Setting) -> list[Setting]:
         """Return the settings that a search for a quality tests, the coarsest first: `rate_points`, and steps between.
@@ -317,19 +282,19 @@ class Source:
     def _takes(self, setting: Setting) -> bool:
         """Return whether the codec accepts this setting with this model."""
         try:
-            complete = self.codec.complete({**self._shape, **setting})
-            self.codec.make_encoder(complete, self.format, self._framing, self.model, None)
+            complete = self.codec.complete({**self.shape, **setting})
+            self.codec.make_encoder(complete, self.format, self.framing, self.model, None)
         except CodecError:
             return False
         return True
 
     def resolved(self, setting: Setting) -> Setting:
         """Return the complete setting that `encode` uses, with the codec's own choices. Raises CodecError."""
-        setting = self.codec.complete({**self._shape, **setting})
-        if self._live or self.codec.resolve is None or AUTO not in setting.values():
+        setting = self.codec.complete({**self.shape, **setting})
+        if self.live or self.codec.resolve is None or AUTO not in setting.values():
             return setting
         words = tuple(sorted((name, value) for name, value in setting.items() if isinstance(value, str)))
-        choice = self._whole._choice(words)
+        choice = (self.whole or self)._choice(words)
         return {name: choice[name] if value == AUTO else value for name, value in setting.items()}
 
     def estimate(self, given: Setting) -> Estimate | None:
@@ -356,7 +321,17 @@ class Source:
             self._choices[words] = self.codec.resolve(self.samples, self.format, self.model, dict(words))
         return self._choices[words]
 
-    def _coded(self, setting: Setting, encoder: Encoder, packets: list[bytes]) -> Stream:
+    def coded(self, setting: Setting, encoder: Encoder) -> Stream:
+        """Return the stream that an encoder of a complete setting makes of the signal. Raises CodecError."""
+        packets: list[bytes] = []
+        for part in parts(len(self.samples)):
+            packets += encoder.encode(self.samples[part] / np.array(self.format.gains))
+            if self.progress is not None:
+                # The number of a search's trials is not known before: each gets half of the rest of the progress bar.
+                within = min(part.stop, len(self.samples)) / len(self.samples)
+                self.progress(1 - 0.5**self._trials * (1 - within / 2))
+        self._trials += 1
+        packets += encoder.finish()
         errors = None
         if isinstance(encoder, MeasuringEncoder) and (measured := encoder.squared_errors) is not None:
             samples = len(self.samples)
@@ -375,13 +350,3 @@ class Source:
             encoder.configuration,
             b"" if self.model is None else image_hash(self.model.image),
         )
-
-    def _packets(self, encoder: Encoder) -> list[bytes]:
-        packets: list[bytes] = []
-        for part in parts(len(self.samples)):
-            packets += encoder.encode(self.samples[part] / np.array(self.format.gains))
-            # The number of a search's trials is not known before: each gets half of the rest of the progress bar.
-            within = min(part.stop, len(self.samples)) / len(self.samples)
-            self._progress(1 - 0.5**self._trials * (1 - within / 2))
-        self._trials += 1
-        return packets + encoder.finish()

@@ -108,7 +108,7 @@ class Cell:
             decode = partial(decode_file, model=self.model)
             file = encode()
             decoded, size_bytes = decode(file), len(file)
-            settled = codec.Source(samples, rate_hz, coder, recording.unit, model=self.model).resolved(self.setting)
+            settled = codec.Source.of(samples, rate_hz, coder, recording.unit, model=self.model).resolved(self.setting)
             delay_ms = cost.delay_ms(coder, settled, rate_hz, recording.channels, recording.unit, self.model)
             if self.repeats:
                 times = time_coding(encode, decode, samples.size, self.repeats)

@@ -11,8 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from vibrocast.codec.graphs import LATENTS, SIGNAL, Transform
-from vibrocast.codec.onnx_check import OPSET
+from vibrocast.codec.graphs import LATENTS, OPSET, SIGNAL, Transform
 from vibrocast.export.eva import HOP_SAMPLES, DeadZone, Eva, Gdn
 from vibrocast.models import ModelError
 

@@ -3,7 +3,7 @@
 import torch
 from torch import nn
 
-from vibrocast.codec.mdct import analysis_matrix
+from vibrocast.codec.parametric import analysis_matrix
 from vibrocast.export.eva import HOP_SAMPLES, Eva, Gdn
 
 _PASSED_ON = (4, 8, HOP_SAMPLES)

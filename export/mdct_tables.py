@@ -12,7 +12,8 @@ import numpy as np
 from rich.progress import track
 
 from vibrocast.codec import Framing, Signal
-from vibrocast.codec.mdct import HOPS, IDENTIFIER, MdctEncoder
+from vibrocast.codec.core import HOPS
+from vibrocast.codec.mdct import IDENTIFIER, MdctEncoder
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.export.training_data import archive_recordings
 from vibrocast.textures import TextureError

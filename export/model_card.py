@@ -15,7 +15,7 @@ from vibrocast import codec, pages, textures
 from vibrocast.codec import Stream
 from vibrocast.codec.encoding import Encoding, encode_recording
 from vibrocast.codec.eva_image import EvaImage
-from vibrocast.codec.onnx_check import OPSET
+from vibrocast.codec.graphs import OPSET
 from vibrocast.codec.timing import cpu_name, time_coding
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.export import configuration

@@ -363,10 +363,10 @@ def vibrocast_stroke(vibrocast_bench: Bench, _vibrocast_session: Session) -> Cal
     """A function that plays a height profile under a hand that strokes there and back.
 
     `vibrocast_stroke(profile, stroke_mm=10.0, hand_speed_mm_s=50.0, strokes=1, **options)`; the options are those of
-    `vibrocast.codec.profiles.encode`. It returns a Playback. The test fails where the
+    `vibrocast.codec.encoding.encode_profile`. It returns a Playback. The test fails where the
     playback misses limits of the bench file.
     """
-    from vibrocast.codec import profiles
+    from vibrocast.codec.encoding import encode_profile
     from vibrocast.host import hand_playback
     from vibrocast.host.report import Provenance
 
@@ -377,7 +377,7 @@ def vibrocast_stroke(vibrocast_bench: Bench, _vibrocast_session: Session) -> Cal
         strokes: int = 1,
         **options: Any,
     ) -> Playback:
-        encoding = profiles.encode(profile, **options)
+        encoding = encode_profile(profile, **options)
         movement = hand_playback.back_and_forth(stroke_mm, hand_speed_mm_s, strokes)
         played = hand_playback.play_and_compare(
             _vibrocast_session,

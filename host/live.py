@@ -9,8 +9,8 @@ import numpy as np
 from vibrocast import codec, models
 from vibrocast.codec import Signal, SignalFormat
 from vibrocast.codec.encoding import chosen_codec
-from vibrocast.codec.rate_control import REFRESH_S as RATE_CONTROLLED_REFRESH_S
-from vibrocast.codec.rate_controlled import added_bytes
+from vibrocast.codec.rate_control import added_bytes
+from vibrocast.codec.source import REFRESH_S as RATE_CONTROLLED_REFRESH_S
 from vibrocast.codec.stream import image_hash
 from vibrocast.device_protocol.coded_stream import StreamHeader, renumbered
 from vibrocast.device_protocol.messages import EndStream, Start, State, Status

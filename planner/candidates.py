@@ -8,11 +8,9 @@ import numpy as np
 from vibrocast import codec, models, textures
 from vibrocast.codec import Codec, CodecError, Framing, Setting, Signal, Source, metrics
 from vibrocast.codec.encoding import Encoding, families
-from vibrocast.codec.rate_control import DEFAULT_RATE_BUFFER_S
-from vibrocast.codec.rate_controlled import RateTarget, added_bytes
-from vibrocast.codec.shaping import DEFAULT_TOUCH, FLAT
+from vibrocast.codec.rate_control import DEFAULT_RATE_BUFFER_S, RateTarget, added_bytes
 from vibrocast.codec.source import LIVE_REFRESH_S
-from vibrocast.codec.threshold import read_threshold
+from vibrocast.codec.threshold import DEFAULT_TOUCH, FLAT, read_threshold
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT, StreamHeader
 from vibrocast.errors import InputError, located
 from vibrocast.firmware.native_core import library
@@ -55,7 +53,7 @@ _CAP = 1 / (1 + DEFAULT_RATE_BUFFER_S / (1 - MAX_PACKET_S / 2))
 @dataclass(frozen=True)
 class CodingOption:
     """A way to code a texture, without the quality. `family`: of models, None = no model. `block`: samples, None if the
-    codec has one length only. `touch`: strength of the shape by which steps differ over frequency (codec.shaping).
+    codec has one length only. `touch`: strength of the shape by which steps differ over frequency (shape_setting).
 
     `rate_limit_bps`: limit over any second that a capped rate keeps; None = every packet has the setting.
     """
@@ -257,7 +255,7 @@ class Evaluator:
             found: list[tuple[str | None, Setting]] = []
             try:
                 for model in members:
-                    source = Source(part.samples, round(part.rate_hz), option.codec, part.unit, True, model)
+                    source = Source.of(part.samples, round(part.rate_hz), option.codec, part.unit, True, model)
                     name = None if model is None else model.name
                     found += [(name, chosen.complete(setting)) for setting in source.settings(self._given(option))]
             except CodecError:

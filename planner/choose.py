@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
-from vibrocast.codec.rate_controlled import RateTarget
+from vibrocast.codec.rate_control import RateTarget
 from vibrocast.errors import InputError, located
 from vibrocast.pages import listed
 from vibrocast.planner.candidates import BUFFERS_MS, Candidate, CodingOption, Evaluator, costs_of, wanted

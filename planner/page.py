@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from msgspec import structs
 
 from vibrocast import pages
-from vibrocast.codec.rate_controlled import RateTarget
+from vibrocast.codec.rate_control import RateTarget
 from vibrocast.files import atomic_write, plain
 from vibrocast.planner.candidates import Candidate, wanted
 from vibrocast.planner.choose import TextureChoice

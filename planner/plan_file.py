@@ -15,7 +15,7 @@ from msgspec import Meta, field, structs
 from vibrocast import codec, models, textures
 from vibrocast.codec import Framing, Setting
 from vibrocast.codec.encoding import Encoding, measure_encoding
-from vibrocast.codec.rate_controlled import RateTarget
+from vibrocast.codec.rate_control import RateTarget
 from vibrocast.codec.source import recording_format
 from vibrocast.codec.threshold import DETECTION_THRESHOLD, sites, threshold_file
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
@@ -218,11 +218,11 @@ def encode(
     """
     unit = PROFILE_UNIT if over_position else recording.unit
     samples, rate = recording.samples, round(recording.rate_hz)
-    source = codec.Source(samples, rate, codec_name, unit, True, model, framing=framing)
+    source = codec.Source.of(samples, rate, codec_name, unit, True, model, framing=framing)
     if target is None:
         return measure_encoding(recording, source.encode(setting))
     policy = target.policy(recording_format(recording))
-    return measure_encoding(recording, source.encode_rate_controlled(setting, policy, framing))
+    return measure_encoding(recording, codec.encode_rate_controlled(source, setting, policy, framing))
 
 
 def write_plan(path: Path, plan: Plan) -> None:

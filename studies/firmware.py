@@ -175,7 +175,7 @@ def coded(decoder: str, kind: str, seconds: float) -> tuple[Stream, float]:
     signal = texture(kind, seconds)
     name = _codec_name(decoder)
     if codec.CODECS[name].keeps_waveform:
-        source = codec.Source(signal, RATE_HZ, name, live=True, model=model)
+        source = codec.Source.of(signal, RATE_HZ, name, live=True, model=model)
         stream = codec.encode_to_snr(source, TARGET_DB)
     else:
         finest = next(iter(codec.CODECS[name].rate_point_sets.values()))[-1]
@@ -243,7 +243,7 @@ def _qualities(
                 yield kind, codec.encode(signal, RATE_HZ, given, codec=name, live=True, model=model)
         elif codec.CODECS[name].keeps_waveform:
             for snr_db in QUALITIES_DB:
-                source = codec.Source(signal, RATE_HZ, name, live=True, model=members[0] if members else None)
+                source = codec.Source.of(signal, RATE_HZ, name, live=True, model=members[0] if members else None)
                 yield kind, codec.encode_to_snr(source, snr_db, given)
         else:
             for rate_point in next(iter(codec.CODECS[name].rate_point_sets.values())):

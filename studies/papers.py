@@ -14,7 +14,7 @@ from studies import page, pvc_slp, texture_paper
 from studies.pvc_slp import Sensitivity
 from studies.texture_paper import PUBLISHED, SIXTEEN_BITS, Result
 from vibrocast import codec
-from vibrocast.codec import profiles
+from vibrocast.codec.encoding import encode_profile, profile_recording
 from vibrocast.codec.stream import Stream
 from vibrocast.evaluation import cells, charts, trained
 from vibrocast.evaluation.bd_rate import PSNR, SPQI, ST_SIM_2800
@@ -342,7 +342,7 @@ def louder() -> dict[str, tuple[float, int, int]]:
 
 def sensed() -> float:
     """Return by how much the heights of a profile under a stroke change, in dB, if positions come in SENSED_NM."""
-    stream = profiles.encode(profiles.recording_of(PROFILE), snr_db=20.0).stream
+    stream = encode_profile(profile_recording(PROFILE), snr_db=20.0).stream
     time_s = np.arange(0, 2 * STROKE_S, POSITION_S)
     position_nm = 5e5 * STROKE_MM * (1 - np.cos(np.pi * time_s / STROKE_S))
     exact, rounded = (_heights(stream, time_s, step_nm * np.rint(position_nm / step_nm)) for step_nm in (1, SENSED_NM))

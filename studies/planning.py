@@ -15,7 +15,7 @@ from studies import page
 from vibrocast import codec, progress, textures
 from vibrocast.codec import mdct
 from vibrocast.codec.encoding import DEFAULT_SNR_DB, DEFAULT_STREAM_RATE_HZ, Encoding, encode_recording
-from vibrocast.codec.rate_controlled import added_bytes
+from vibrocast.codec.rate_control import added_bytes
 from vibrocast.codec.threshold import DETECTION_THRESHOLD, read_threshold
 from vibrocast.errors import InputError
 from vibrocast.host.bench_file import BenchActuator

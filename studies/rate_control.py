@@ -14,9 +14,10 @@ import numpy as np
 
 from studies import page
 from vibrocast import codec, progress, textures
-from vibrocast.codec import DEFAULT_CODEC, rate_controlled
-from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ
-from vibrocast.codec.rate_controlled import RateTarget, added_bytes
+from vibrocast.codec import DEFAULT_CODEC
+from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, encode_live
+from vibrocast.codec.rate_control import RateTarget, added_bytes
+from vibrocast.codec.source import REFRESH_S
 from vibrocast.evaluation.curves import Curve, Panel, curves
 from vibrocast.textures import dataset
 
@@ -102,7 +103,7 @@ def measure(
     target = RateTarget(constant_rate_bps=rate_bps * recording.channels, rate_buffer_s=rate_buffer_s)
     size_s = RATE_BUFFERS_S[0] if rate_buffer_s is None else rate_buffer_s
     try:
-        _, outcome = rate_controlled.encode(recording, target, codec_name=codec_name, highpass_hz=None)
+        _, outcome = encode_live(recording, target, codec_name=codec_name, highpass_hz=None)
     except codec.CodecError as error:
         return Held(name, codec_name, rate_bps, size_s, rejected=str(error))
     low_db, high_db = outcome.snr_range_db
@@ -131,10 +132,9 @@ def measure_refreshes(recordings: Sequence[textures.Recording], rate_bps: int, r
         rate_hz = round(recording.rate_hz)
         framing = codec.rate_controlled_framing(total_bps, rate_hz, added_bytes)
         packets = 0 if math.isinf(refresh_s) else max(1, round(refresh_s * rate_hz / framing.packet_samples))
-        source = codec.Source(recording.samples, rate_hz, DEFAULT_CODEC, recording.unit, live=True)
-        coded = source.encode_rate_controlled(
-            {}, codec.ConstantRate(total_bps, added_bytes), codec.Framing(framing.packet_samples, packets)
-        )
+        source = codec.Source.of(recording.samples, rate_hz, DEFAULT_CODEC, recording.unit, live=True)
+        policy = codec.ConstantRate(total_bps, added_bytes)
+        coded = codec.encode_rate_controlled(source, {}, policy, codec.Framing(framing.packet_samples, packets))
         ratios_db.append(codec.snr_db(recording.samples, coded.decode()))
     return RefreshCost(rate_bps, refresh_s, fmean(ratio for ratio in ratios_db if ratio is not None))
 
@@ -170,7 +170,7 @@ def rendered(held: Sequence[Held], refreshes: Sequence[RefreshCost], data: str) 
         refreshes_s=REFRESHES_S,
         infinity=math.inf,
         refreshes={rate: [row for row in refreshes if row.bits_per_second == rate] for rate in RATES_BPS},
-        refresh_s=codec.rate_control.REFRESH_S,
+        refresh_s=REFRESH_S,
     )
 
 

@@ -96,7 +96,7 @@ def _nearest(signal: Signal, name: str, parameter: str, rate_bps: float) -> Valu
 
 def _source(signal: Signal, name: str) -> Source:
     """Return a new source: it has chosen nothing yet."""
-    return Source(signal, RATE_HZ, name)
+    return Source.of(signal, RATE_HZ, name)
 
 
 def _row(name: str, task: str, signal: Signal, repeats: int, encode: Callable[[], Stream]) -> Row:

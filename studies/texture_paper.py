@@ -17,7 +17,7 @@ from studies import page
 from vibrocast import codec, textures
 from vibrocast.codec import dct
 from vibrocast.codec.core import UNIT
-from vibrocast.codec.huffman import code_lengths
+from vibrocast.codec.dct import code_lengths
 from vibrocast.codec.threshold import read_threshold, threshold_amplitude
 from vibrocast.evaluation.charts import WIDTH_IN
 from vibrocast.evaluation.curves import Curve, Panel, curves

@@ -174,7 +174,7 @@ def noise(processor: EmulatedCore, decoder: str, block: str, channels: int) -> t
         finest = {**_SETTINGS[name][0], **setting}
         stream = codec.encode(signal, RATE_HZ, finest, codec=name, live=True, model=model)
     else:
-        source = codec.Source(signal, RATE_HZ, name, live=True, model=model)
+        source = codec.Source.of(signal, RATE_HZ, name, live=True, model=model)
         stream = codec.encode_to_snr(source, NOISE_DB, setting)
     costs = decode_in_blocks(processor, stream, stream.tables, stream.packets)
     stated = decoding_cycles(known.identifier, stream.header.configuration, channels, stream.tables)

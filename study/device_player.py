@@ -10,7 +10,7 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
-from vibrocast.codec import profiles
+from vibrocast.codec.encoding import encode_profile
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.device_protocol.messages import State, Status
@@ -181,7 +181,7 @@ class HandPlayer(ControllerPlayer):
             recording = stimulus.stream.recording()
             over_position = replace(recording, rate_hz=1000 * recording.rate_hz / self._speed_mm_s)
             try:
-                profile = profiles.encode(over_position, snr_db=UNCODED_SNR_DB, touch=0).stream
+                profile = encode_profile(over_position, snr_db=UNCODED_SNR_DB, touch=0).stream
                 hand_playback.load(self._controller, profile)
             except (ControllerError, ValueError) as error:
                 raise ControllerError(f"{stimulus.key} as a height profile: {error}") from error

@@ -5,7 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from vibrocast.codec import linear_prediction
+from vibrocast.codec import slp
 from vibrocast.errors import InputError
 from vibrocast.evaluation.stability.maps import Map, Row
 from vibrocast.evaluation.stability.signals import RATE_HZ, Signal
@@ -38,7 +38,7 @@ def pole_radii(predictors: Signal) -> Signal:
 def _through_reflections(predictors: Signal, bits: int) -> Signal:
     """Quantise reflection coefficients, as `slp` does with 5 bits."""
     largest = 2 ** (bits - 1) - 1
-    codes = linear_prediction.reflection_codes(linear_prediction.reflections_of(predictors)[0], largest)
+    codes = slp.reflection_codes(slp.reflections_of(predictors)[0], largest)
     return predictors_of(np.sin(codes * np.pi / (2 * (largest + 1))))
 
 
@@ -102,8 +102,8 @@ def predictors(order: int) -> Signal:
     for make in (wood, grating, stick_slip):
         samples = make(0, SECONDS, 50.0, RATE_HZ).samples[:, 0]
         samples = samples / np.abs(samples).max()
-        found = linear_prediction.sparse_predictors(samples, WINDOW_SAMPLES, HOP_SAMPLES, order)
-        fitted.append(linear_prediction.stabilised(found))
+        found = slp.sparse_predictors(samples, WINDOW_SAMPLES, HOP_SAMPLES, order)
+        fitted.append(slp.stabilised(found))
     return predictors_of(np.concatenate(fitted))
 
 

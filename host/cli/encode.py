@@ -9,8 +9,8 @@ from typing import Any
 import click
 
 from vibrocast import codec, progress, textures
-from vibrocast.codec import rate_controlled
-from vibrocast.codec.encoding import Encoding
+from vibrocast.codec.encoding import Encoding, encode_live
+from vibrocast.codec.rate_control import Outcome, RateTarget
 from vibrocast.codec.stream import Stream
 from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.describe import describe_felt_error, describe_quality
@@ -162,7 +162,7 @@ def write_stream(out: Path, stream: Stream, how: str = "", **facts: Any) -> None
 def encode_rate_controlled(
     recording: textures.Recording,
     out: Path,
-    target: rate_controlled.RateTarget,
+    target: RateTarget,
     options: QualityOptions,
     unit: str | None,
 ) -> None:
@@ -170,7 +170,7 @@ def encode_rate_controlled(
     arguments = options.arguments(unit)
     del arguments["rate_bps"], arguments["snr_db"]  # they are in the target
     with progress.bar("encoding") as update:
-        stream, outcome = rate_controlled.encode(recording, target, progress=update, **arguments)
+        stream, outcome = encode_live(recording, target, progress=update, **arguments)
     write_stream(out, stream, rate_control=asdict(outcome))
     tell(f"rate: {describe_rate(target, outcome)}")
     tell(
@@ -180,7 +180,7 @@ def encode_rate_controlled(
     tell(f"packets: {1000 * outcome.packet_s:.1f} ms each, {describe_packets(outcome)}")
 
 
-def describe_rate(target: rate_controlled.RateTarget, outcome: rate_controlled.Outcome) -> str:
+def describe_rate(target: RateTarget, outcome: Outcome) -> str:
     """Return the rate with its frames, and how a target was held, in words."""
     mean = f"{outcome.sent_bps:.0f} bit/s"
     if target.constant_rate_bps is None:
@@ -190,7 +190,7 @@ def describe_rate(target: rate_controlled.RateTarget, outcome: rate_controlled.O
     return f"{mean} of {target.constant_rate_bps:g}{off}"
 
 
-def describe_packets(outcome: rate_controlled.Outcome) -> str:
+def describe_packets(outcome: Outcome) -> str:
     """Return the SNR of the packets in words."""
     if math.isnan(outcome.snr_db):
         return "no SNR: the recording is silent"

@@ -15,7 +15,7 @@ from click.core import ParameterSource
 
 from vibrocast import codec, models, textures
 from vibrocast.codec.encoding import DEFAULT_SNR_DB, DEFAULT_STREAM_RATE_HZ
-from vibrocast.codec.rate_controlled import RateTarget
+from vibrocast.codec.rate_control import RateTarget
 from vibrocast.codec.stream import MAX_GAIN_DB
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.errors import LIMIT_MISSED

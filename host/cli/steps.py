@@ -6,8 +6,13 @@ from pathlib import Path
 import click
 
 from vibrocast import models, progress, textures
-from vibrocast.codec import profiles
-from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, Encoding, encode_recording
+from vibrocast.codec.encoding import (
+    DEFAULT_STREAM_RATE_HZ,
+    Encoding,
+    encode_profile,
+    encode_recording,
+    profile_recording,
+)
 from vibrocast.files import plain
 from vibrocast.host.cli.answers import add, wants_json
 from vibrocast.host.cli.options import QualityOptions, RecordingOptions
@@ -33,9 +38,9 @@ def encoded_profile(file: Path, quality: QualityOptions, recording: RecordingOpt
         )
     arguments = quality.arguments()
     del arguments["rate_bps"], arguments["stream_rate_hz"], arguments["highpass_hz"]  # heights keep their own rules
-    profile = profiles.recording_of(file, **recording.facts())
+    profile = profile_recording(file, **recording.facts())
     with progress.bar("encoding") as update:
-        return _noted(profiles.encode(profile, progress=update, **arguments))
+        return _noted(encode_profile(profile, progress=update, **arguments))
 
 
 def _noted(encoding: Encoding) -> Encoding:

@@ -13,7 +13,7 @@ from tests.codec.dct_reference_decoder import ReferenceDecoder
 from tests.codec.signals import RATE_HZ, difference, edge_signals, in_turn, played, texture
 from vibrocast import codec
 from vibrocast.codec import CodecError, Decoder, Framing, Setting, Signal, SignalFormat, dct
-from vibrocast.codec.huffman import MAX_CODE, canonical_codes, code_lengths
+from vibrocast.codec.dct import MAX_CODE, canonical_codes, code_lengths
 from vibrocast.codec.threshold import read_threshold, threshold_amplitude
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
 from vibrocast.textures.generate import rough
@@ -221,9 +221,8 @@ def test_left_open_streams_are_huffman_coded_and_rate_controlled_ones_range_code
     signal = texture(4096)
     assert coded(signal, {}) == coded(signal, {"entropy": "huffman"})
     policy, framing = codec.ConstantRate(500), Framing(2048, 2)
-    stream = codec.Source(signal, RATE_HZ, codec="dct", unit="m/s^2", live=True).encode_rate_controlled(
-        {}, policy, framing
-    )
+    source = codec.Source.of(signal, RATE_HZ, codec="dct", unit="m/s^2", live=True)
+    stream = codec.encode_rate_controlled(source, {}, policy, framing)
     assert (codec.snr_db(signal, stream.decode()) or 0.0) > 1.0
 
 

@@ -16,9 +16,9 @@ from tests.codec.eva_reference_decoder import EvaReferenceDecoder
 from tests.codec.signals import RATE_HZ, in_turn, played, texture
 from vibrocast import codec
 from vibrocast.codec import CodecError, Framing, Model, RateControl, eva
+from vibrocast.codec.core import STEP_CODES
 from vibrocast.codec.eva_image import PRIOR_KINDS, EvaImage, PriorKind, with_runtime
 from vibrocast.codec.graphs import LATENTS, SIGNAL, transform
-from vibrocast.codec.mdct import STEP_CODES
 from vibrocast.firmware.native_core import Structure, ffi, library
 
 TINY = tiny_model()
@@ -226,10 +226,10 @@ def test_dc_is_kept_as_far_as_the_model_knows_it_and_silence_is_silent() -> None
 
 def test_an_snr_is_met_in_every_channel_and_a_rate_in_all() -> None:
     signal = np.hstack([texture(2800), 0.1 * texture(2800, seed=4)])
-    stream = codec.encode_to_snr(codec.Source(signal, RATE_HZ, codec="eva", model=TINY), 20.0)
+    stream = codec.encode_to_snr(codec.Source.of(signal, RATE_HZ, codec="eva", model=TINY), 20.0)
     for ratio_db in codec.channel_snrs_db(signal, stream.decode()):
         assert ratio_db == pytest.approx(20.0, abs=codec.SNR_TOLERANCE_DB)
 
     for wanted in (16_000, 20_000):
-        at_rate = codec.encode_to_rate(codec.Source(signal, RATE_HZ, codec="eva", model=TINY), wanted)
+        at_rate = codec.encode_to_rate(codec.Source.of(signal, RATE_HZ, codec="eva", model=TINY), wanted)
         assert at_rate.bits_per_second == pytest.approx(wanted, rel=codec.RATE_TOLERANCE)

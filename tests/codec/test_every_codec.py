@@ -426,9 +426,9 @@ def test_a_search_finds_the_best_rate_point_without_trying_all(
     enough = [snr_db for snr_db in snrs_db if snr_db >= target_db - codec.SNR_TOLERANCE_DB]
     if not enough:
         with pytest.raises(CodecError, match=f"reaches {max(snrs_db):.1f} dB"):
-            codec.encode_to_snr(codec.Source(signal, RATE_HZ, codec=name, model=MODELS.get(name)), target_db)
+            codec.encode_to_snr(codec.Source.of(signal, RATE_HZ, codec=name, model=MODELS.get(name)), target_db)
         return
-    found = codec.encode_to_snr(codec.Source(signal, RATE_HZ, codec=name, model=MODELS.get(name)), target_db)
+    found = codec.encode_to_snr(codec.Source.of(signal, RATE_HZ, codec=name, model=MODELS.get(name)), target_db)
     nearest = min(
         range(len(rate_points)),
         key=lambda rate_point: (snrs_db[rate_point] not in enough, abs(snrs_db[rate_point] - target_db)),

@@ -15,8 +15,7 @@ from onnx.reference import ReferenceEvaluator
 from vibrocast import models
 from vibrocast.codec import CodecError
 from vibrocast.codec.eva_image import EvaImage
-from vibrocast.codec.graphs import LATENTS, SIGNAL, Transform, transform
-from vibrocast.codec.onnx_check import MAX_NODES, OPERATORS, OPSET, End, check_graph
+from vibrocast.codec.graphs import LATENTS, MAX_NODES, OPERATORS, OPSET, SIGNAL, End, Transform, check_graph, transform
 from vibrocast.device_protocol.model_image import ModelImage
 
 ONES = np.ones((1, 1, 16), dtype=np.float32)

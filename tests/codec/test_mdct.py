@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tests.codec.reference_decoder import ReferenceDecoder
 from tests.codec.signals import RATE_HZ, difference, edge_signals, in_turn, played, texture
 from vibrocast import codec
-from vibrocast.codec import CodecError, Framing, RateControl, mdct
+from vibrocast.codec import CodecError, Framing, RateControl, core, mdct
 from vibrocast.export import mdct_tables
 
 TABLES = {"built in": mdct.built_in_tables(), "untrained": mdct_tables.untrained_tables()}
@@ -47,7 +47,7 @@ def documented(
     return np.concatenate([reference.integers(packet) for packet in packets])
 
 
-@pytest.mark.parametrize("hop", mdct.HOPS)
+@pytest.mark.parametrize("hop", core.HOPS)
 @pytest.mark.parametrize(("channels", "noise_filling"), [(1, 0.0), (3, 1 / 32)])
 @pytest.mark.parametrize("tables", TABLES.values(), ids=TABLES)
 def test_core_agrees_with_the_documented_decoder(hop: int, channels: int, noise_filling: float, tables: bytes) -> None:
@@ -67,7 +67,7 @@ def test_core_agrees_with_the_documented_decoder_at_fine_steps(name: str) -> Non
     np.testing.assert_array_equal(documented(configuration, packets, 1), decoded(configuration, packets, 1))
 
 
-@pytest.mark.parametrize("hop", mdct.HOPS)
+@pytest.mark.parametrize("hop", core.HOPS)
 def test_core_agrees_with_the_documented_decoder_beyond_full_scale(hop: int) -> None:
     """Coefficients that only a hostile stream has, which the transform shifts down."""
     encoder = mdct.MdctEncoder([2.0**-3], RATE_HZ, Framing(2 * hop, 0), hop=hop)
@@ -81,7 +81,7 @@ def test_core_agrees_with_the_documented_decoder_beyond_full_scale(hop: int) -> 
 SHAPE = (2.0, 0.0, 0.2, 0.7, 1.6, 2.7, 2.5)
 
 
-@pytest.mark.parametrize("hop", mdct.HOPS)
+@pytest.mark.parametrize("hop", core.HOPS)
 @pytest.mark.parametrize("quantiser_offsets", [None, [0, -30, 12, 336, -336]], ids=["", "rate-controlled"])
 def test_core_agrees_with_the_documented_decoder_on_a_step_shape(hop: int, quantiser_offsets: list[int] | None) -> None:
     rate_control = in_turn(quantiser_offsets) if quantiser_offsets else None
@@ -93,7 +93,7 @@ def test_core_agrees_with_the_documented_decoder_on_a_step_shape(hop: int, quant
 
 @given(
     quantiser_offsets=st.lists(st.integers(-40, 40) | st.integers(-336, 336), min_size=1, max_size=8),
-    hop=st.sampled_from(mdct.HOPS),
+    hop=st.sampled_from(core.HOPS),
     channels=st.integers(1, 2),
     refresh_packets=st.integers(0, 4),
 )
@@ -117,7 +117,7 @@ def test_tables_of_another_size_are_rejected(tables: bytes) -> None:
         mdct.MdctDecoder(mdct.configuration(32, 4, [500]), 1, tables)
 
 
-@given(st.binary(min_size=1, max_size=40), st.sampled_from(mdct.HOPS))
+@given(st.binary(min_size=1, max_size=40), st.sampled_from(core.HOPS))
 @settings(max_examples=30)
 def test_any_tables_decode_what_they_coded(pattern: bytes, hop: int) -> None:
     size = len(TABLES["built in"])
@@ -154,6 +154,6 @@ def test_a_file_takes_the_hop_that_suits_it_and_a_live_stream_the_short_one() ->
 
 @given(st.floats(2.0**-17, 2.0**10))
 def test_step_codes_are_within_one_percent(step: float) -> None:
-    code = mdct.step_code(step)
+    code = core.step_code(step)
     value = (64 + code % 64) * 2.0 ** (code // 64) / (32768 * 256)
     assert value == pytest.approx(min(step, 127 * 2.0**20 / (32768 * 256)), rel=0.01)

@@ -129,4 +129,4 @@ def test_settings_that_do_not_fit_are_rejected() -> None:
 
 def test_an_snr_is_out_of_reach() -> None:
     with pytest.raises(TargetUnreachable, match="keeps no waveform; ask for a rate"):
-        codec.encode_to_snr(codec.Source(texture(2800), RATE_HZ, codec="parametric"), 1.0)
+        codec.encode_to_snr(codec.Source.of(texture(2800), RATE_HZ, codec="parametric"), 1.0)

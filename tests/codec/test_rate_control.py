@@ -186,9 +186,8 @@ def test_every_codec_that_controls_rate_holds_its_rate_whatever_comes(
     samples, rate = hostile(channels), rate_per_channel * channels
     framing = rate_controlled_framing(rate, RATE_HZ, lambda packet: FRAME_BYTES)
     try:
-        coded = codec.Source(samples, RATE_HZ, codec=name, live=True).encode_rate_controlled(
-            {}, ConstantRate(rate, FRAME_BYTES), framing
-        )
+        source = codec.Source.of(samples, RATE_HZ, codec=name, live=True)
+        coded = codec.encode_rate_controlled(source, {}, ConstantRate(rate, FRAME_BYTES), framing)
     except TargetUnreachable as rejected:
         assert f"{rate} bit/s cannot be held" in str(rejected)
         assert "longer packets" in str(rejected)
@@ -214,10 +213,9 @@ def packet_snrs_db(samples: Signal, coded: codec.Stream) -> NDArray[np.float64]:
 @pytest.mark.parametrize("name", ["mdct", "slp"])
 def test_every_packet_has_the_quality_where_the_rate_suffices_and_no_more_bytes_elsewhere(name: str) -> None:
     samples, framing = texture(3), Framing(160, 20)
+    source = codec.Source.of(samples, RATE_HZ, codec=name, live=True)
     roomy, tight = (
-        codec.Source(samples, RATE_HZ, codec=name, live=True).encode_rate_controlled(
-            {}, CappedRate(15, SnrMeter(RATE_HZ), rate_bps), framing
-        )
+        codec.encode_rate_controlled(source, {}, CappedRate(15, SnrMeter(RATE_HZ), rate_bps), framing)
         for rate_bps in (100_000, 1500)
     )
     ratios = packet_snrs_db(samples, roomy)[2:]
@@ -234,29 +232,10 @@ def test_a_larger_rate_buffer_makes_the_quality_more_even() -> None:
     spreads = []
     for rate_buffer_s in (0.018, 2.0):
         policy = ConstantRate(4000, 0, rate_buffer_s, SnrMeter(RATE_HZ))
-        ratios = packet_snrs_db(
-            samples, codec.Source(samples, RATE_HZ, live=True).encode_rate_controlled({}, policy, framing)
-        )
+        source = codec.Source.of(samples, RATE_HZ, live=True)
+        ratios = packet_snrs_db(samples, codec.encode_rate_controlled(source, {}, policy, framing))
         spreads.append(np.std(ratios[3:]))
     assert spreads[1] < spreads[0] - 1
-
-
-def test_equal_error_gives_bits_to_the_louder_channel() -> None:
-    loud, faint = texture(2), 0.03 * texture(2, 1)
-    samples = np.concatenate([loud, faint], axis=1)
-    rms = np.sqrt(np.mean(np.square(samples), axis=0))
-    setting = codec.equal_error(codec.codec_by_name("mdct"), SignalFormat(RATE_HZ, "um", (1.0, 1.0), tuple(rms)))
-    framing = Framing(350, 8)
-    equal_snr, equal_error = (
-        codec.Source(samples, RATE_HZ, live=True).encode_rate_controlled(given, ConstantRate(4000), framing).decode()
-        - samples
-        for given in ({}, setting)
-    )
-    assert np.sum(np.square(equal_error)) < np.sum(np.square(equal_snr))
-    errors = np.mean(np.square(equal_error), axis=0)
-    assert errors[1] == pytest.approx(np.mean(np.square(faint)), rel=0.3)  # below the error: no bits
-    with pytest.raises(CodecError, match="do not differ by channel; choose another codec"):
-        codec.equal_error(codec.codec_by_name("slp"), SignalFormat(RATE_HZ, "um", (1.0,), (0.1,)))
 
 
 def test_a_rate_whose_packets_last_over_two_seconds_is_rejected() -> None:
@@ -274,9 +253,8 @@ def test_packets_that_no_frame_carries_are_not_chosen(name: str) -> None:
         return FRAME_BYTES
 
     for policy in (ConstantRate(800, frame_bytes), CappedRate(90, SnrMeter(RATE_HZ), 100_000, frame_bytes)):
-        coded = codec.Source(texture(4), RATE_HZ, codec=name, live=True).encode_rate_controlled(
-            {}, policy, Framing(RATE_HZ, 2)
-        )
+        source = codec.Source.of(texture(4), RATE_HZ, codec=name, live=True)
+        coded = codec.encode_rate_controlled(source, {}, policy, Framing(RATE_HZ, 2))
         assert max(map(len, coded.packets)) <= 300
 
 

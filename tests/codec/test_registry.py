@@ -23,7 +23,7 @@ JUMPING = {
 @pytest.mark.parametrize("name", edge_signals())
 def test_edge_inputs_are_decoded_to_the_target_quality(name: str, live: bool) -> None:
     signal = edge_signals()[name]
-    coded = codec.encode_to_snr(codec.Source(signal, RATE_HZ, live=live), 15.0)
+    coded = codec.encode_to_snr(codec.Source.of(signal, RATE_HZ, live=live), 15.0)
     reached = codec.snr_db(signal, coded.decode())
     assert coded.decode().shape == signal.shape
     assert reached is None or reached >= 14.8
@@ -35,7 +35,7 @@ def test_edge_inputs_are_decoded_to_the_target_quality(name: str, live: bool) ->
 @pytest.mark.parametrize("channels", [1, 4])
 def test_snr_is_met(target_db: float, channels: int) -> None:
     signal = texture(4000, channels)
-    coded = codec.encode_to_snr(codec.Source(signal, RATE_HZ), target_db)
+    coded = codec.encode_to_snr(codec.Source.of(signal, RATE_HZ), target_db)
     ratios = [ratio for ratio in codec.channel_snrs_db(signal, coded.decode()) if ratio is not None]
     assert len(ratios) == channels
     assert min(ratios) > target_db - 0.2
@@ -48,7 +48,7 @@ def test_snr_is_met_in_every_channel_however_unlike(target_db: float) -> None:
     """Noise, impulses, a tone and silence: each actuator gets the quality, or what lies next above it."""
     names = ("impulses", "sweep", "four-bit", "silence", "dc")
     signal = np.hstack([texture(2800), *(edge_signals()[name] for name in names)])
-    ratios = codec.channel_snrs_db(signal, codec.encode_to_snr(codec.Source(signal, RATE_HZ), target_db).decode())
+    ratios = codec.channel_snrs_db(signal, codec.encode_to_snr(codec.Source.of(signal, RATE_HZ), target_db).decode())
     heard = [ratio for ratio in ratios if ratio is not None]
     assert len(heard) == 5
     assert min(heard) > target_db - 0.2
@@ -59,20 +59,20 @@ def test_snr_is_met_in_every_channel_however_unlike(target_db: float) -> None:
 @pytest.mark.parametrize("live", [False, True])
 def test_rate_is_met_and_never_exceeded(bits_per_second: float, live: bool) -> None:
     signal = texture(14000)
-    coded = codec.encode_to_rate(codec.Source(signal, RATE_HZ, live=live), bits_per_second)
+    coded = codec.encode_to_rate(codec.Source.of(signal, RATE_HZ, live=live), bits_per_second)
     assert 0.98 * bits_per_second <= coded.bits_per_second <= bits_per_second
 
 
 @pytest.mark.parametrize("target_db", [200.0, math.inf, math.nan])
 def test_snr_out_of_reach_is_rejected(target_db: float) -> None:
     with pytest.raises(CodecError, match="cannot be met"):
-        codec.encode_to_snr(codec.Source(texture(500), RATE_HZ), target_db)
+        codec.encode_to_snr(codec.Source.of(texture(500), RATE_HZ), target_db)
 
 
 @pytest.mark.parametrize("bits_per_second", [1.0, 0.0, -5.0, math.nan, math.inf])
 def test_rate_out_of_reach_is_rejected(bits_per_second: float) -> None:
     with pytest.raises(CodecError, match="cannot be met"):
-        codec.encode_to_rate(codec.Source(texture(500), RATE_HZ), bits_per_second)
+        codec.encode_to_rate(codec.Source.of(texture(500), RATE_HZ), bits_per_second)
 
 
 @given(st.floats(-110, 120), st.floats(-110, 120))
@@ -80,7 +80,7 @@ def test_rate_out_of_reach_is_rejected(bits_per_second: float) -> None:
 def test_gain_is_carried(first_exponent: float, second_exponent: float) -> None:
     gains = np.array([2.0**first_exponent, 2.0**second_exponent])
     signal = texture(1000, 2)
-    coded = codec.encode_to_snr(codec.Source(signal * gains, RATE_HZ), 20.0)
+    coded = codec.encode_to_snr(codec.Source.of(signal * gains, RATE_HZ), 20.0)
     assert codec.channel_snrs_db(signal * gains, coded.decode()) == pytest.approx([20.0, 20.0], abs=0.2)
 
 
@@ -118,7 +118,7 @@ def long_signal() -> NDArray[np.float64]:
 def test_a_long_signal_that_clips_is_coded_to_the_target() -> None:
     """Clipping lowers the error below that of the coefficients, so the search must decode."""
     signal = np.sign(np.sin(np.arange(1 << 18) * 0.0123))[:, None]
-    ratio = codec.snr_db(signal, codec.encode_to_snr(codec.Source(signal, RATE_HZ), 15.0).decode())
+    ratio = codec.snr_db(signal, codec.encode_to_snr(codec.Source.of(signal, RATE_HZ), 15.0).decode())
     assert ratio == pytest.approx(15.0, abs=0.2)
 
 
@@ -134,13 +134,13 @@ def test_a_long_signal_is_coded_few_times(name: str, target_db: float, monkeypat
         return encode(source, setting)
 
     monkeypatch.setattr(codec.Source, "encode", counted)
-    coded = codec.encode_to_snr(codec.Source(signal, 8000, name), target_db)
+    coded = codec.encode_to_snr(codec.Source.of(signal, 8000, name), target_db)
     reached = codec.snr_db(signal, coded.decode())
     assert reached is not None
     assert -0.2 <= reached - target_db <= (3.0 if name == "dct" else 0.2)  # the levels of dct are far apart
     assert lengths.count(len(signal)) <= 2
     lengths.clear()
     rate_bps = coded.bits_per_second
-    again = codec.encode_to_rate(codec.Source(signal, 8000, name), rate_bps)
+    again = codec.encode_to_rate(codec.Source.of(signal, 8000, name), rate_bps)
     assert 0.9 * coded.size_bytes < again.size_bytes <= coded.size_bytes
     assert lengths.count(len(signal)) <= 4

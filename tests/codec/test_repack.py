@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tests.codec.signals import RATE_HZ, in_turn, played, texture
 from tests.codec.test_mdct import TABLES, coded
 from vibrocast import codec
-from vibrocast.codec import CodecError, Framing, mdct
+from vibrocast.codec import CodecError, Framing, core, mdct
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.coded_stream import StreamError, packet_sequence
@@ -28,7 +28,7 @@ def refresh_samples(stream: tuple[bytes, list[bytes]], channels: int, tables: by
 
 
 @given(
-    hop=st.sampled_from(mdct.HOPS),
+    hop=st.sampled_from(core.HOPS),
     channels=st.integers(1, 3),
     blocks=st.integers(1, 9),
     refresh_packets=st.sampled_from([0, 1, 3]),

@@ -11,7 +11,7 @@ import vibrocast
 from tests.codec.reference_decoder import ReferenceDecoder
 from tests.codec.signals import RATE_HZ, difference, played, texture
 from vibrocast import codec, textures
-from vibrocast.codec import Choice, CodecError, Framing, mdct
+from vibrocast.codec import Choice, CodecError, Framing, core, mdct
 from vibrocast.codec.rotation import BANDS, COMMON, OWN, Rotation, angles_of, matrix
 from vibrocast.codec.stream import Stream
 
@@ -99,7 +99,7 @@ def test_angles_come_near_any_orthogonal_matrix(channels: int, seed: int) -> Non
 
 
 @given(
-    rotations(), st.sampled_from(mdct.HOPS), st.booleans(), st.sampled_from([None, (0, 1.5, 1.2, 1.2, 2.9, 5.2, 5.2)])
+    rotations(), st.sampled_from(core.HOPS), st.booleans(), st.sampled_from([None, (0, 1.5, 1.2, 1.2, 2.9, 5.2, 5.2)])
 )
 @settings(max_examples=25, deadline=None)
 def test_core_agrees_with_the_documented_decoder(
@@ -122,7 +122,7 @@ def test_core_agrees_with_the_documented_decoder(
     assert difference(reference, packets, decoded(encoder.configuration, packets, channels)) < 0.6
 
 
-@given(rotations(), st.sampled_from(mdct.HOPS))
+@given(rotations(), st.sampled_from(core.HOPS))
 @settings(max_examples=25, deadline=None)
 def test_any_rotation_keeps_the_signal(rotation: Rotation, hop: int) -> None:
     """The decoder turns back what the encoder turned, delays included; each channel's error is that of its own step."""
@@ -148,7 +148,7 @@ def test_shorter_packets_hold_the_same_signal() -> None:
 def test_a_wave_takes_much_less_than_its_channels(channels: int, delay: int) -> None:
     """About the bits of one channel, at the same quality in each."""
     signal = moving_together(8000, channels, delay, noise=0.01)
-    source = codec.Source(signal, RATE_HZ)
+    source = codec.Source.of(signal, RATE_HZ)
     stream = codec.encode_to_snr(source, 12.0)
     plain = codec.encode_to_snr(source, 12.0, {"rotation": "none"})
     assert stream.size_bytes < (1 / channels + 0.12) * plain.size_bytes
@@ -208,7 +208,7 @@ def test_the_simulated_controller_plays_a_rotated_stream() -> None:
 
 def test_a_silent_channel_between_others_stays_silent() -> None:
     signal = np.insert(moving_together(3000, 2), 1, 0.0, axis=1)
-    source = codec.Source(signal, RATE_HZ)
+    source = codec.Source.of(signal, RATE_HZ)
     assert source.resolved({})["rotation"] != "none"
     assert not np.any(source.encode({"step": 0.5}).decode()[:, 1])
 

@@ -11,7 +11,7 @@ import pytest
 
 from tests.codec.eva_models import random_image, with_extreme_weights
 from tests.codec.signals import RATE_HZ, texture
-from vibrocast.codec import Choice, Framing, Setting, encode, eva, mdct, slp
+from vibrocast.codec import Choice, Framing, Setting, core, encode, eva, mdct, slp
 from vibrocast.codec.eva_image import PRIOR_KINDS, PriorKind
 from vibrocast.codec.rotation import COMMON, OWN, Rotation
 from vibrocast.export import mdct_tables
@@ -108,11 +108,11 @@ def test_streams_with_losses_damage_and_noise(program: Path) -> None:
 
 def test_extreme_steps_and_levels(program: Path) -> None:
     section = Rotation((0, 63), (COMMON, OWN, COMMON, COMMON), (48,), ((16,),)).pack()
-    greatest = mdct.STEP_CODES - 1
+    greatest = core.STEP_CODES - 1
     for codes, rate_controlled, rotation, shape in itertools.product(
         ([0, 0], [greatest, greatest], [0, greatest]), (False, True), (b"", section), (b"", b"\xff" * 2)
     ):
-        for hop in mdct.HOPS:
+        for hop in core.HOPS:
             configuration = mdct.configuration(hop, 2, codes, 31, rate_controlled, shape, rotation)
             records = record(0, b"") + record(2, configuration)
             records += b"".join(record(0, b"\x01" + bytes([byte]) * 150) for byte in range(256))
@@ -200,7 +200,7 @@ def test_eva_streams_with_losses_and_noise(program: Path, width: int, latents: i
     image = random_image(1, width, latents, prior)
     for model, channels in ((image, 1), (with_extreme_weights(image, 2), 16)):
         rate_controlled = channels > 1
-        configuration = eva.configuration(5, [mdct.STEP_CODES - 1] * channels, rate_controlled)
+        configuration = eva.configuration(5, [core.STEP_CODES - 1] * channels, rate_controlled)
         records = record(0, model.pack()) + record(channels, configuration)
         records += losses_and_noise(generator, 30)
         assert run(program, records, "eva")

@@ -5,10 +5,9 @@ import pytest
 
 import vibrocast
 from vibrocast import codec
-from vibrocast.codec import CodecError, shaping
-from vibrocast.codec.encoding import encode_recording
-from vibrocast.codec.rate_controlled import RateTarget
-from vibrocast.codec.rate_controlled import encode as encode_rate_controlled
+from vibrocast.codec import CodecError, threshold
+from vibrocast.codec.encoding import encode_live, encode_recording
+from vibrocast.codec.rate_control import RateTarget
 from vibrocast.codec.threshold import read_threshold, skin_power, skin_snr_db
 from vibrocast.textures import GENERATORS, Recording
 
@@ -18,7 +17,7 @@ def rough(unit: str = "m/s^2") -> Recording:
 
 
 def test_steps_follow_the_threshold_in_the_unit_of_the_stream_up_to_10_db() -> None:
-    acceleration, displacement = (np.array(shaping.touch_shape(1, 2800, unit)) for unit in ("m/s^2", "um"))
+    acceleration, displacement = (np.array(threshold.touch_shape(1, 2800, unit)) for unit in ("m/s^2", "um"))
     db = 20 * np.log10(2)
     # Nodes 3 to 6 are 175, 350, 700 and 1400 Hz; from node to node, displacement of one acceleration falls by 12 dB.
     assert db * (acceleration[3:] - acceleration[3]) == pytest.approx([0, 8.8, 10, 10], abs=0.1)
@@ -29,11 +28,11 @@ def test_steps_follow_the_threshold_in_the_unit_of_the_stream_up_to_10_db() -> N
 
 def test_a_shape_is_text_with_seven_octaves() -> None:
     octaves = (0.0, 1.5, 2.7, 0.25, 2.7, 2.0, 1.0)
-    assert shaping.parsed_shape(shaping.shape_text(octaves)) == octaves
-    assert shaping.parsed_shape("flat") is None
+    assert threshold.parsed_shape(threshold.shape_text(octaves)) == octaves
+    assert threshold.parsed_shape("flat") is None
     for text in ("0/1", "0/0/0/0/0/0/2.8", "0/0/0/0/0/0/-1", "0/0/0/0/0/0/nan", "a/b/c/d/e/f/g", ""):
         with pytest.raises(CodecError, match="shape"):
-            shaping.parsed_shape(text)
+            threshold.parsed_shape(text)
 
 
 def test_more_touch_gives_more_of_what_is_felt_at_equal_rate() -> None:
@@ -63,12 +62,12 @@ def shape_of(unit: str, codec_name: str = "mdct", setting: codec.Setting | None 
 
 
 def test_the_default_shapes_where_the_unit_is_physical_and_the_codec_can() -> None:
-    default = shaping.shape_text(shaping.touch_shape(shaping.DEFAULT_TOUCH, 2800, "m/s^2"))
+    default = threshold.shape_text(threshold.touch_shape(threshold.DEFAULT_TOUCH, 2800, "m/s^2"))
     assert shape_of("m/s^2") == {"shape": default}
     assert shape_of("full scale") == shape_of("m/s^2", "slp") == shape_of("m/s^2", setting={"shape": "flat"}) == {}
     mdct_codec = codec.codec_by_name("mdct")
     assert codec.shape_setting(mdct_codec, 0, 2800, "m/s^2") == {}
-    source = codec.Source(rough().samples, 2800, unit="m/s^2", shape={"shape": default})
+    source = codec.Source.of(rough().samples, 2800, unit="m/s^2", shape={"shape": default})
     assert source.resolved({"shape": "flat"})["shape"] == "flat"
     assert source.resolved({})["shape"] == default
 
@@ -91,7 +90,7 @@ def test_a_strength_that_cannot_be_met_is_an_error(
 
 
 def test_a_rate_controlled_stream_keeps_its_shape() -> None:
-    stream, outcome = encode_rate_controlled(rough(), RateTarget(constant_rate_bps=6000), touch=1)
+    stream, outcome = encode_live(rough(), RateTarget(constant_rate_bps=6000), touch=1)
     assert outcome.sent_bps == pytest.approx(6000, rel=0.05)
     assert stream.header.configuration[0] & 4  # a shape
     assert stream.header.configuration[-1] == 1  # features: rate control

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from tests.codec.signals import texture
-from vibrocast.codec import Signal, linear_prediction
+from vibrocast.codec import Signal, slp
 from vibrocast.errors import InputError
 from vibrocast.evaluation.stability import filters
 
@@ -15,8 +15,8 @@ def frames_of_texture(order: int) -> Signal:
     narrow = lfilter(
         [1.0], np.poly([0.97 * np.exp(1j * x) for x in (0.3, -0.3, 0.45, -0.45)]).real, texture(8000)[:, 0]
     )
-    fitted = linear_prediction.sparse_predictors(narrow / np.max(np.abs(narrow)), 512, 256, order)
-    return filters.predictors_of(linear_prediction.stabilised(fitted))
+    fitted = slp.sparse_predictors(narrow / np.max(np.abs(narrow)), 512, 256, order)
+    return filters.predictors_of(slp.stabilised(fitted))
 
 
 @pytest.mark.parametrize("order", [4, 8, 13, 16])

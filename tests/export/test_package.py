@@ -1,5 +1,7 @@
 """The package of a checkpoint: its files, the parts of an image, families."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -27,9 +29,10 @@ def test_an_image_holds_the_requested_parts(contents: Contents) -> None:
 @pytest.mark.parametrize(("contents", "missing"), [("core", "onnx"), ("onnx", "core")])
 def test_a_runtime_that_an_image_does_not_have_is_rejected(contents: Contents, missing: str) -> None:
     with pytest.raises(CodecError, match=f"runtime {contents}"):
-        encode_recording(
-            textures.GENERATORS["rough"](5, 0.3), setting={"level": 1.0}, model=tiny.model(contents), runtime=missing
+        encoding = encode_recording(
+            textures.GENERATORS["rough"](5, 0.3), setting={"level": 1.0}, model=tiny.model(contents)
         )
+        replace(encoding.stream, runtime=missing).decode()
 
 
 @pytest.mark.parametrize("prior", PRIOR_KINDS)

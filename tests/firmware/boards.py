@@ -40,9 +40,8 @@ def coded(codec_name: str, seconds: float = 0.3, channels: int = 2) -> Stream:
     recording = replace(recording, samples=np.tile(recording.samples, (1, channels)))
     model = models.find(MODELS[codec_name]) if codec_name in MODELS else None
     snr_db = 12 if codec.codec_by_name(codec_name).keeps_waveform else None
-    return encode_recording(
-        recording, codec_name=codec_name, snr_db=snr_db, model=model, live=True, runtime="core"
-    ).stream
+    coded = encode_recording(recording, codec_name=codec_name, snr_db=snr_db, model=model, live=True)
+    return replace(coded.stream, runtime="core")
 
 
 def rate_controlled(codec_name: str) -> Stream:

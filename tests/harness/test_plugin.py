@@ -230,7 +230,7 @@ def test_the_fixtures_stream_measure_flash_and_stroke(pytester: pytest.Pytester)
 import pytest
 from vibrocast import models, textures
 from vibrocast.device_protocol.messages import SlotState
-from vibrocast.codec.profiles import recording_of
+from vibrocast.codec.encoding import profile_recording
 
 def test_live(vibrocast_live, vibrocast_texture):
     report = vibrocast_live(vibrocast_texture, seconds=1.0).report
@@ -246,7 +246,7 @@ def test_images(vibrocast_flash, vibrocast_device):
 
 def test_strokes(vibrocast_stroke, tmp_path):
     textures.save_profile(tmp_path / "grating.csv", textures.surface_profile("grating", seconds=0.5))
-    assert vibrocast_stroke(recording_of(tmp_path / "grating.csv"), stroke_mm=5.0).report.differs is False
+    assert vibrocast_stroke(profile_recording(tmp_path / "grating.csv"), stroke_mm=5.0).report.differs is False
 
 def test_all(vibrocast_devices):
     assert set(vibrocast_devices) == {"left", "right"}

@@ -14,7 +14,7 @@ from tests.codec.test_dct_equations import B0_DB, PAPER_RULES, heights_um
 from tests.command import fails, run, succeeds
 from tests.conftest import linked, noise, texture
 from vibrocast import codec, textures
-from vibrocast.codec import profiles
+from vibrocast.codec.encoding import encode_profile, profile_recording
 from vibrocast.codec.stream import Stream, read_stream
 from vibrocast.codec.threshold import read_threshold, threshold_amplitude
 from vibrocast.device_protocol.coded_stream import StreamError
@@ -32,17 +32,17 @@ PROFILE = Path(__file__).parents[2] / "examples" / "leather_profile.csv"
 
 @pytest.fixture
 def stream() -> Stream:
-    return profiles.encode(profiles.recording_of(PROFILE), snr_db=20.0).stream
+    return encode_profile(profile_recording(PROFILE), snr_db=20.0).stream
 
 
 def test_profile_coded_keeps_the_band_that_the_slowest_hand_feels() -> None:
     for slowest_mm_s in (10.0, 40.0):
-        encoding = profiles.encode(profiles.recording_of(PROFILE), slowest_mm_s, snr_db=25.0)
+        encoding = encode_profile(profile_recording(PROFILE), slowest_mm_s, snr_db=25.0)
         header = encoding.stream.header
         assert header.spatial and 1 <= header.rate_hz / (400 / slowest_mm_s * 1000 / 0.34) < 1.1
         # A controller repeats a multiple of a power of two: here of the profile's length.
         assert header.samples is not None and header.samples % 128 == 0
-        assert header.samples / header.rate_hz == pytest.approx(profiles.recording_of(PROFILE).seconds, rel=1e-4)
+        assert header.samples / header.rate_hz == pytest.approx(profile_recording(PROFILE).seconds, rel=1e-4)
         assert encoding.quality.snr_db == pytest.approx(25.0, abs=0.5)
         # Nothing is left that would be rendered with images.
         samples = encoding.recording.samples[:, 0]
@@ -53,8 +53,8 @@ def test_profile_coded_keeps_the_band_that_the_slowest_hand_feels() -> None:
 @pytest.mark.parametrize("setting", [{}, {"smallest": 0.05, "levels": 14}])
 def test_dct_keeps_the_whole_band_of_a_profile(setting: codec.Setting) -> None:
     """Its limit at 400 Hz holds at one hand speed, so blocks have none by default."""
-    recording = profiles.recording_of(PROFILE)
-    snr_db = profiles.encode(recording, codec_name="dct", setting=setting).quality.snr_db
+    recording = profile_recording(PROFILE)
+    snr_db = encode_profile(recording, codec_name="dct", setting=setting).quality.snr_db
     assert snr_db is not None and snr_db > 13
 
 
@@ -62,10 +62,10 @@ def test_dct_keeps_the_whole_band_of_a_profile(setting: codec.Setting) -> None:
 def test_the_limit_and_the_cut_hold_at_a_hand_speed(hand_speed_mm_s: float, highest_per_mm: float) -> None:
     """400 Hz are 8 waves per mm at 50 mm/s."""
     fixed: codec.Setting = {"block": "whole", "levels": 65535, "hand_speed_mm_s": hand_speed_mm_s}
-    recording = profiles.recording_of(PROFILE)
+    recording = profile_recording(PROFILE)
 
     def spectrum(setting: codec.Setting) -> NDArray[np.float64]:
-        heights_um = profiles.encode(recording, codec_name="dct", setting={**fixed, **setting}).stream.decode()
+        heights_um = encode_profile(recording, codec_name="dct", setting={**fixed, **setting}).stream.decode()
         return np.abs(dct(heights_um[:, 0], norm="ortho"))
 
     whole, cut = spectrum({}), spectrum({"threshold": "on", "b0_db": 0})
@@ -79,24 +79,24 @@ def test_the_limit_and_the_cut_hold_at_a_hand_speed(hand_speed_mm_s: float, high
 
 @pytest.mark.parametrize("block", ["512", "whole"])
 def test_a_cut_that_cannot_reach_the_default_snr_is_coded_as_it_is(block: str) -> None:
-    recording, setting = profiles.recording_of(PROFILE), {"block": block, "threshold": "on"}
-    encoding = profiles.encode(recording, codec_name="dct", setting=setting)
+    recording, setting = profile_recording(PROFILE), {"block": block, "threshold": "on"}
+    encoding = encode_profile(recording, codec_name="dct", setting=setting)
     assert 2 < (encoding.quality.snr_db or 0) < 8
     assert "the rest of the setting has its defaults" in (encoding.quality.note or "")
     with pytest.raises(codec.CodecError, match="cannot be met"):
-        profiles.encode(recording, codec_name="dct", setting=setting, snr_db=14.8)
+        encode_profile(recording, codec_name="dct", setting=setting, snr_db=14.8)
 
 
 def test_a_profile_too_short_to_repeat_is_rejected() -> None:
     fine = textures.Recording(np.random.default_rng(1).standard_normal((100, 1)), 2e5, "um", "fine")
     with pytest.raises(StreamError, match=r"0\.5 mm are too short .* at least 0\.64 mm"):
-        profiles.encode(fine)
+        encode_profile(fine)
 
 
 def test_a_crossfade_makes_the_ends_meet() -> None:
     ramp = textures.Recording(np.linspace(-9, 9, 1600)[:, None], 1e5, "um", "ramp")
     for crossfade, samples, jump_um in ((False, 1920, 18.0), (True, 1792, 0.0)):
-        stream = profiles.encode(ramp, 10.0, crossfade=crossfade, setting={"step": 0.001}).stream
+        stream = encode_profile(ramp, 10.0, crossfade=crossfade, setting={"step": 0.001}).stream
         heights_um = stream.decode()[:, 0]
         assert len(heights_um) == samples
         assert abs(heights_um[0] - heights_um[-1]) == pytest.approx(jump_um, abs=0.3)
@@ -105,7 +105,7 @@ def test_a_crossfade_makes_the_ends_meet() -> None:
 def test_too_slow_a_hand_is_rejected_with_the_slowest_that_can_be() -> None:
     fine = textures.Recording(np.random.default_rng(1).standard_normal((4000, 1)), 1e6, "um", "fine")
     with pytest.raises(Exception, match=r"slowest hand speed of 5\.88 mm/s"):
-        profiles.encode(fine, 1.0)
+        encode_profile(fine, 1.0)
 
 
 def test_command_says_what_a_spatial_stream_is(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from tests.host.scripted_controller import RATE_HZ, ScriptedController
 from tests.host.test_player import PACKETS, SECONDS, Coded
 from vibrocast import codec, textures
-from vibrocast.codec import profiles
+from vibrocast.codec.encoding import encode_profile
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import (
     CaptureData,
@@ -188,7 +188,7 @@ def test_a_hello_of_endless_slots_is_read_at_once() -> None:
 
 @pytest.fixture(scope="module")
 def profile() -> Stream:
-    coded = profiles.encode(textures.Profile(np.sin(np.arange(400) / 9), 50.0, "waves").recording(10.0), 10.0)
+    coded = encode_profile(textures.Profile(np.sin(np.arange(400) / 9), 50.0, "waves").recording(10.0), 10.0)
     return coded.stream
 
 

@@ -7,8 +7,7 @@ import pytest
 
 from tests.conftest import RATE_HZ, linked, noise
 from vibrocast import codec
-from vibrocast.codec import rate_controlled
-from vibrocast.codec.rate_controlled import added_bytes
+from vibrocast.codec.rate_control import RateTarget, added_bytes
 from vibrocast.codec.source import live_format
 from vibrocast.host import live
 from vibrocast.host.live import LiveCoding, LiveResult, LiveStream
@@ -96,7 +95,7 @@ def test_a_link_that_falls_to_half_makes_no_packet_late_and_quality_comes_back(r
 
 
 def test_a_quality_falls_to_what_the_link_carries() -> None:
-    target = rate_controlled.RateTarget(capped_rate_bps=16_000, snr_db=30)  # of noise: 14 kbit/s
+    target = RateTarget(capped_rate_bps=16_000, snr_db=30)  # of noise: 14 kbit/s
     signal_format = live_format(RATE_HZ, "um", [10.0])
     policy = target.policy(signal_format)
     assert isinstance(policy, codec.RatePolicy)

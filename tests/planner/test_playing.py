@@ -11,7 +11,7 @@ from msgspec import structs
 
 from tests.planner.scenes import CONTROLLER, scene
 from vibrocast import textures
-from vibrocast.codec.rate_controlled import added_bytes
+from vibrocast.codec.rate_control import added_bytes
 from vibrocast.errors import InputError
 from vibrocast.host.live import LiveCoding
 from vibrocast.host.live_playback import play_live

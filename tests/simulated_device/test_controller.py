@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.simulated_device.bench import RATE_HZ, Bench, Stream, stream
-from vibrocast.codec import Framing, SignalFormat, dct, mdct
+from vibrocast.codec import Framing, SignalFormat, core, dct, mdct
 from vibrocast.device_protocol.coded_stream import UNITS, StreamHeader
 from vibrocast.device_protocol.frames import write_frame
 from vibrocast.device_protocol.messages import (
@@ -284,7 +284,7 @@ def any_streams() -> st.SearchStrategy[bytes]:
         packed,
         st.none() | st.integers(0, 40) | st.integers(0, 5000),
         st.integers(1, 6) | st.integers(1, 512),
-        st.sampled_from(mdct.HOPS),
+        st.sampled_from(core.HOPS),
         st.integers(0, 5),
         st.sampled_from([0, 1, 2, 65_535]),
         st.sampled_from([100, 2800, 48_000]),

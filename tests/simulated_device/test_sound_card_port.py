@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from vibrocast import textures
-from vibrocast.codec import profiles
-from vibrocast.codec.encoding import encode_recording
+from vibrocast.codec.encoding import SLOWEST_MM_S, encode_profile, encode_recording
 from vibrocast.codec.stream import Stream
 from vibrocast.host import hand_playback, playback
 from vibrocast.host.controller import Controller as HostController
@@ -158,7 +157,7 @@ def test_a_profile_under_a_hand_is_as_computed() -> None:
     controller, _ = opened(card)
     heights_um = 30 * np.sin(np.arange(4000) / 20)
     recording = textures.Recording(heights_um[:, None], 200_000.0, "um", "profile")
-    coded = profiles.encode(recording, profiles.SLOWEST_MM_S).stream
+    coded = encode_profile(recording, SLOWEST_MM_S).stream
     played = hand_playback.play(controller, coded, hand_playback.back_and_forth(5.0, 40.0, 1))
     session = Session(controller, "card", actuator, actuator)
     _, expected = hand_playback.computed(session, coded, played)
