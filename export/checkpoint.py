@@ -1,26 +1,56 @@
 """Checkpoints: a trained model with its prior, its training, and the state from which a training resumes."""
 
 import io
-import math
 import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
+import msgspec
 import torch
 from torch import nn
 
-from vibrocast.errors import located
+from vibrocast.errors import InputError, located
 from vibrocast.export.eva import Eva, EvaShape
 from vibrocast.export.priors import FactorisedPrior
 from vibrocast.files import atomic_write
 from vibrocast.models import ModelError
+from vibrocast.toml_tables import Table, convert, within
 
 FORMAT, VERSION = "vibrocast-eva", 2
 MAX_BYTES = 256 * 2**20
-MAX_SHAPE = EvaShape(width=128, latents=128)
-_REACHED = ("step", "seconds")
-_MEASURED = ("step", "seconds", "training_loss", "loss")
+
+_Finite = Annotated[float, within(-1e300, 1e300)]
+
+
+class _Reached(Table, frozen=True):
+    """How far a training has come."""
+
+    step: int
+    seconds: _Finite
+
+
+class _Measured(_Reached, frozen=True):
+    """The curves at a validation."""
+
+    training_loss: _Finite
+    loss: _Finite
+    bits_per_sample: _Finite
+    snr_db: _Finite
+
+
+class _Content(Table, frozen=True):
+    """The content of the file."""
+
+    format: str
+    version: Literal[2]
+    shape: EvaShape
+    model: dict[str, Any]
+    prior: dict[str, Any]
+    training: dict[str, Any]
+    progress: _Reached
+    curves: tuple[_Measured, ...]
+    optimiser: dict[str, Any] | None
 
 
 @dataclass
@@ -34,7 +64,7 @@ class Checkpoint:
     model: Eva
     prior: FactorisedPrior
     training: dict[str, Any]
-    progress: dict[str, Any] = field(default_factory=dict)
+    progress: dict[str, Any] = field(default_factory=lambda: {"step": 0, "seconds": 0.0})
     curves: list[dict[str, Any]] = field(default_factory=list)
     optimiser: dict[str, Any] | None = None
 
@@ -43,7 +73,7 @@ class Checkpoint:
         content = {
             "format": FORMAT,
             "version": VERSION,
-            "shape": self.model.shape.as_dict(),
+            "shape": msgspec.structs.asdict(self.model.shape),
             "model": self.model.state_dict(),
             "prior": self.prior.state_dict(),
             "training": self.training,
@@ -85,62 +115,21 @@ def load(path: Path) -> Checkpoint:
 def _parsed(content: Any) -> Checkpoint:
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise ModelError("not a checkpoint of a model; give one that `vibrocast train` wrote")
-    if content.get("version") != VERSION:
-        raise ModelError(
-            f"a checkpoint of version {content.get('version')!r}, and this program reads {VERSION}; train the "
-            "model again, or use the program that wrote it"
-        )
-    model = Eva(_shape(content.get("shape")))
-    prior = FactorisedPrior(model.shape.latents)
-    _fill(model, content.get("model"), "model")
-    _fill(prior, content.get("prior"), "prior")
-    curves, optimiser = content.get("curves"), content.get("optimiser")
-    if not isinstance(curves, list) or not all(_has_numbers(record, *_MEASURED) for record in curves):
-        raise ModelError("its curves are no list of records; train the model again")
-    if optimiser is not None and not isinstance(optimiser, dict):
-        raise ModelError("its state of the optimiser is damaged; train the model again")
-    training, progress = _table(content, "training"), _table(content, "progress")
-    if not _has_numbers(progress, *_REACHED):
-        raise ModelError("it does not state the step of its training; train the model again")
-    return Checkpoint(model.eval(), prior.eval(), training, progress, curves, optimiser)
+    try:
+        stored = convert(content, _Content)
+    except InputError as error:
+        raise ModelError(f"{error}; train the model again") from error
+    model, prior = Eva(stored.shape), FactorisedPrior(stored.shape.latents)
+    _fill(model, stored.model, "model")
+    _fill(prior, stored.prior, "prior")
+    curves, progress = content["curves"], content["progress"]
+    return Checkpoint(model.eval(), prior.eval(), stored.training, progress, curves, stored.optimiser)
 
 
-def _shape(stored: Any) -> EvaShape:
-    limits = MAX_SHAPE.as_dict()
-    if not isinstance(stored, dict) or stored.keys() != limits.keys():
-        raise ModelError("it does not state the shape of the model; train the model again")
-    for name, limit in limits.items():
-        if type(stored[name]) is not int or not 1 <= stored[name] <= limit:
-            raise ModelError(f"{name} {stored[name]!r} is not a number from 1 to {limit}; train a smaller model")
-    return EvaShape(**stored)
-
-
-def _table(content: dict[str, Any], name: str) -> dict[str, Any]:
-    table = content.get(name)
-    if not isinstance(table, dict):
-        raise ModelError(f"it lacks its table {name!r}; train the model again")
-    return table
-
-
-def _has_numbers(record: Any, *names: str) -> bool:
-    """Return whether a record holds a finite number under each name."""
-    return isinstance(record, dict) and all(
-        type(record.get(name)) in (int, float) and math.isfinite(record[name]) for name in names
-    )
-
-
-def _fill(module: nn.Module, state: Any, name: str) -> None:
-    wanted = {key: tensor.shape for key, tensor in module.state_dict().items()}
-    if not isinstance(state, dict) or state.keys() != wanted.keys():
-        raise ModelError(f"the arrays of its {name} do not fit its shape; train the model again")
-    for key, shape in wanted.items():
-        tensor = state[key]
-        if (
-            not isinstance(tensor, torch.Tensor)
-            or (tensor.dtype, tensor.shape) != (torch.float32, shape)
-            or (tensor.layout, tensor.device.type) != (torch.strided, "cpu")
-        ):
-            raise ModelError(f"its array {key!r} is not float32 of shape {tuple(shape)}; train the model again")
-        if not torch.isfinite(tensor).all():
-            raise ModelError(f"its array {key!r} holds numbers that are not finite; train the model again")
-    module.load_state_dict(state)
+def _fill(module: nn.Module, state: dict[str, Any], name: str) -> None:
+    try:
+        module.load_state_dict(state)
+    except (RuntimeError, TypeError, AttributeError) as error:
+        raise ModelError(f"the arrays of its {name} do not fit its shape; train the model again") from error
+    if not all(torch.isfinite(array).all() for array in module.state_dict().values()):
+        raise ModelError(f"its {name} holds numbers that are not finite; train the model again")

@@ -1,9 +1,11 @@
 """EVA in torch: analysis and synthesis transforms with divisive normalisation, as in the paper."""
 
-from dataclasses import asdict, dataclass
+from typing import Annotated
 
 import torch
 from torch import Tensor, nn
+
+from vibrocast.toml_tables import Table, within
 
 HOP_SAMPLES = 16
 """Samples of each column of latents: the product of the down-sampling factors 4, 2 and 2."""
@@ -13,16 +15,11 @@ _MIN_BETA = 1e-6
 _PEDESTAL = 2.0**-36
 
 
-@dataclass(frozen=True)
-class EvaShape:
+class EvaShape(Table, frozen=True):
     """The sizes of a model's arrays: filters of the hidden layers, and latent channels; the paper has 128 of each."""
 
-    width: int = 128
-    latents: int = 128
-
-    def as_dict(self) -> dict[str, int]:
-        """Return the fields by name, as a checkpoint stores them."""
-        return asdict(self)
+    width: Annotated[int, within(1, 128)] = 128
+    latents: Annotated[int, within(1, 128)] = 128
 
 
 class Gdn(nn.Module):

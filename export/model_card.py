@@ -10,6 +10,7 @@ from statistics import fmean
 from typing import Any
 
 import numpy as np
+from msgspec import structs
 
 from vibrocast import codec, pages, textures
 from vibrocast.codec import Stream
@@ -50,7 +51,7 @@ def made(
         "version": package.version,
         "codec": "eva",
         "family": package.family,
-        "shape": checkpoint.model.shape.as_dict(),
+        "shape": structs.asdict(checkpoint.model.shape),
         "living_latents": len(package.living),
         "held_back_changed": changed(
             checkpoint.model, package.living, checkpoint.training["training"]["dead_zone"], recordings

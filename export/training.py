@@ -110,9 +110,7 @@ class Training:
         if choice.start == "lapped":
             start_lapped(model, choice.lambda_)
         prior = FactorisedPrior(choice.width)
-        self.state = Checkpoint(
-            model.to(device), prior.to(device), configuration.as_dict(), {"step": 0, "seconds": 0.0}
-        )
+        self.state = Checkpoint(model.to(device), prior.to(device), configuration.as_dict())
         self._begin_optimiser()
 
     def resume(self, path: Path) -> None:

@@ -17,7 +17,7 @@ SIGNALS: list[Signal] = [texture(6000, seed=seed)[:, 0] for seed in range(3)]
 
 def random_model(shape: EvaShape, steps: float = 16.0) -> Eva:
     """Return a model whose GDN mixes channels, and whose latents are of unequal loudness, around `steps` steps."""
-    torch.manual_seed(sum(shape.as_dict().values()))
+    torch.manual_seed(shape.width + shape.latents)
     model = Eva(shape)
     with torch.no_grad():
         for layer in [*model.analysis, *model.synthesis]:

@@ -225,16 +225,17 @@ def test_configurations_that_cannot_be_used_are_rejected_with_the_reason(
     ("name", "value", "reason"),
     [
         ("format", "other", "not a checkpoint of a model"),
-        ("version", 1, "version 1"),
-        ("shape", {"width": 10**6, "latents": 16}, "width 1000000"),
-        ("shape", {"width": 8, "latents": 16}, "float32 of shape"),
+        ("version", 1, "version must be one of 2, not 1"),
+        ("shape", {"width": 10**6, "latents": 16}, "width = 1000000 is out of range"),
+        ("shape", {"width": 8, "latents": 16}, "arrays of its model do not fit its shape"),
         ("prior", {}, "arrays of its prior"),
         ("model", {}, "arrays of its model"),
         ("curves", None, "curves"),
         ("curves", [{"step": 1}], "curves"),
-        ("progress", {}, "the step of its training"),
-        ("progress", {"step": "1", "seconds": 0.0}, "the step of its training"),
-        ("training", None, "lacks its table"),
+        ("progress", {}, "step is missing"),
+        ("progress", {"step": "1", "seconds": 0.0}, "step must be a whole number"),
+        ("progress", {"step": 1, "seconds": float("nan")}, "seconds must be a number"),
+        ("training", None, "training must be a table"),
     ],
 )
 def test_bad_checkpoints_are_rejected_with_the_reason(
