@@ -306,13 +306,15 @@ def choose_controller(bench: Bench | None, device: str | None) -> Bench:
 
 
 @contextlib.contextmanager
-def connect(bench: Bench, controller: BenchController) -> Iterator[Session]:
-    """Open a session with a controller of the bench; one that can be given an actuator has the bench's.
+def connect(bench: Bench | None, controller: BenchController, actuator: Actuator | None = None) -> Iterator[Session]:
+    """Open a session with a controller; `actuator`: behind it, None = the bench's, or as the controller says.
 
     Raises as `host.session.connect`, and InputError where it drives another actuator than the bench has there.
     """
-    with session.connect(controller.address, actuator=bench.actuator(controller.name)) as opened:
-        check_actuator(bench, controller, opened)
+    behind = actuator if bench is None else actuator or bench.actuator(controller.name)
+    with session.connect(controller.address, actuator=behind) as opened:
+        if bench is not None:
+            check_actuator(bench, controller, opened)
         yield opened
 
 

@@ -39,7 +39,7 @@ class Playback:
     """What a controller has played: by which session, the stream as it was sent, and the figures.
 
     `stream`: None for a live stream that was too short to be decoded. `traces`: of the picture, all aligned: what is
-    known of the texture, the decoded signal and, last, the skin.
+    known of the texture, the decoded signal and, last, the skin. `given_samples`: as of `Track`.
     """
 
     session: Session
@@ -47,6 +47,7 @@ class Playback:
     report: Report
     caption: str
     traces: tuple[Trace, ...]
+    given_samples: int = 0
 
 
 class Captured(NamedTuple):
@@ -106,7 +107,8 @@ def compared_track(
         encoding = stream.finished()
         stream = encoding.stream
     stream = stream.with_gain(track.gain_db)
-    return _compared(session, track.name, stream, encoding, loops, result, card_underruns_before, provenance)
+    played = _compared(session, track.name, stream, encoding, loops, result, card_underruns_before, provenance)
+    return replace(played, given_samples=track.given_samples)
 
 
 def _compared(

@@ -115,14 +115,12 @@ class SignalOptions:
             "part",
             type=click.Choice(dataset.PARTS),
             default="all",
-            show_default=True,
             help="Choose the part to measure.",
         ),
         click.option(
             "--split-by",
             type=click.Choice(dataset.SPLITS),
             default="auto",
-            show_default=True,
             help="Keep these whole in a split; auto follows the manifest.",
         ),
     ),
@@ -152,7 +150,6 @@ class SignalOptions:
             "--repeats",
             type=Whole("NUMBER", 0),
             default=3,
-            show_default=True,
             help="Take the median time of these runs; 0 measures no times.",
         ),
         click.option(

@@ -46,14 +46,12 @@ def reject_replacing_others(folder: Path) -> None:
     "model_version",
     metavar="VERSION",
     default="1",
-    show_default=True,
     help="State the version of the model.",
 )
 @click.option(
     "--runtime",
     type=click.Choice(("core", "onnx", "both")),
     default="core",
-    show_default=True,
     help="Pack the integer network (core), the ONNX graph, or both.",
 )
 @click.option(
@@ -62,7 +60,6 @@ def reject_replacing_others(folder: Path) -> None:
     type=INPUT,
     metavar="FOLDER",
     default=".",
-    show_default=True,
     help="Find the training's data under this folder.",
 )
 @click.option(

@@ -26,14 +26,12 @@ from vibrocast.host.cli.option_types import FOLDER, INPUT
     "--split",
     type=click.Choice(("material", "trace")),
     default="material",
-    show_default=True,
     help="Hold back materials of CONFIG, or traces of all recordings in --data.",
 )
 @click.option(
     "--out",
     type=FOLDER,
     default="trained",
-    show_default=True,
     help="Write the checkpoints into this folder, under the training's name.",
 )
 @click.option("--resume", is_flag=True, help="Continue a training that was cut.")

@@ -68,7 +68,6 @@ def written_since(path: Path, began_ns: int) -> dict[str, Any] | None:
     "--out",
     type=FOLDER,
     default=Path("measured"),
-    show_default=True,
     help=f"Write {PAGE}, {JSON} and {ACTUATOR} into this folder.",
 )
 @click.option(

@@ -79,7 +79,7 @@ def monitor(address: str, link: Path | None, web: bool) -> None:
         serve(address, link, (), view.note)
 
 
-share_option = partial(click.option, type=Number("PART", 0, 1), default=0.0, show_default=True)
+share_option = partial(click.option, type=Number("PART", 0, 1), default=0.0)
 
 
 @click.command()
@@ -87,7 +87,7 @@ share_option = partial(click.option, type=Number("PART", 0, 1), default=0.0, sho
 @link_option
 @share_option("--lost", help="Lose this part of the frames, 0 to 1.")
 @share_option("--flipped", help="Damage this part of the frames, 0 to 1.")
-@click.option("--delay-ms", type=Number("ms", 0, 10_000), default=0.0, show_default=True, help="Delay each frame.")
+@click.option("--delay-ms", type=Number("ms", 0, 10_000), default=0.0, help="Delay each frame.")
 @click.option("--faults", "schedule", type=INPUT, metavar="FILE", help="Take a schedule of faults from a TOML file.")
 def proxy(address: str, link: Path | None, lost: float, flipped: float, delay_ms: float, schedule: Path | None) -> None:
     """Put a wire with faults between a host and a controller.

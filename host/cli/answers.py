@@ -22,11 +22,14 @@ def begin(ctx: click.Context, arguments: Sequence[str]) -> None:
         ctx.meta[_KEY] = None
 
 
-def with_json(command: click.Command) -> click.Command:
-    """Return a command, each of whose subcommands, or itself, has the option --json."""
+def finished(command: click.Command) -> click.Command:
+    """Return a command whose help shows defaults; each of its subcommands, or itself, has the option --json."""
+    for parameter in command.params:
+        if isinstance(parameter, click.Option) and parameter.show_default is None:
+            parameter.show_default = True
     if isinstance(command, click.Group):
         for inner in command.commands.values():
-            with_json(inner)
+            finished(inner)
     elif not any(json_option.OPTION in parameter.opts for parameter in command.params):
         command.params.append(click.Option([json_option.OPTION], is_flag=True, expose_value=False, help="Print JSON."))
     return command

@@ -17,7 +17,7 @@ import click
 from vibrocast import extras
 from vibrocast.files import plain
 from vibrocast.host.cli import interruption
-from vibrocast.host.cli.answers import begin, print_answer, with_json
+from vibrocast.host.cli.answers import begin, finished, print_answer
 from vibrocast.host.cli.commands import subcommands
 from vibrocast.host.cli.errors import explained, option_names
 from vibrocast.host.cli.failure_trace import keep_trace
@@ -61,7 +61,7 @@ class VibrocastCommand(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Load a subcommand; None where there is none of that name."""
         row = subcommands().get(cmd_name)
-        return None if row is None else with_json(with_extra(row.load(), row.extra))
+        return None if row is None else finished(with_extra(row.load(), row.extra))
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the names and summaries of the subcommands by section, without loading them."""

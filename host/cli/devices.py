@@ -14,11 +14,11 @@ from vibrocast.device_protocol.messages import ImageDescription, SlotState
 from vibrocast.errors import InputError
 from vibrocast.files import atomic_write, plain
 from vibrocast.host import devices, uploader
+from vibrocast.host.bench_file import BenchController
 from vibrocast.host.cli.answers import add, tell, wants_json
 from vibrocast.host.cli.errors import controllers_failed, explained
 from vibrocast.host.cli.option_types import INPUT, OutputFile
 from vibrocast.host.cli.options import (
-    Chosen,
     actuator_option,
     chosen_model,
     device_option,
@@ -55,7 +55,7 @@ def list_devices() -> None:
 @click.option("--no-confirm", "no_confirm", is_flag=True, help="Leave the model on trial until the next restart.")
 def upload_model(
     model: models.Model | None,
-    chosen: tuple[Chosen, ...],
+    chosen: tuple[BenchController, ...],
     lists: bool,
     rollback: bool,
     erases: bool,
@@ -206,7 +206,6 @@ def status(address: str, actuator_name: str | None) -> None:
     "--actuator",
     type=click.Choice(sorted(ACTUATORS)),
     default=PIEZO_STACK.name,
-    show_default=True,
     help="Choose the actuator to simulate.",
 )
 @link_option

@@ -15,22 +15,18 @@ from vibrocast.textures.recording import Signal
 @click.command()
 @click.argument("kind", type=click.Choice(sorted(textures.GENERATORS)))
 @click.argument("out", type=OutputFile(".wav", ".csv"))
-@click.option(
-    "--seed", type=Whole("NUMBER", 0), default=0, show_default=True, help="Choose another realisation of the texture."
-)
-@click.option("--seconds", type=positive("s"), default=4.0, show_default=True, help="Set the duration.")
+@click.option("--seed", type=Whole("NUMBER", 0), default=0, help="Choose another realisation of the texture.")
+@click.option("--seconds", type=positive("s"), default=4.0, help="Set the duration.")
 @click.option(
     "--hand-speed-mm-s",
     type=positive("mm/s"),
     default=50.0,
-    show_default=True,
     help="Set the mean speed of the hand.",
 )
 @click.option(
     "--speed-variation",
     type=Number("FRACTION", 0, 2),
     default=0.0,
-    show_default=True,
     help="Vary the speed by this fraction of its mean, once a second.",
 )
 def generate(kind: str, out: Path, seed: int, seconds: float, hand_speed_mm_s: float, speed_variation: float) -> None:

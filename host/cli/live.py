@@ -3,7 +3,6 @@
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING
 
 import click
 import numpy as np
@@ -16,18 +15,17 @@ from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.errors import InputError
 from vibrocast.host import live as streaming
 from vibrocast.host import uploader
+from vibrocast.host.bench_file import Bench, BenchController, connect
 from vibrocast.host.cli.answers import add
 from vibrocast.host.cli.describe import tell_report
 from vibrocast.host.cli.option_types import Number, Whole, positive
 from vibrocast.host.cli.options import (
-    Chosen,
     actuator_option,
     bench_device_option,
     bench_option,
     grouped,
     judge,
     model_option,
-    opened,
     own_actuator,
     rate_target,
 )
@@ -35,9 +33,6 @@ from vibrocast.host.cli.sections import CODING, CONTROLLER, INPUT, SectionedComm
 from vibrocast.host.live_playback import LivePlayback
 from vibrocast.host.report import Provenance
 from vibrocast.textures.recording import MAX_CHANNELS
-
-if TYPE_CHECKING:
-    from vibrocast.host.bench_file import Bench
 
 STANDARD_INPUT = "-"
 RAW = np.dtype("<f4")
@@ -86,7 +81,7 @@ class DelayOptions:
     grouped(
         "samples",
         SampleOptions,
-        click.option("--seconds", type=positive("s"), default=10.0, show_default=True, help="Generate this duration."),
+        click.option("--seconds", type=positive("s"), default=10.0, help="Generate this duration."),
         click.option(
             "--rate-hz",
             type=Whole("Hz", 1, MAX_RATE_HZ),
@@ -97,7 +92,6 @@ class DelayOptions:
             "--channels",
             type=Whole("NUMBER", 1, MAX_CHANNELS),
             default=1,
-            show_default=True,
             help="Set the channels of raw samples.",
         ),
         click.option(
@@ -109,7 +103,6 @@ class DelayOptions:
             "--full-scale",
             type=positive("VALUE"),
             default=1.0,
-            show_default=True,
             help="Give the value of 1.0 in raw samples, in --unit.",
         ),
     ),
@@ -147,8 +140,8 @@ class DelayOptions:
 )
 def live(
     source: str,
-    bench: "Bench | None",
-    chosen: Chosen,
+    bench: Bench | None,
+    chosen: BenchController,
     actuator_name: str | None,
     samples: SampleOptions,
     delay: DelayOptions,
@@ -170,7 +163,7 @@ def live(
     texture = None if make is None else make(seconds=samples.seconds, rate_hz=rate_hz)
     signal_format = raw_format(samples, rate_hz) if texture is None else texture_format(texture)
     actuator = own_actuator(chosen.address, actuator_name)
-    with opened(bench, chosen, actuator) as session, progress.bar("streaming") as update:
+    with connect(bench, chosen, actuator) as session, progress.bar("streaming") as update:
         if coding.model is not None:
             uploader.provide(session.controller, session.address, coding.model.image)
         how = live_coding(coding, delay, signal_format)

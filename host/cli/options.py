@@ -1,14 +1,13 @@
 """Options that several subcommands share, and how they are read."""
 
-import contextlib
 import functools
 import json
 import shlex
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 from click.core import ParameterSource
@@ -20,16 +19,13 @@ from vibrocast.codec.stream import MAX_GAIN_DB
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.errors import LIMIT_MISSED
 from vibrocast.host import devices
+from vibrocast.host.bench_file import Bench, BenchController, read_bench
 from vibrocast.host.cli.answers import wants_json
 from vibrocast.host.cli.errors import CommandError
 from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, positive
+from vibrocast.host.figures import BenchLimits, Value, missed
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import Actuator
-
-if TYPE_CHECKING:
-    from vibrocast.host.bench_file import Bench
-    from vibrocast.host.figures import Value
-    from vibrocast.host.session import Session
 
 _BENCH = "vibrocast.bench"
 
@@ -45,10 +41,8 @@ def fail_where_missed(lines: Sequence[str], where: str = "see [limits] in the be
         raise CommandError(f"limits missed: {'; '.join(lines)}; {where}", LIMIT_MISSED)
 
 
-def judge(bench: "Bench | None", figures: "Iterable[Value]") -> None:
+def judge(bench: Bench | None, figures: Iterable[Value]) -> None:
     """Raise CommandError where a figure misses a limit of the bench; without one, a known figure the default limits."""
-    from vibrocast.host.figures import BenchLimits, missed
-
     if bench is not None:
         fail_where_missed(missed(bench.limits, figures))
     else:
@@ -64,41 +58,35 @@ def chosen_model(ctx: click.Context, param: click.Parameter, value: str | None) 
         raise click.BadParameter(str(error), ctx, param) from error
 
 
-def chosen_bench(ctx: click.Context, param: click.Parameter, value: Path | None) -> "Bench | None":
+def chosen_bench(ctx: click.Context, param: click.Parameter, value: Path | None) -> Bench | None:
     """Return the bench of a file, and let `chosen_controller` take the names of its controllers."""
     if value is None:
         return None
-    from vibrocast.host.bench_file import read_bench
-
     # No command with this option starts a sensor's program.
     bench = ctx.meta[_BENCH] = read_bench(value, allow_programs=True)
     return bench
 
 
-@dataclass(frozen=True)
-class Chosen:
-    """A controller that --device chooses. `name`: in the bench file; None = not there."""
-
-    address: str
-    name: str | None = None
-
-
-def chosen_controller(ctx: click.Context, param: click.Parameter, value: str) -> Chosen:
+def chosen_controller(ctx: click.Context, param: click.Parameter, value: str) -> BenchController:
     """Return a controller by its name in the bench file or its address, or raise click.BadParameter.
 
-    The first controller of the bench file is the default, and the first one at an address counts.
+    The first controller of the bench file is the default, and the first one at an address counts. One that is not
+    there has no name.
     """
-    if bench := ctx.meta.get(_BENCH):
+    bench: Bench | None = ctx.meta.get(_BENCH)
+    if bench is not None:
         if ctx.get_parameter_source(param.name or "") == ParameterSource.DEFAULT:
-            return Chosen(bench.first.address, bench.first.name)
+            return bench.first
         for key in ("name", "address"):
             for each in bench.controllers:
                 if getattr(each, key) == value:
-                    return Chosen(each.address, each.name)
-    return Chosen(checked_address(ctx, param, value))
+                    return each
+    return BenchController("", checked_address(ctx, param, value))
 
 
-def chosen_controllers(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> tuple[Chosen, ...]:
+def chosen_controllers(
+    ctx: click.Context, param: click.Parameter, values: tuple[str, ...]
+) -> tuple[BenchController, ...]:
     """Return controllers as `chosen_controller` does; raise click.BadParameter for a port that is given twice."""
     chosen = tuple(chosen_controller(ctx, param, value) for value in values)
     addresses = [each.address for each in chosen]
@@ -161,36 +149,25 @@ bench_option = click.option(
     metavar="FILE",
     help="Take controllers, actuators and limits from a bench file.",
 )
-device_option = click.option(
-    "--device",
-    "address",
-    callback=given_once(checked_address),
-    metavar="ADDRESS",
-    multiple=True,
-    default=("sim",),
-    show_default=True,
-    help="Choose the controller; `vibrocast devices` lists the addresses.",
-)
-bench_device_option = click.option(
-    "--device",
-    "chosen",
-    callback=given_once(chosen_controller),
-    metavar="ADDRESS",
-    multiple=True,
-    default=("sim",),
-    show_default=True,
-    help="Choose the controller; `vibrocast devices` lists the addresses.",
-)
-devices_option = click.option(
-    "--device",
-    "chosen",
-    callback=chosen_controllers,
-    metavar="ADDRESS",
-    multiple=True,
-    default=("sim",),
-    show_default=True,
-    help="Choose the controller; repeat it to play on several.",
-)
+
+
+def _device_option(
+    name: str, callback: Callable[..., Any], more: str = "`vibrocast devices` lists the addresses"
+) -> Callable[[Callable[..., Any]], Any]:
+    return click.option(
+        "--device",
+        name,
+        callback=callback,
+        metavar="ADDRESS",
+        multiple=True,
+        default=("sim",),
+        help=f"Choose the controller; {more}.",
+    )
+
+
+device_option = _device_option("address", given_once(checked_address))
+bench_device_option = _device_option("chosen", given_once(chosen_controller))
+devices_option = _device_option("chosen", chosen_controllers, "repeat it for several")
 
 model_option = click.option(
     "--model",
@@ -219,22 +196,6 @@ def own_actuator(address: str, name: str | None) -> Actuator | None:
     if name is not None and not devices.takes_actuator(address):
         raise click.UsageError(f"{address} has its actuator compiled in; drop --actuator")
     return None if name is None else actuator_files.find(name)
-
-
-@contextlib.contextmanager
-def opened(bench: "Bench | None", chosen: Chosen, actuator: Actuator | None = None) -> "Iterator[Session]":
-    """Open a session with a chosen controller; `actuator`: behind it, None = the bench's, or as the controller says.
-
-    Raises as `session.connect`, and InputError where it drives another actuator than the bench has there.
-    """
-    from vibrocast.host import bench_file, session
-
-    named = [each for each in bench.controllers if each.name == chosen.name] if bench else []
-    behind = actuator or (bench.actuator(named[0].name) if bench and named else None)
-    with session.connect(chosen.address, actuator=behind) as opened_session:
-        if bench and named:
-            bench_file.check_actuator(bench, named[0], opened_session)
-        yield opened_session
 
 
 link_option = click.option(
@@ -285,7 +246,6 @@ stream_rate_option = click.option(
     "--stream-rate-hz",
     type=Whole("Hz", 1, MAX_RATE_HZ),
     default=DEFAULT_STREAM_RATE_HZ,
-    show_default=True,
     help="Set the sample rate of the coded stream.",
 )
 
@@ -298,7 +258,6 @@ gain_option = click.option(
     "--gain-db",
     type=Number("dB", -MAX_GAIN_DB, MAX_GAIN_DB),
     default=0.0,
-    show_default=True,
     help="Raise or lower the level.",
 )
 

@@ -6,18 +6,18 @@ from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TypeVar
 
 import click
 
 from vibrocast import extras, progress, textures
-from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ
 from vibrocast.codec.stream import Stream, read_stream
 from vibrocast.device_protocol.messages import MessageError
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.errors import BAD_INPUT, FAILED, InputError
 from vibrocast.files import plain
-from vibrocast.host import devices
+from vibrocast.host import devices, hand_playback, picture
+from vibrocast.host.bench_file import Bench, BenchController, connect
 from vibrocast.host.cli.answers import answer, tell, wants_json
 from vibrocast.host.cli.controls import Control, keys
 from vibrocast.host.cli.describe import ANSWERS, describe_packets, tell_report
@@ -25,7 +25,6 @@ from vibrocast.host.cli.errors import CommandError, controllers_failed, explaine
 from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, positive, reject_overwriting
 from vibrocast.host.cli.options import (
-    Chosen,
     QualityOptions,
     RecordingOptions,
     bench_option,
@@ -35,7 +34,6 @@ from vibrocast.host.cli.options import (
     hand_speed_option,
     judge,
     model_option,
-    opened,
     own_actuator,
     rate_hz_option,
     snr_db_option,
@@ -43,24 +41,19 @@ from vibrocast.host.cli.options import (
 )
 from vibrocast.host.cli.sections import CODING, CONTROLLER, OUTPUT, PLAYBACK, SectionedCommand, section
 from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
-from vibrocast.host.cli.steps import encoded_profile, files_of, show
+from vibrocast.host.cli.steps import encoded_profile, files_of, reject_coding_options, show
 from vibrocast.host.controller import ControllerError
+from vibrocast.host.playback import Playback
 from vibrocast.host.player import RECONNECT_S
 from vibrocast.host.report import Provenance, UnfinishedReport, write_json
+from vibrocast.host.session import Session
+from vibrocast.host.track_player import Event, PlayedList, Remote, play_list
 from vibrocast.host.tracks import STREAM_SUFFIX, TrackOptions, tracks_of
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import ACTUATORS
 
 _DB_A_BLOCK, _BLOCKS = 4.0, 10
-
-if TYPE_CHECKING:
-    from vibrocast.host import playback
-    from vibrocast.host.bench_file import Bench
-    from vibrocast.host.session import Session
-    from vibrocast.host.track_player import Event, PlayedList
-
-    Outcomes = dict[str, playback.Playback | Exception]
-    Played = dict[str, PlayedList | Exception]
+_Played = TypeVar("_Played")
 
 
 def chosen_hand(ctx: click.Context, param: click.Parameter, value: str | None) -> float | Path | None:
@@ -75,24 +68,15 @@ def chosen_hand(ctx: click.Context, param: click.Parameter, value: str | None) -
 
 
 @dataclass(frozen=True)
-class PlaybackOptions:
-    """How tracks are played. `hand`: the length of its stroke in mm, or the file of its movement."""
+class PlayOptions:
+    """Where and how tracks are played, and files to write.
 
-    loops: int
-    gain_db: float
+    `hand`: the length of its stroke in mm, or the file of its movement.
+    """
+
     actuator_name: str | None
     hand: float | Path | None
-    from_s: float
-    to_s: float | None
-    shuffle: bool
     control_path: Path | None
-    reconnect_s: float
-
-
-@dataclass(frozen=True)
-class OutputOptions:
-    """Files to write."""
-
     report_path: Path | None
     plot_path: Path | None
 
@@ -102,9 +86,34 @@ class OutputOptions:
 @section(INPUT_SECTION, grouped("recording", RecordingOptions, rate_hz_option, unit_option, hand_speed_option))
 @section(CODING, grouped("quality", QualityOptions, model_option, snr_db_option))
 @section(CONTROLLER, bench_option, devices_option)
+@section(
+    PLAYBACK,
+    grouped(
+        "playing",
+        TrackOptions,
+        click.option(
+            "--loop",
+            "loops",
+            type=Whole("PASSES", 0, 65_535),
+            default=1,
+            help="Repeat the track or the list; 0: without end.",
+        ),
+        gain_option,
+        click.option("--from", "from_s", type=Number("S", 0), default=0.0, help="Begin each track later."),
+        click.option("--to", "to_s", type=positive("S"), help="End each track there."),
+        click.option("--shuffle", is_flag=True, help="Play the list in random order."),
+        click.option(
+            "--reconnect",
+            "reconnect_s",
+            type=Number("S", 0),
+            default=RECONNECT_S,
+            help="Open a lost connection again for so long; 0: end.",
+        ),
+    ),
+)
 @grouped(
     "options",
-    PlaybackOptions,
+    PlayOptions,
     section(
         CONTROLLER,
         click.option(
@@ -117,31 +126,11 @@ class OutputOptions:
     section(
         PLAYBACK,
         click.option(
-            "--loop",
-            "loops",
-            type=Whole("PASSES", 0, 65_535),
-            default=1,
-            show_default=True,
-            help="Repeat the track or the list; 0: without end.",
-        ),
-        gain_option,
-        click.option("--from", "from_s", type=Number("S", 0), default=0.0, help="Begin each track later."),
-        click.option("--to", "to_s", type=positive("S"), help="End each track there."),
-        click.option("--shuffle", is_flag=True, help="Play the list in random order."),
-        click.option(
             "--control",
             "control_path",
             type=OutputFile(),
             metavar="SOCKET",
             help="Take commands from a Unix socket, one a line.",
-        ),
-        click.option(
-            "--reconnect",
-            "reconnect_s",
-            type=Number("S", 0),
-            default=RECONNECT_S,
-            show_default=True,
-            help="Open a lost connection again for so long; 0: end.",
         ),
         click.option(
             "--hand",
@@ -150,22 +139,18 @@ class OutputOptions:
             help="Stroke a height profile, or follow a CSV file of time_s,position_mm.",
         ),
     ),
-)
-@section(
-    OUTPUT,
-    grouped(
-        "outputs",
-        OutputOptions,
+    section(
+        OUTPUT,
         click.option("--report", "report_path", type=OutputFile(".json"), help="Write the figures as JSON."),
         click.option("--plot", "plot_path", type=OutputFile(".png", ".svg", ".pdf"), help="Draw the signals."),
     ),
 )
 def play(
     files: tuple[Path, ...],
-    bench: "Bench | None",
-    chosen: tuple[Chosen, ...],
-    options: PlaybackOptions,
-    outputs: OutputOptions,
+    bench: Bench | None,
+    chosen: tuple[BenchController, ...],
+    options: PlayOptions,
+    playing: TrackOptions,
     quality: QualityOptions,
     recording: RecordingOptions,
 ) -> None:
@@ -186,56 +171,46 @@ def play(
     With --bench, --device may be a name in the file. The exit code is 4 if a limit is missed; without --bench, at most
     1 % of the packets may be lost.
     """
-    if outputs.plot_path is not None:
-        extras.require("plot")
     tracks = tracks_of(files)
-    written = [outputs.report_path, outputs.plot_path, options.control_path]
+    written = [options.report_path, options.plot_path, options.control_path]
     reject_overwriting(written, [*tracks, *files_of(quality.model)])
     names = dict(zip(devices.unique_names([each.address for each in chosen]), chosen, strict=True))
-    reject_several(len(names), len(tracks), options, outputs)
-    run = Run(tracks[0].name, names, bench, options, outputs)
+    reject_several(len(names), len(tracks), options)
+    run = Run(tracks[0].name, names, bench, options)
     if options.hand is not None:
-        report(run, play_under_hand(run, tracks[0], quality, recording), 0)
-    elif len(tracks) == 1:
-        report_track(run, play_over_time(run, tracks, quality, recording))
+        report(run, play_under_hand(run, tracks[0], playing, quality, recording))
+        return
+    played = play_over_time(run, tracks, playing, quality, recording)
+    if len(tracks) > 1:
+        report_list(played)
     else:
-        report_list(play_over_time(run, tracks, quality, recording))
+        report(run, {name: each.playback if isinstance(each, PlayedList) else each for name, each in played.items()})
 
 
-def reject_several(controllers: int, tracks: int, options: PlaybackOptions, outputs: OutputOptions) -> None:
+def reject_several(controllers: int, tracks: int, options: PlayOptions) -> None:
     """Raise click.UsageError for an option that takes one controller or one track, where there are several."""
-    if controllers > 1 and (options.hand or outputs.plot_path):
+    if controllers > 1 and (options.hand or options.plot_path):
         raise click.UsageError("--hand and --plot are for one controller; give one --device")
-    if tracks > 1 and (options.hand or outputs.plot_path or outputs.report_path):
+    if tracks > 1 and (options.hand or options.plot_path or options.report_path):
         raise click.UsageError("--hand, --plot and --report are for one track; give one file")
 
 
-def play_over_time(run: "Run", tracks: list[Path], quality: QualityOptions, recording: RecordingOptions) -> "Played":
+def play_over_time(
+    run: "Run", tracks: list[Path], playing: TrackOptions, quality: QualityOptions, recording: RecordingOptions
+) -> dict[str, PlayedList | Exception]:
     """Play tracks on all controllers; return by name what each did, or its error."""
-    from vibrocast.host.track_player import Remote, play_list
-
-    options = run.options
     if len(tracks) == 1:
         reject_coding_options(tracks[0], quality, recording)
-    opening = TrackOptions(
-        facts=recording.facts(),
-        arguments={key: value for key, value in quality.arguments(recording.unit).items() if key != "rate_bps"},
-        model=quality.model,
-        from_s=options.from_s,
-        to_s=options.to_s,
-        gain_db=options.gain_db,
-        loops=options.loops,
-        shuffle=options.shuffle,
-        reconnect_s=options.reconnect_s,
-    )
+    arguments = quality.arguments(recording.unit)
+    del arguments["rate_bps"]
+    opening = replace(playing, facts=recording.facts(), arguments=arguments, model=quality.model)
     remote = Remote()
     with contextlib.ExitStack() as stack:
         stack.enter_context(run.reported_where_cut())
         opened_sessions = devices.open_all({name: run.session(name) for name in run.names})
         sessions, failures = stack.enter_context(opened_sessions)
-        control = Control(options.control_path, remote) if options.control_path else None
-        if control is not None:
-            stack.enter_context(contextlib.closing(control))
+        path = run.options.control_path
+        control = stack.enter_context(contextlib.closing(Control(path, remote))) if path else None
         stack.enter_context(keys(remote))
         played = play_list(
             sessions,
@@ -248,9 +223,7 @@ def play_over_time(run: "Run", tracks: list[Path], quality: QualityOptions, reco
     return {name: (played | failures)[name] for name in run.names}
 
 
-def telling(
-    latest: "dict[str, Event]", update: progress.Update, control: Control | None
-) -> "Callable[[str, Event], None]":
+def telling(latest: dict[str, Event], update: progress.Update, control: Control | None) -> Callable[[str, Event], None]:
     """Return what shows where players are, tells the clients of a socket, and notes it for a report.
 
     A track that cannot be played gets a line. With several controllers it shows the one that told last, the least
@@ -259,7 +232,7 @@ def telling(
 
     options = option_names(click.get_current_context().command)
 
-    def tell(name: str, event: "Event") -> None:
+    def tell(name: str, event: Event) -> None:
         latest[name] = event
         if control is not None:
             control.tell(event)
@@ -285,67 +258,17 @@ def meter(level_db: float) -> str:
     return "#" * blocks + "." * (_BLOCKS - blocks)
 
 
-def report_track(run: "Run", played: "Played") -> None:
-    """Report how controllers played a track. Raises the error of one, and CommandError."""
-    outcomes: Outcomes = {}
-    given_samples = 0
-    for name, each in played.items():
-        if isinstance(each, Exception):
-            outcomes[name] = each
-        elif each.playback is not None:
-            outcomes[name] = each.playback
-            given_samples = each.played[0].track.given_samples
-    if outcomes:
-        report(run, outcomes, given_samples)
-    else:
-        tell("stopped before its end")
-
-
-def report_list(played: "Played") -> None:
-    """Print how controllers played a list. Raises CommandError where a controller or a track failed."""
-    lines: dict[str, str] = {}
-    failed: list[str] = []
-    exit_code = BAD_INPUT
-    for name, each in played.items():
-        if isinstance(each, Exception):
-            lines[name] = f"FAILED: {each}"
-            failed.append(name)
-            exit_code = explained(each, {}).exit_code
-            continue
-        results = [result for _, result in each.played]
-        lines[name] = (
-            f"played {len(results)} track(s), underruns {sum(each.underruns for each in results)}, "
-            f"lost packets {sum(each.lost_packets for each in results)}, "
-            f"reconnects {sum(each.reconnects for each in results)}"
-        )
-        failed += each.failures
-    show(lines, as_words=False)
-    if failed:
-        named = ", ".join(dict.fromkeys(failed))
-        raise CommandError(f"not all was played: {named}; the line of each says why", exit_code)
-
-
-def report(run: "Run", outcomes: "Outcomes", given_samples: int) -> None:
-    """Print and write how controllers played a texture, and judge it. Raises the error of one, and CommandError."""
-    if len(outcomes) > 1:
-        report_each(run, outcomes)
-    else:
-        report_one(run, outcomes, given_samples)
-    played = [each for each in outcomes.values() if not isinstance(each, Exception)]
-    judge(run.bench, [figure for each in played for figure in each.report.figures()])
-
-
-def play_under_hand(run: "Run", file: Path, quality: QualityOptions, recording: RecordingOptions) -> "Outcomes":
+def play_under_hand(
+    run: "Run", file: Path, playing: TrackOptions, quality: QualityOptions, recording: RecordingOptions
+) -> dict[str, Playback]:
     """Play a height profile by the position of a hand on one controller; return what it did."""
-    from vibrocast.host import hand_playback
-
     options = run.options
-    if options.gain_db:
+    if playing.gain_db:
         raise click.UsageError("a profile under a hand has its own level; drop --gain-db")
     assert options.hand is not None, "a hand moves"
     ((name, chosen),) = run.names.items()
     own_actuator(chosen.address, options.actuator_name)
-    movement = hand_playback.chosen_movement(options.hand, recording.hand_speed_mm_s, options.loops)
+    movement = hand_playback.chosen_movement(options.hand, recording.hand_speed_mm_s, playing.loops)
     stream, texture = spatial_stream(file, quality, replace(recording, hand_speed_mm_s=None))
     with run.reported_where_cut(), run.session(name) as session, progress.bar("playing") as update:
         played = hand_playback.play_and_compare(session, file.name, stream, movement, texture, update, run.provenance)
@@ -360,20 +283,21 @@ class Run:
     """
 
     file: str
-    names: Mapping[str, Chosen]
-    bench: "Bench | None"
-    options: PlaybackOptions
-    outputs: OutputOptions
-    latest: "dict[str, Event]" = field(default_factory=dict)
+    names: Mapping[str, BenchController]
+    bench: Bench | None
+    options: PlayOptions
+    latest: dict[str, Event] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        report_path = self.outputs.report_path
+        if self.options.plot_path is not None:
+            extras.require("plot")
+        report_path = self.options.report_path
         trace_failure(report_path and report_path.with_suffix(".pcapng"))
 
-    def session(self, name: str) -> "AbstractContextManager[Session]":
+    def session(self, name: str) -> AbstractContextManager[Session]:
         """Return a session with one of the controllers, still closed, behind which is the actuator that was chosen."""
         given = self.options.actuator_name
-        return opened(self.bench, self.names[name], None if given is None else actuator_files.find(given))
+        return connect(self.bench, self.names[name], None if given is None else actuator_files.find(given))
 
     @cached_property
     def provenance(self) -> Provenance:
@@ -402,7 +326,7 @@ class Run:
             self.tell_reports(dict.fromkeys(self.names, error))
             raise
 
-    def tell_reports(self, outcomes: "Mapping[str, playback.Playback | BaseException]") -> None:
+    def tell_reports(self, outcomes: Mapping[str, Playback | BaseException]) -> None:
         """Write the reports, and make them the answer in JSON; of several controllers, as a list. Raises OSError."""
         reports = [
             self.unfinished(name, each) if isinstance(each, BaseException) else each.report
@@ -410,57 +334,95 @@ class Run:
         ]
         documents = [asdict(each) for each in reports]
         document = documents if len(documents) > 1 else documents[0]
-        if self.outputs.report_path:
-            write_json(self.outputs.report_path, document)
+        if self.options.report_path:
+            write_json(self.options.report_path, document)
         answer(document)
 
 
-def report_one(run: Run, outcomes: "Outcomes", given_samples: int) -> None:
-    """Print what one controller played, write it and draw it; `given_samples`: as in `Track`.
+def report(run: Run, played: Mapping[str, Playback | Exception | None]) -> None:
+    """Print and write how controllers played a texture, and judge it. Raises the error of one, and CommandError.
+
+    None stands for one that a person has stopped.
+    """
+    outcomes = {name: each for name, each in played.items() if each is not None}
+    if not outcomes:
+        tell("stopped before its end")
+        return
+    run.tell_reports(outcomes)
+    if len(outcomes) > 1:
+        report_each(outcomes)
+    else:
+        report_one(run, *outcomes.values())
+    whole = [each for each in outcomes.values() if isinstance(each, Playback)]
+    judge(run.bench, [figure for each in whole for figure in each.report.figures()])
+
+
+def report_one(run: Run, played: Playback | Exception) -> None:
+    """Print what one controller played, and draw it.
 
     Raises the error that it met, and ControllerError if it played something else than was sent.
     """
-    from vibrocast.host import picture
-
-    run.tell_reports(outcomes)
-    (played,) = outcomes.values()
     if isinstance(played, Exception):
         raise played
-    report = played.report
-    if run.outputs.plot_path:
-        picture.draw(run.outputs.plot_path, f"{report.file} on {report.device.address}", played.caption, played.traces)
+    report, path = played.report, run.options.plot_path
+    if path:
+        picture.draw(path, f"{report.file} on {report.device.address}", played.caption, played.traces)
     packets = None
     if played.stream is not None and report.position is None:
-        packets = describe_packets(played.stream, given_samples)
+        packets = describe_packets(played.stream, played.given_samples)
     tell_report(report, packets)
 
 
-def report_each(run: Run, outcomes: "Outcomes") -> None:
-    """Print a line for each of several controllers, and tell their reports.
+def report_each(outcomes: Mapping[str, Playback | Exception]) -> None:
+    """Print a line for each of several controllers.
 
     If one failed, or played something else than was sent, raises CommandError, with the exit code of all
     that failed; FAILED where theirs differ.
     """
-    run.tell_reports(outcomes)
-    lines: dict[str, str] = {}
-    failed: dict[str, int] = {}
-    for name, each in outcomes.items():
-        if isinstance(each, Exception):
-            lines[name] = f"FAILED: {each}"
-            failed[name] = explained(each, {}).exit_code
-            continue
-        report = each.report
-        lines[name] = (
+
+    def line(played: Playback) -> str:
+        report = played.report
+        return (
             f"played {report.loops} time(s), underruns {report.underruns}, lost packets {report.lost_packets}, "
             f"reconnects {report.reconnects}, decoded as sent {ANSWERS[report.decoded_equals_offline]}, "
             f"DAC as computed {ANSWERS[report.dac_equals_offline]}"
         )
-        if report.differs:
-            failed[name] = FAILED
+
+    lines, failed = lines_of(outcomes, line)
+    failed |= {name: FAILED for name, each in outcomes.items() if isinstance(each, Playback) and each.report.differs}
     if not wants_json():
         show(lines, as_words=False)
     if failed:
         raise controllers_failed(failed, len(outcomes))
+
+
+def report_list(played: Mapping[str, PlayedList | Exception]) -> None:
+    """Print how controllers played a list. Raises CommandError where a controller or a track failed."""
+
+    def line(each: PlayedList) -> str:
+        results = [result for _, result in each.played]
+        return (
+            f"played {len(results)} track(s), underruns {sum(each.underruns for each in results)}, "
+            f"lost packets {sum(each.lost_packets for each in results)}, "
+            f"reconnects {sum(each.reconnects for each in results)}"
+        )
+
+    lines, failed = lines_of(played, line)
+    show(lines, as_words=False)
+    tracks = [name for each in played.values() if isinstance(each, PlayedList) for name in each.failures]
+    if failed or tracks:
+        named = ", ".join(dict.fromkeys([*failed, *tracks]))
+        exit_code = next(iter(failed.values()), BAD_INPUT)
+        raise CommandError(f"not all was played: {named}; the line of each says why", exit_code)
+
+
+def lines_of(
+    played: Mapping[str, _Played | Exception], line: Callable[[_Played], str]
+) -> tuple[dict[str, str], dict[str, int]]:
+    """Return a line for each controller, and the exit codes of those that failed."""
+    failures = {name: each for name, each in played.items() if isinstance(each, Exception)}
+    lines = {name: f"FAILED: {each}" if isinstance(each, Exception) else line(each) for name, each in played.items()}
+    return lines, {name: explained(each, {}).exit_code for name, each in failures.items()}
 
 
 def spatial_stream(
@@ -470,29 +432,12 @@ def spatial_stream(
 
     Raises InputError for any other.
     """
-    if file.suffix.lower() == ".vct":
-        stream, texture = coded_already(file, quality, recording), None
+    if file.suffix.lower() == STREAM_SUFFIX:
+        reject_coding_options(file, quality, recording)
+        stream, texture = read_stream(file, quality.model.image if quality.model else None), None
     else:
         encoding = encoded_profile(file, quality, recording)
         stream, texture = encoding.stream, encoding.recording
     if not stream.header.spatial:
         raise InputError(f"{file}: coded over time, not over position; encode the profile without --hand-speed-mm-s")
     return stream, texture
-
-
-def coded_already(file: Path, quality: QualityOptions, recording: RecordingOptions) -> Stream:
-    """Read a .vct file to play, to which no option of the two groups applies but the model."""
-    reject_coding_options(file, quality, recording)
-    return read_stream(file, quality.model.image if quality.model else None)
-
-
-def reject_coding_options(file: Path, quality: QualityOptions, recording: RecordingOptions) -> None:
-    """Raise click.UsageError for an option that does not apply to a file, which is a .vct file."""
-    if file.suffix.lower() != STREAM_SUFFIX:
-        return
-    facts = replace(recording, unit=None) if recording.unit == "drive" else recording
-    values = vars(replace(quality, model=None)) | vars(facts)
-    given = [name for name, value in values.items() if value not in (None, {}, False, DEFAULT_STREAM_RATE_HZ)]
-    if given:
-        option = given[0].removesuffix("_name").replace("_", "-")
-        raise click.UsageError(f"{file} is coded already; drop --{option}")

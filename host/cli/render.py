@@ -20,8 +20,7 @@ from vibrocast.host.cli.options import (
     model_option,
     unit_option,
 )
-from vibrocast.host.cli.play import reject_coding_options
-from vibrocast.host.cli.steps import encoded, files_of
+from vibrocast.host.cli.steps import encoded, files_of, reject_coding_options
 from vibrocast.host.tracks import TrackOptions, read_source
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import ACTUATORS, MAX_FULL_SCALE_VOLTS, MIN_FULL_SCALE_VOLTS
@@ -57,7 +56,6 @@ class DriveOptions:
         "--dac-rate-hz",
         type=Whole("Hz", 1000, 384_000),
         default=48_000,
-        show_default=True,
         help="Set the sample rate of the drive signal.",
     ),
     click.option(

@@ -1,6 +1,7 @@
 """Steps that several subcommands share: check arguments, encode with a progress bar, print facts."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -16,6 +17,7 @@ from vibrocast.codec.encoding import (
 from vibrocast.files import plain
 from vibrocast.host.cli.answers import add, wants_json
 from vibrocast.host.cli.options import QualityOptions, RecordingOptions
+from vibrocast.host.tracks import STREAM_SUFFIX
 
 
 def files_of(model: models.Model | None) -> list[Path]:
@@ -41,6 +43,18 @@ def encoded_profile(file: Path, quality: QualityOptions, recording: RecordingOpt
     profile = profile_recording(file, **recording.facts())
     with progress.bar("encoding") as update:
         return _noted(encode_profile(profile, progress=update, **arguments))
+
+
+def reject_coding_options(file: Path, quality: QualityOptions, recording: RecordingOptions) -> None:
+    """Raise click.UsageError for an option that does not apply to a file, which is a .vct file."""
+    if file.suffix.lower() != STREAM_SUFFIX:
+        return
+    facts = replace(recording, unit=None) if recording.unit == "drive" else recording
+    values = vars(replace(quality, model=None)) | vars(facts)
+    given = [name for name, value in values.items() if value not in (None, {}, False, DEFAULT_STREAM_RATE_HZ)]
+    if given:
+        option = given[0].removesuffix("_name").replace("_", "-")
+        raise click.UsageError(f"{file} is coded already; drop --{option}")
 
 
 def _noted(encoding: Encoding) -> Encoding:

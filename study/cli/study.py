@@ -63,8 +63,8 @@ def check(study_path: Path, address: str) -> None:
     "--participant", type=Whole("NUMBER", 1, 9999), required=True, help="Number the participant; give no names."
 )
 @click.option("--terminal", is_flag=True, help="Ask in the terminal. Default: in a browser.")
-@click.option("--host", default="127.0.0.1", show_default=True, help="Serve the pages at this address.")
-@click.option("--port", type=Whole("PORT", 0, 65_535), default=8017, show_default=True, help="Serve at this port.")
+@click.option("--host", default="127.0.0.1", help="Serve the pages at this address.")
+@click.option("--port", type=Whole("PORT", 0, 65_535), default=8017, help="Serve at this port.")
 @device_option
 @out_option
 def run(
@@ -118,7 +118,6 @@ def run(
     "--participants",
     type=Whole("NUMBER", 1, 1000),
     default=10,
-    show_default=True,
     help="Set the number of simulated participants.",
 )
 @out_option
