@@ -64,7 +64,7 @@ class FolderSource(Table, frozen=True):
     rate_hz: Annotated[float, within(1, 1e6)] | None = None
     unit: str | None = None
     full_scale: Annotated[float, within(1e-12, 1e12)] | None = None
-    axis: str | None = None
+    columns: str | None = None
     reduce: str | None = None
     hand_speed_mm_s: Annotated[float, within(1e-3, 1e4)] | None = None
 
@@ -77,7 +77,7 @@ class FolderSource(Table, frozen=True):
     @property
     def options(self) -> dict[str, Any]:
         """Options of `textures.load` for every recording."""
-        names = ("rate_hz", "unit", "full_scale", "axis", "reduce", "hand_speed_mm_s")
+        names = ("rate_hz", "unit", "full_scale", "columns", "reduce", "hand_speed_mm_s")
         return {name: getattr(self, name) for name in names}
 
 

@@ -215,7 +215,7 @@ def read_recording(sensor: Sensor, file: Path) -> Recording:
             rate_hz=sensor.rate_hz,
             unit=sensor.unit,
             full_scale=full_scale,
-            axis=sensor.axis,
+            columns=sensor.axis,
             reduce=sensor.reduce,
         )
     except textures.TextureError as error:

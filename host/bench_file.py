@@ -156,7 +156,7 @@ class TextureTable(Table, frozen=True, kw_only=True):
     rate_hz: RateHz | None = None
     full_scale: Annotated[float, within(1e-9, 1e9, "value of 1.0 in the file, in its unit")] | None = None
     unit: Unit | None = None
-    axis: Axis | None = None
+    columns: Text | None = None
     reduce: Reduction | None = None
     key: Text | None = None
     seconds: Annotated[float, within(0.05, 600, "duration in s")] | None = None
@@ -174,7 +174,7 @@ class TextureTable(Table, frozen=True, kw_only=True):
         return given
 
 
-_KEYS_OF_FILES = ("rate_hz", "full_scale", "unit", "axis", "reduce", "key")
+_KEYS_OF_FILES = ("rate_hz", "full_scale", "unit", "columns", "reduce", "key")
 
 
 class _BenchTexture(TextureTable, frozen=True, kw_only=True):

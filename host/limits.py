@@ -32,8 +32,8 @@ def check_limits(controller: Controller, channels: int, rate_hz: int) -> None:
     if channels > limits.channels:
         raise StreamError(
             f"{channels} channels, the controller has {limits.channels}",
-            action="take one with `axis`, combine three with `reduce`, or play on another controller",
-            parameter=("axis", "reduce"),
+            action="take some with `columns`, combine three with `reduce`, or play on another controller",
+            parameter=("columns", "reduce"),
         )
     if not limits.min_rate_hz <= rate_hz <= limits.max_rate_hz:
         nearest_hz = min(max(rate_hz, limits.min_rate_hz), limits.max_rate_hz)

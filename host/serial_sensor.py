@@ -14,15 +14,14 @@ from vibrocast.device_protocol.frames import FrameReader
 from vibrocast.device_protocol.transports import BAUD, Closing, SerialTransport, Transport, TransportError
 from vibrocast.files import plain
 from vibrocast.textures import INPUT_UNITS, TextureError, sidecar
-from vibrocast.textures.recording import Signal
+from vibrocast.textures.columns import axis_of, is_time, name_and_unit
+from vibrocast.textures.recording import SECONDS, Signal, known_unit, spelt
 from vibrocast.textures.sensitivity import Sensitivity
-from vibrocast.textures.text import OTHER_SPELLINGS, known_unit
+from vibrocast.textures.times import CLOCK_TOLERANCE, GAP_STEPS, MAX_FILLED_S, interpolated
 
 MAX_LINE_BYTES = 200
 MAX_CHANNELS = 3
 MAX_RATE_HZ = 100_000
-MAX_FILLED_S = 1.0
-"""Lost samples are interpolated over so much; after a longer gap, a recording ends."""
 DESCRIPTION, SAMPLES = 1, 2
 """The first byte of a binary frame: says what it holds."""
 
@@ -38,10 +37,8 @@ _MAX_NUMBERS = 16  # in a line
 _SHOWN_LINES, _SHOWN_CHARACTERS = 3, 60
 _MAX_BAD_LINES = 200  # in a row
 _LEAST_BURSTS = 3
-_RATE_TOLERANCE = 0.05  # the clocks of accelerometers are that inaccurate
-_GAP_STEPS = 1.5
 _WRAP = 1 << 32  # of micros() and millis() on a board
-_US = {"s": 1e6, "ms": 1e3, "us": 1.0, "ns": 1e-3}
+_US = {unit: 1e6 * seconds for unit, seconds in SECONDS.items()}
 _COUNT_TOLERANCE = 0.05  # a count of samples that steps by 1 is no time in ms unless 1000 a second come
 _COARSE = 0.1  # times of fewer digits, in periods, are smoothed
 _BURST = 0.5  # lines come in bursts if most steps are shorter than this part of the mean
@@ -128,31 +125,6 @@ class Losses:
         self.samples += samples or 0
         if len(self.places) < _MAX_PLACES:
             self.places.append((round(at_s, 4), samples))
-
-
-def axis_of(name: str) -> str:
-    """Return the axis of an accelerometer that a name states, x, y or z; empty for any other name."""
-    match = re.fullmatch(r"(?:accelerometer|acceleration|accel|acc|a|linear)?[ _.]*([xyz])", name.lower())
-    return match[1] if match else ""
-
-
-def is_time(name: str) -> bool:
-    """Return whether a name is that of a time."""
-    return bool(re.search(r"time|stamp|\b(?:t|millis|micros)\b", name.lower()))
-
-
-def spelt(text: str) -> str | None:
-    """Return the unit that a text is, None for any other text."""
-    text = OTHER_SPELLINGS.get(text, text)
-    return text if text in INPUT_UNITS or text in _US else None
-
-
-def name_and_unit(name: str) -> tuple[str, str | None]:
-    """Return a name without its unit, and the unit: `time_ms`, `ms`."""
-    for unit in (*_US, *INPUT_UNITS):
-        if name.endswith(f"_{unit}"):
-            return name[: -len(unit) - 1], unit
-    return name, spelt(name)
 
 
 class Form(NamedTuple):
@@ -413,7 +385,7 @@ class Clock:
         self.kind = f"time in {next(unit for unit, each in _US.items() if each == us)}"
         self._begins_us = 0.0
         if not in_bursts and _resolution(np.asarray(times_us) / us) * us <= _COARSE * mean_us:
-            self.period_us = float(np.mean(steps_us[(steps_us > 0) & (steps_us <= _GAP_STEPS * median_us)]))
+            self.period_us = float(np.mean(steps_us[(steps_us > 0) & (steps_us <= GAP_STEPS * median_us)]))
             return
         self.kind += (" in bursts" if in_bursts else " of few digits") + ", taken as evenly spaced"
         self._begins_us = 0.99 * mean_us
@@ -423,7 +395,7 @@ class Clock:
         at_us = np.cumsum(steps_us)[rows - 1]
         self.period_us = float((at_us[-1] - at_us[0]) / (rows[-1] - rows[0]))
         errors_us = at_us - at_us[0] - self.period_us * (rows - rows[0])
-        self._limit_us = float(np.max(np.abs(errors_us))) + _GAP_STEPS * self.period_us
+        self._limit_us = float(np.max(np.abs(errors_us))) + GAP_STEPS * self.period_us
 
     def __call__(self, time_us: float) -> float:
         """Return the time of the next line."""
@@ -544,11 +516,7 @@ class NumberedSamples:
 
 
 class TimedSamples:
-    """Puts samples of lines on a uniform grid, interpolated from their times. `losses`: the samples that were lost.
-
-    Between samples by the cubic polynomial with the parabolic slope at either end (C. de Boor, A Practical Guide to
-    Splines, 1978, chapter IV: Bessel interpolation), over gaps by a line.
-    """
+    """Puts samples of lines on a uniform grid, interpolated from their times. `losses`: the samples that were lost."""
 
     def __init__(self, lines: Lines, rate_hz: int, clock: Clock) -> None:
         self.losses = Losses()
@@ -610,7 +578,7 @@ class TimedSamples:
 
     def _note_step(self, step_us: float, now_us: float) -> None:
         steps = step_us / self._period_us
-        if steps > _GAP_STEPS:
+        if steps > GAP_STEPS:
             self.losses.add((now_us - step_us) / 1e6, max(1, round(steps) - 1))
             return
         jitter_us = abs(step_us - self._period_us)
@@ -631,22 +599,7 @@ class TimedSamples:
         step_us = 1e6 / self._rate_hz
         end = math.floor(t[-2] / step_us) + 1
         grid_us = step_us * np.arange(self._placed, max(end, self._placed))
-        h = np.diff(t)[:, None]
-        secants = np.diff(x, axis=0) / h
-        slopes = np.concatenate(
-            (secants[:1], (h[1:] * secants[:-1] + h[:-1] * secants[1:]) / (h[1:] + h[:-1]), secants[-1:])
-        )
-        at = np.clip(np.searchsorted(t, grid_us, side="right") - 1, 0, len(h) - 1)
-        part = (grid_us - t[at])[:, None] / h[at]
-        slope_before, slope_after = slopes[at], slopes[at + 1]
-        gap = h[at] > _GAP_STEPS * self._period_us
-        slope_before, slope_after = np.where(gap, secants[at], slope_before), np.where(gap, secants[at], slope_after)
-        # The cubic Hermite polynomial of both values and slopes.
-        result: Signal = (
-            (1 + 2 * part) * (1 - part) ** 2 * x[at]
-            + part**2 * (3 - 2 * part) * x[at + 1]
-            + h[at] * part * (1 - part) * ((1 - part) * slope_before - part * slope_after)
-        )
+        result = interpolated(t, x, grid_us, GAP_STEPS * self._period_us)
         self._placed = max(end, self._placed)
         keep = max(0, int(np.searchsorted(t, step_us * self._placed, side="right")) - 2)
         self._times_us, self._samples = t[keep:], x[keep:]
@@ -659,7 +612,7 @@ class TimedSamples:
             remarks.append(f"{damaged} line(s) without a sample")
         if self._all_late:
             remarks.append(f"{self._all_late} line(s) whose time did not rise")
-        if self._fastest_hz > (1 + _RATE_TOLERANCE) * self._slowest_hz:
+        if self._fastest_hz > (1 + CLOCK_TOLERANCE) * self._slowest_hz:
             remarks.append(f"the sensor's rate changed between {self._slowest_hz:.1f} and {self._fastest_hz:.1f} Hz")
         return remarks
 
@@ -886,7 +839,7 @@ class SerialSensor(Closing):
             )
         clock = Clock([time_us for time_us, _ in found], reader.layout.us, self.name, wanted_hz)
         measured_hz = 1e6 / clock.period_us if has_time else arriving_hz
-        tolerance = _RATE_TOLERANCE if has_time else _ARRIVAL_TOLERANCE
+        tolerance = CLOCK_TOLERANCE if has_time else _ARRIVAL_TOLERANCE
         if wanted_hz is not None and abs(measured_hz - wanted_hz) > tolerance * wanted_hz:
             raise TransportError(
                 f"{self.name} gives its rate as {wanted_hz} Hz, and its {'times' if has_time else 'lines'} say "

@@ -180,8 +180,8 @@ def read_source(source: Source, options: TrackOptions) -> Stream | textures.Reco
     recording = textures.load(source, **options.facts) if isinstance(source, Path) else source
     if recording.axes:
         raise InputError(
-            f"{place}: three axes of one texture; encode it with --axis x, y or z, dft321 or norm, or none for one "
-            "actuator for each axis; then play the .vct file"
+            f"{place}: three axes of one texture; encode it with --columns z, dft321 or norm, or x,y,z for an actuator "
+            "for each axis; then play the .vct file"
         )
     check_unit(recording.unit, "drive" if recording.drive else options.facts.get("unit"))
     return recording

@@ -60,7 +60,7 @@ class StudyTexture(TextureTable, frozen=True, kw_only=True):
         if self.surface is None:
             self.options()
         else:
-            for key in ("file", "generate", "unit", "full_scale", "axis", "reduce", "key"):
+            for key in ("file", "generate", "unit", "full_scale", "columns", "reduce", "key"):
                 if getattr(self, key) is not None:
                     raise ValueError(f"{key} does not go with surface; leave one out")
             if self.hand_speed_mm_s is None:

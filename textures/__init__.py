@@ -14,11 +14,12 @@ from vibrocast.textures.files import (
 from vibrocast.textures.filtering import HIGHPASS_HZ, HighPassed, LiveHighPass, highpass, highpass_of, is_vibration
 from vibrocast.textures.generate import GENERATORS, surface_profile, varying_speed
 from vibrocast.textures.profiles import Profile
-from vibrocast.textures.recording import INPUT_UNITS, UNITS, Recording, TextureError
+from vibrocast.textures.recording import FILE_UNITS, INPUT_UNITS, UNITS, Recording, TextureError
 from vibrocast.textures.resampling import resample
 
 __all__ = [
     "AXES",
+    "FILE_UNITS",
     "GENERATORS",
     "HIGHPASS_HZ",
     "INPUT_UNITS",

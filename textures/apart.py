@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+from dataclasses import fields
 from pathlib import Path
 from typing import IO, Any
 
@@ -16,6 +17,7 @@ import numpy as np
 
 from vibrocast.extras import MissingExtraError
 from vibrocast.textures import memory
+from vibrocast.textures.columns import Table
 from vibrocast.textures.recording import Contents, TextureError, unusable
 
 SECONDS = 60.0
@@ -23,7 +25,7 @@ SECONDS = 60.0
 _BYTES_PER_S = 1e6
 
 
-def read(reader: str, path: Path, key: str | None, rate_hz: float | None) -> Contents:
+def read(reader: str, path: Path, key: str | None, rate_hz: float | None) -> Contents | Table:
     """Return what `read(path, key, rate_hz)` of a module of this package returns, and raise as it does.
 
     Raises TextureError, too, where the module's parser crashes on the file, or takes too much time or memory.
@@ -40,8 +42,10 @@ def read(reader: str, path: Path, key: str | None, rate_hz: float | None) -> Con
             raise unusable(path, "its reader crashes, as at a damaged or hostile file", "save it again, or as .npy")
         if "error" in answer:
             raise _error(answer["error"])
-        answer["axes"] = tuple(answer["axes"])
-        return Contents(np.load(samples), **answer)
+        facts: dict[str, Any] = {
+            name: tuple(fact) if isinstance(fact, list) else fact for name, fact in answer["facts"].items()
+        }
+        return (Table if answer["table"] else Contents)(np.load(samples), **facts)
 
 
 class _ReaderProcess:
@@ -127,9 +131,10 @@ def _answer(request: dict[str, Any], answers: IO[str]) -> None:
     try:
         os.chdir(request["folder"])  # the file's name is relative to it
         reader = importlib.import_module(f"{__package__}.{request['reader']}")
-        contents: Contents = reader.read(Path(request["path"]), request["key"], request["rate_hz"])
-        np.save(request["samples"], contents.samples)
-        answer = {name: getattr(contents, name) for name in ("rate_hz", "unit", "full_scale", "axes")}
+        found: Contents | Table = reader.read(Path(request["path"]), request["key"], request["rate_hz"])
+        samples, *names = [each.name for each in fields(found)]
+        np.save(request["samples"], getattr(found, samples))
+        answer = {"table": isinstance(found, Table), "facts": {name: getattr(found, name) for name in names}}
     except TextureError as error:
         answer = {"error": {name: getattr(error, name) for name in ("problem", "cause", "action", "parameter")}}
     except MissingExtraError as error:

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast.textures.memory import excess, shortage
-from vibrocast.textures.recording import Contents, TextureError, unusable
-from vibrocast.textures.text import known_unit
+from vibrocast.textures.recording import FILE_UNITS, Contents, TextureError, known_unit, unusable
 
 SAMPLES_KEY, RATE_KEY, UNIT_KEY = "samples", "rate_hz", "unit"
 # Names of arrays and attributes that state the rate and the unit, in any case.
@@ -118,7 +117,7 @@ def contents_of(
     columns = samples.reshape(-1, 1) if array.ndim == 1 else samples
     rates = {name: _number(name, value, path) for name, value in (stated or {}).items() if name.lower() in RATE_NAMES}
     units = [_text(value) for name, value in (stated or {}).items() if name.lower() in UNIT_NAMES]
-    unit = next((known_unit(text, f"{path}: {UNIT_KEY}") for text in units if text), None)
+    unit = next((known_unit(text, f"{path}: {UNIT_KEY}", FILE_UNITS) for text in units if text), None)
     return Contents(columns, _only_rate(rates, rate_hz, path), unit, full_scale)
 
 

@@ -29,19 +29,16 @@ def order_of_axes(names: Sequence[str]) -> list[int] | None:
     return None
 
 
-def reduced(contents: Contents, axis: str | None, reduce: str | None, path: Path) -> Contents:
-    """Return one axis of three channels, or the three as `reduce` says; without either, the contents unchanged.
+def reduced(contents: Contents, reduce: str | None, path: Path) -> Contents:
+    """Return three channels as `reduce`, one of REDUCTIONS, says; for None, the contents unchanged.
 
-    `axis`: one of AXES. `reduce`: one of REDUCTIONS. Raises TextureError unless there are three channels.
+    Raises TextureError unless there are three channels.
     """
-    if axis is None and reduce is None:
+    if reduce is None:
         return contents
     channels = contents.samples.shape[1]
     if channels != len(AXES):
-        option = "axis" if reduce is None else "reduce"
-        raise TextureError(f"{path}: {option} needs three channels, X, Y and Z; this file has {channels}; leave it out")
-    if axis is not None:
-        return replace(contents, samples=contents.samples[:, [AXES.index(axis)]], axes=())
+        raise TextureError(f"{path}: reduce needs three channels, X, Y and Z; this file has {channels}; leave it out")
     if reduce == NONE:
         return replace(contents, axes=AXES)
     samples = dft321(contents.samples) if reduce == DFT321 else norm(contents.samples)

@@ -16,8 +16,7 @@ from vibrocast.errors import InputError
 from vibrocast.textures import files, p1918
 from vibrocast.textures.files import KEYED_SUFFIXES, SUFFIXES
 from vibrocast.textures.profiles import Profile
-from vibrocast.textures.recording import TextureError, unusable
-from vibrocast.textures.text import known_unit
+from vibrocast.textures.recording import TextureError, known_unit, unusable
 
 PARTS = ("all", "train", "test")
 SPLITS = ("auto", "recording", "material", "subject")
@@ -26,7 +25,7 @@ SPLITS = ("auto", "recording", "material", "subject")
 TEST_PART = 0.2
 """Share of the entries in the test part: the split of the EVA paper, 56 of the 280 of IEEE P1918.1.1."""
 NUMBERS = ("rate_hz", "full_scale", "hand_speed_mm_s")
-COLUMNS = ("file", "unit", *NUMBERS, "axis", "reduce", "key", "material", "subject", "split")
+COLUMNS = ("file", "unit", *NUMBERS, "columns", "reduce", "key", "material", "subject", "split")
 """Columns of a manifest; only the first is required."""
 RATE_TOLERANCE = 1e-6
 """Tolerance around a whole number of hertz: a height profile's rate is a quotient of two numbers with few digits."""
@@ -203,17 +202,20 @@ def _options_for(entry: DatasetEntry, offered: Mapping[str, Any]) -> dict[str, A
         withdraw("key")
     try:
         # The axes do not matter yet, but a recording of several files must be found.
-        contents = files.read_contents(path, None, chosen.get("axis") if of_axes else None, None, chosen.get("key"))
+        columns = files.names_of(chosen.get("columns")) if of_axes else None
+        contents = files.read_contents(path, None, columns, None, chosen.get("key"))
     except (TextureError, OSError, MemoryError):  # `textures.load` has a better message
         return chosen
     if isinstance(contents, Profile):
-        withdraw("rate_hz", "unit", "full_scale", "axis", "reduce")
+        withdraw("rate_hz", "unit", "full_scale", "columns", "reduce")
         return chosen
     withdraw("hand_speed_mm_s")
     if contents.rate_hz is not None:
         withdraw("rate_hz")
     if not of_axes and contents.samples.shape[1] != len(textures.AXES):
-        withdraw("axis", "reduce")
+        withdraw("reduce")
+    if not of_axes and contents.samples.shape[1] == 1:
+        withdraw("columns")
     if contents.unit is None:
         if "full_scale" not in chosen:
             chosen.setdefault("unit", "full scale")
@@ -287,7 +289,7 @@ def _of_manifest(manifest: Path) -> Dataset:
         raise InputError(f"{missing[0]} does not exist{more}; paths start at the manifest's folder")
     named = _named(found, manifest.parent)
     if alike := [name for name, times in Counter(entry.name for entry in named).items() if times > 1]:
-        raise InputError(f"{manifest}: {alike[0]} is in several rows; keep one, or give them different axes or keys")
+        raise InputError(f"{manifest}: {alike[0]} is in several rows; keep one, or give them different columns or keys")
     return Dataset(named, notes=_notes(manifest, named, columns))
 
 
@@ -323,12 +325,10 @@ def _rows(manifest: Path) -> tuple[dict[str, dict[str, str]], list[str]]:
 
 def _stated_options(row: Mapping[str, str], place: str) -> dict[str, Any]:
     """Return the options of a row for `textures.load`. Raises InputError."""
-    options: dict[str, Any] = {name: row[name] for name in ("axis", "reduce", "key") if row.get(name)}
-    if options.get("axis", "").upper() in textures.AXES:
-        options["axis"] = options["axis"].upper()
-    for name, known in (("axis", textures.AXES), ("reduce", textures.REDUCTIONS)):
-        if name in options and options[name] not in known:
-            raise InputError(f"{place}, {name}: {options[name]!r} is none of {', '.join(known)}; correct it")
+    options: dict[str, Any] = {name: row[name] for name in ("columns", "reduce", "key") if row.get(name)}
+    if options.get("reduce") not in (None, *textures.REDUCTIONS):
+        known = ", ".join(textures.REDUCTIONS)
+        raise InputError(f"{place}, reduce: {options['reduce']!r} is none of {known}; correct it")
     if row.get("unit"):
         try:
             options["unit"] = known_unit(row["unit"], f"{place}, unit")
@@ -365,7 +365,7 @@ def _named(found: Sequence[DatasetEntry], folder: Path) -> list[DatasetEntry]:
     """Return the entries in the order of their names, each with its name.
 
     The name is the path within the folder, without the suffix unless two names are equal; then a manifest's key and
-    axis.
+    columns.
     """
     stems = [_within(_stem(entry.path), folder) + _chosen_part(entry) for entry in found]
     times = Counter(stems)
@@ -377,8 +377,8 @@ def _named(found: Sequence[DatasetEntry], folder: Path) -> list[DatasetEntry]:
 
 
 def _chosen_part(entry: DatasetEntry) -> str:
-    key, axis = entry.options.get("key"), entry.options.get("axis")
-    return (f":{key}" if key else "") + (f"_{axis}" if axis else "")
+    key, columns = entry.options.get("key"), entry.options.get("columns")
+    return (f":{key}" if key else "") + (f"_{columns}" if columns else "")
 
 
 def _within(path: Path, folder: Path) -> str:

@@ -1,5 +1,8 @@
 """Loads recordings and height profiles from files of every supported kind, and saves WAV files and profiles."""
 
+import csv
+import logging
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,10 +12,24 @@ import soundfile
 from numpy.typing import ArrayLike
 
 from vibrocast.textures import apart, arguments, arrays, clips, hdf5, laboratory, mat, p1918, wav
-from vibrocast.textures.axes import AXES, DFT321, REDUCTIONS, reduced
+from vibrocast.textures.axes import DFT321, REDUCTIONS, reduced
+from vibrocast.textures.columns import Table, select, signal_of
 from vibrocast.textures.profiles import Profile
-from vibrocast.textures.recording import INPUT_UNITS, Contents, Recording, TextureError, unusable
-from vibrocast.textures.text import Table, column_names, known_unit, read_table, signal_of, uniform_step, write_table
+from vibrocast.textures.recording import (
+    FILE_UNITS,
+    INPUT_UNITS,
+    VOLTS,
+    Contents,
+    Recording,
+    TextureError,
+    known_unit,
+    unusable,
+)
+from vibrocast.textures.sensitivity import EXAMPLES, parse
+from vibrocast.textures.text import column_names, read_table, write_table
+from vibrocast.textures.times import uniform_step
+
+_log = logging.getLogger(__name__)
 
 TEXT_SUFFIXES = (".csv", ".txt", ".tsv")
 READERS_APART = {".mat": "mat", ".h5": "hdf5", ".hdf5": "hdf5"} | dict.fromkeys(laboratory.SUFFIXES, "laboratory")
@@ -21,18 +38,22 @@ KEYED_SUFFIXES = (".npz", *READERS_APART)
 SUFFIXES = (*wav.FORMATS, *TEXT_SUFFIXES, ".npy", *KEYED_SUFFIXES, *clips.SUFFIXES)
 SAVED_SUFFIXES = (".wav", ".csv", ".npy", ".mat", ".h5")
 POSITION_NAME = "position"
+MAX_SKIPPED_LINES = 1_000_000
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a Recording rejects what overflows
-def load(
+def load(  # noqa: PLR0913 - each is a fact that a file may not state
     path: str | Path,
     rate_hz: float | None = None,
     unit: str | None = None,
     full_scale: float | None = None,
-    axis: str | None = None,
+    columns: str | int | Sequence[str | int] | None = None,
     reduce: str | None = None,
     key: str | None = None,
     hand_speed_mm_s: float | None = None,
+    sensitivity: str | None = None,
+    skip_lines: int = 0,
+    resample: bool = False,
 ) -> Recording:
     """Load a recording from a file of one of SUFFIXES, an IEEE P1918.1.1 folder, or the folder of a bag of ROS 2.
 
@@ -44,11 +65,18 @@ def load(
         unit: Unit of the values, one of INPUT_UNITS, such as "m/s^2" or "um".
         full_scale: Value, in `unit`, of 1.0 in the file, or of the largest number of its type in an array of integers.
             A plain WAV file needs it with every `unit` but "drive".
-        axis: Take one of three channels: "X", "Y" or "Z".
+        columns: Names or numbers, from 1, of the channels to take: "x,z", or ["left", 3]. Three channels without names
+            are "x", "y" and "z". Default: all channels; in a text file, the axes X, Y and Z, or else all columns that
+            state a unit.
         reduce: Make one signal of three channels: "dft321" or "norm"; "none" keeps them. Default: "dft321" for a
             P1918.1.1 folder only.
         key: Name of the array, group, stream or topic in a file of one of KEYED_SUFFIXES.
         hand_speed_mm_s: Speed of the hand over a height profile, in mm/s.
+        sensitivity: What the sensor gives for one unit of acceleration or length, such as "100mV/g" for a file in
+            volts, or "256/g" for one in counts.
+        skip_lines: How many lines at the start of a text file to pass over.
+        resample: Whether to interpolate samples at equal steps from the uneven times of a text file, over gaps of up to
+            a second too.
 
     Returns:
         The recording, in one of UNITS.
@@ -60,25 +88,18 @@ def load(
     rate_hz = arguments.optional_number("rate_hz", rate_hz)
     full_scale = arguments.optional_number("full_scale", full_scale)
     hand_speed_mm_s = arguments.optional_number("hand_speed_mm_s", hand_speed_mm_s)
-    for name, text in (("unit", unit), ("axis", axis), ("reduce", reduce), ("key", key)):
+    chosen = names_of(columns)
+    lines = arguments.whole_number("skip_lines", skip_lines, 0, MAX_SKIPPED_LINES)
+    for name, text in (("unit", unit), ("reduce", reduce), ("key", key), ("sensitivity", sensitivity)):
         arguments.of_type(name, text, str, "text")
-    if axis is not None and axis.upper() not in AXES:
-        raise TextureError(
-            f"`axis`={axis}",
-            f"not one of {', '.join(AXES)}",
-            "for one signal of all three give `reduce`",
-            parameter=("axis", "reduce"),
-        )
     if reduce is not None and reduce not in REDUCTIONS:
         raise TextureError(f"`reduce`={reduce}", f"not one of {', '.join(REDUCTIONS)}", parameter="reduce")
-    if axis is not None and reduce is not None:
-        raise TextureError(f"`axis`={axis} and `reduce`={reduce}: give only one of them", parameter=("axis", "reduce"))
     if key is not None and path.suffix.lower() not in KEYED_SUFFIXES and not laboratory.is_ros_folder(path):
         raise unusable(
             path, f"`key` chooses an array of a {', '.join(KEYED_SUFFIXES)} file", "leave it out here", "key"
         )
     try:
-        contents = read_contents(path, rate_hz, axis and axis.upper(), reduce, key)
+        contents = read_contents(path, rate_hz, chosen, reduce, key, lines, resample)
     except OSError as error:
         raise TextureError(
             f"{path}: cannot be read: {error.strerror or error}; check the name and your permissions"
@@ -90,7 +111,7 @@ def load(
             raise unusable(
                 path, "a height profile", "give `hand_speed_mm_s`, the speed of the hand over it", "hand_speed_mm_s"
             )
-        if any(option is not None for option in (rate_hz, unit, full_scale, axis, reduce)):
+        if any(option is not None for option in (rate_hz, unit, full_scale, columns, reduce)):
             raise TextureError(
                 f"{path}: a height profile in um; it takes `hand_speed_mm_s` and no other option",
                 parameter="hand_speed_mm_s",
@@ -106,28 +127,32 @@ def load(
         raise unusable(path, f"states {contents.rate_hz:g} Hz", f"leave out `rate_hz`={rate_hz:g}", "rate_hz")
     if rate_hz is None:
         raise unusable(path, "does not state its sample rate", "give `rate_hz`", "rate_hz")
-    output_unit, scale = _scale(contents, unit, full_scale, path)
+    output_unit, scale = _scale(contents, unit, full_scale, path, sensitivity)
     samples = contents.samples
     if scale != 1:
         samples *= scale
+    for note in contents.notes:
+        _log.warning(note)
     drive = (unit or contents.unit) == "drive"
     # An error in the samples names the path; the recording has the file's name.
     checked = Recording(samples, rate_hz, output_unit, str(path), contents.axes, drive, contents.notes)
     return replace(checked, name=path.stem if path.is_file() else path.name)
 
 
-def load_for_actuators(path: str | Path, reduce: str | None = None, **options: Any) -> Recording:
+def load_for_actuators(
+    path: str | Path, reduce: str | None = None, columns: str | Sequence[str | int] | None = None, **options: Any
+) -> Recording:
     """Load a recording as `load` does, where each channel gets its own actuator.
 
-    Raises TextureError also if the channels are the axes of one texture, unless `reduce` is "none".
+    Raises TextureError also if the channels are the axes of one texture, unless `reduce` or `columns` say so.
     """
-    recording = load(path, reduce=reduce, **options)
-    if recording.axes and reduce is None:
+    recording = load(path, reduce=reduce, columns=columns, **options)
+    if recording.axes and reduce is None and columns is None:
         raise unusable(
             path,
             "three axes of one texture",
-            "pass `reduce` dft321, norm or none (one actuator for each axis), or choose one axis with `axis`",
-            "axis",
+            "pass `reduce` dft321 or norm, or choose `columns`, such as z, or x,y,z for an actuator for each axis",
+            "columns",
             "reduce",
         )
     return recording
@@ -216,35 +241,56 @@ def save(path: str | Path, recording: Recording, sixteen_bit: bool = False, note
 
 
 def read_contents(
-    path: Path, rate_hz: float | None, axis: str | None, reduce: str | None, key: str | None
+    path: Path,
+    rate_hz: float | None = None,
+    columns: Sequence[str] | None = None,
+    reduce: str | None = None,
+    key: str | None = None,
+    skip_lines: int = 0,
+    resample: bool = False,
 ) -> Contents | Profile:
     """Read the contents of a file, or of a P1918.1.1 recording; options as for `load`. Raises TextureError."""
-    if laboratory.is_ros_folder(path):
-        return reduced(apart.read("laboratory", path, key, rate_hz), axis, reduce, path)
-    if path.is_dir() or not path.exists():
-        contents = p1918.read_folder(path, axis, rate_hz)
-        return contents if axis else reduced(contents, None, reduce or DFT321, path)
-    if not path.is_file():
+    is_ros = laboratory.is_ros_folder(path)
+    if not is_ros and (path.is_dir() or not path.exists()):
+        contents = p1918.read_folder(path, columns, rate_hz)
+        return reduced(contents, reduce or (None if columns else DFT321), path)
+    if not is_ros and not path.is_file():
         raise TextureError(f"{path}: not a file; give a recording")
     suffix = path.suffix.lower()
-    if suffix not in TEXT_SUFFIXES:
-        return reduced(_read_binary(path, suffix, rate_hz, key), axis, reduce, path)
-    table = read_table(path)
-    if POSITION_NAME in table.names:
+    if is_ros or suffix not in TEXT_SUFFIXES:
+        found = apart.read("laboratory", path, key, rate_hz) if is_ros else _read_binary(path, suffix, rate_hz, key)
+        if isinstance(found, Table):
+            return reduced(signal_of(found, path, rate_hz, columns, resample), reduce, path)
+        return reduced(select(found, columns, path) if columns else found, reduce, path)
+    table = read_table(path, skip_lines)
+    if POSITION_NAME in table.words:
         return _profile_of(table, path)
-    contents = p1918.with_known_rate(signal_of(table, path, rate_hz), path)
-    own_axis = p1918.axis_of(path)
-    if own_axis is None:
-        return reduced(contents, axis, reduce, path)
-    if axis in (None, own_axis) and reduce is None:
-        return contents
-    choice = f"`axis`={axis}" if axis else f"`reduce`={reduce}"
-    raise unusable(
-        path, f"holds axis {own_axis}", f"for {choice} give {path.with_name(path.stem[:-2])}", "axis", "reduce"
-    )
+    own_axis = p1918.axis_of(path) if len(table.names) == 1 else None
+    if own_axis and (reduce or (columns and [each.upper() for each in columns] not in ([own_axis], ["1"]))):
+        raise unusable(
+            path,
+            f"holds axis {own_axis}",
+            f"for other `columns`, or `reduce`, give {path.with_name(path.stem[:-2])}",
+            "columns",
+            "reduce",
+        )
+    contents = signal_of(table, path, rate_hz, None if own_axis else columns, resample)
+    return reduced(p1918.with_known_rate(contents, path), reduce, path)
 
 
-def _read_binary(path: Path, suffix: str, rate_hz: float | None, key: str | None) -> Contents:
+def names_of(columns: str | int | Sequence[str | int] | None) -> list[str] | None:
+    """Return the names or numbers of columns, given as one or as several, as texts. Raises TextureError."""
+    if columns is None:
+        return None
+    if isinstance(columns, str):
+        columns = next(csv.reader([columns], skipinitialspace=True), [])
+    given = [columns] if isinstance(columns, int) else list(columns)
+    if not given or not all(isinstance(each, str | int) and str(each).strip() for each in given):
+        raise TextureError("`columns` names none", action='pass names or numbers, such as "x,z"', parameter="columns")
+    return [str(each).strip() for each in given]
+
+
+def _read_binary(path: Path, suffix: str, rate_hz: float | None, key: str | None) -> Contents | Table:
     if suffix in wav.FORMATS:
         return wav.read(path)
     if suffix in clips.SUFFIXES:
@@ -256,23 +302,34 @@ def _read_binary(path: Path, suffix: str, rate_hz: float | None, key: str | None
     raise TextureError(f"{path}: unknown kind of file; known are {', '.join(SUFFIXES)}")
 
 
-def _scale(contents: Contents, unit: str | None, full_scale: float | None, path: Path) -> tuple[str, float]:
+def _scale(
+    contents: Contents, unit: str | None, full_scale: float | None, path: Path, sensitivity: str | None = None
+) -> tuple[str, float]:
     """Return the unit of UNITS, and the factor that turns the file's numbers into it."""
-    given = None if unit is None else known_unit(unit, "`unit`")
+    given = None if unit is None else known_unit(unit, "`unit`", FILE_UNITS)
     relative = ("full scale", "drive")
     if full_scale is not None and not (np.isfinite(full_scale) and full_scale > 0):
         raise TextureError(f"`full_scale`={full_scale}", "not positive", "give a number above 0", "full_scale")
     if contents.unit not in (None, *relative) and (given not in (None, contents.unit) or full_scale is not None):
+        instead = ", and give the sensor's `sensitivity`" if contents.unit in VOLTS else ""
         raise unusable(
-            path, f"states its unit, {contents.unit}", "leave out `unit` and `full_scale`", "unit", "full_scale"
+            path,
+            f"states its unit, {contents.unit}",
+            f"leave out `unit` and `full_scale`{instead}",
+            "unit",
+            "full_scale",
+            "sensitivity",
         )
     if contents.unit in relative and given not in (None, *relative) and full_scale is None:
         raise unusable(
             path, "is relative to full scale", f"give `full_scale` too, the value of 1.0 in {given}", "full_scale"
         )
     chosen = given or contents.unit
+    if sensitivity is not None or chosen in VOLTS:
+        unit, factor = _of_sensor(chosen, path, sensitivity)
+        return unit, factor if full_scale is None else factor * full_scale / (contents.full_scale or 1.0)
     if chosen is None:
-        raise unusable(path, "does not state its unit", f"give `unit`, one of {', '.join(INPUT_UNITS)}", "unit")
+        raise unusable(path, "does not state its unit", f"give `unit`, one of {', '.join(FILE_UNITS)}", "unit")
     output_unit, factor = INPUT_UNITS[chosen]
     if output_unit == "full scale" and full_scale is not None:
         raise unusable(
@@ -285,16 +342,33 @@ def _scale(contents: Contents, unit: str | None, full_scale: float | None, path:
     return output_unit, factor * (full_scale or 1.0) / contents.full_scale
 
 
+def _of_sensor(unit: str | None, path: Path, sensitivity: str | None) -> tuple[str, float]:
+    """Return the unit of UNITS, and the factor that turns volts or counts into it."""
+    if sensitivity is None:
+        raise unusable(path, f"is in {unit}", f"give the sensor's `sensitivity`, such as {EXAMPLES}", "sensitivity")
+    sensor = parse(sensitivity)
+    volts = sensor.in_volts
+    if volts != (unit in VOLTS) or (unit and not volts):
+        raise unusable(
+            path,
+            f"is in {unit or 'an unknown unit'}, and `sensitivity`={sensitivity} in {'volts' if volts else 'counts'}",
+            f"give `unit`, one of {', '.join(VOLTS)}" if unit is None else "correct one of them, or leave it out",
+            "sensitivity",
+            "unit",
+        )
+    return sensor.unit, VOLTS.get(unit or "", 1.0) / sensor.per_unit
+
+
 def _profile_of(table: Table, path: Path) -> Profile:
-    if len(table.names) != 2 or POSITION_NAME not in table.names:
+    if len(table.names) != 2 or POSITION_NAME not in table.words:
         raise TextureError(f"{path}: a height profile has two columns, such as position_um and height_um")
-    position = table.names.index(POSITION_NAME)
+    position = table.words.index(POSITION_NAME)
     factors = []
     for name, unit in zip(table.names, table.units, strict=True):
         output_unit, factor = INPUT_UNITS.get(unit or "", ("", 0.0))
         if output_unit != "um":
             raise TextureError(f"{path}: column {name!r} must state a length: {name}_nm, {name}_um or {name}_mm")
         factors.append(factor)
-    spacing = uniform_step(table.values[:, position], f"{path}: column of positions")
+    spacing = uniform_step(table.values[:, position], f"{path}: column of positions", table.lines)
     heights_um = table.values[:, 1 - position] * factors[1 - position]
     return Profile(heights_um, spacing * factors[position], path.stem)

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from vibrocast import extras
 from vibrocast.textures import arrays
+from vibrocast.textures.columns import Table
 from vibrocast.textures.memory import shortage
-from vibrocast.textures.recording import Contents, TextureError
-from vibrocast.textures.text import Table, known_unit, signal_of
+from vibrocast.textures.recording import TextureError, spelt
 
 Column = tuple[str, str | None, NDArray[Any]]
 """Name, unit as the file states it, and numbers (n,)."""
@@ -29,8 +29,8 @@ def is_ros_folder(path: Path) -> bool:
     return (path / "metadata.yaml").is_file()
 
 
-def read(path: Path, key: str | None, rate_hz: float | None) -> Contents:
-    """Read a file of one of SUFFIXES, or the folder of a bag of ROS 2; `rate_hz` as in `textures.load`.
+def read(path: Path, key: str | None, rate_hz: float | None) -> Table:
+    """Read a file of one of SUFFIXES, or the folder of a bag of ROS 2; `rate_hz` does not matter yet.
 
     `key` names a group or one channel ("group/channel") of TDMS, a segment of LVM by number, a stream of XDF, and a
     topic of ROS. Raises TextureError, OSError, and MissingExtraError without the extra [formats].
@@ -38,10 +38,10 @@ def read(path: Path, key: str | None, rate_hz: float | None) -> Contents:
     suffix = ".bag" if path.is_dir() else path.suffix.lower()
     extras.require("formats", _MODULES[suffix])
     with arrays.parsing(path, f"a {suffix} file"):
-        return SUFFIXES[suffix](path, key, rate_hz)
+        return SUFFIXES[suffix](path, key)
 
 
-def _read_tdms(path: Path, key: str | None, rate_hz: float | None) -> Contents:
+def _read_tdms(path: Path, key: str | None) -> Table:
     from nptdms import TdmsFile
 
     with TdmsFile.open(path) as file:
@@ -55,10 +55,10 @@ def _read_tdms(path: Path, key: str | None, rate_hz: float | None) -> Contents:
         _reject_too_large(sum(map(len, chosen)), path)
         steps = {float(each.properties.get("wf_increment", 0.0)) for each in chosen}
         columns = [(each.name, each.properties.get("unit_string"), each[:]) for each in chosen]
-        return _contents(columns, steps, path, rate_hz)
+        return _table(columns, steps, path)
 
 
-def _read_lvm(path: Path, key: str | None, rate_hz: float | None) -> Contents:
+def _read_lvm(path: Path, key: str | None) -> Table:
     import lvm_read
 
     # Its `read` would unpickle a file next to this one.
@@ -75,10 +75,10 @@ def _read_lvm(path: Path, key: str | None, rate_hz: float | None) -> Contents:
             columns.append(("time", "s", values))
         elif name != "Comment":
             columns.append((name, next(units, None), values))
-    return _contents(columns, steps, path, rate_hz)
+    return _table(columns, steps, path)
 
 
-def _read_xdf(path: Path, key: str | None, rate_hz: float | None) -> Contents:
+def _read_xdf(path: Path, key: str | None) -> Table:
     import pyxdf
 
     streams, _ = pyxdf.load_xdf(str(path))
@@ -94,10 +94,10 @@ def _read_xdf(path: Path, key: str | None, rate_hz: float | None) -> Contents:
     columns: list[Column] = [(name, unit, values[:, number]) for number, (name, unit) in enumerate(labels)]
     if not nominal_hz:
         columns.insert(0, ("time", "s", stream["time_stamps"] - stream["time_stamps"][0]))
-    return _contents(columns, {1 / nominal_hz if nominal_hz else 0.0}, path, rate_hz)
+    return _table(columns, {1 / nominal_hz if nominal_hz else 0.0}, path)
 
 
-def _read_bag(path: Path, key: str | None, rate_hz: float | None) -> Contents:
+def _read_bag(path: Path, key: str | None) -> Table:
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
@@ -110,7 +110,7 @@ def _read_bag(path: Path, key: str | None, rate_hz: float | None) -> Contents:
         rows = np.array(list(_vectors(reader, chosen.connections, place))).reshape(-1, 4)
     columns: list[Column] = [("time", "s", rows[:, 0] - rows[:1, 0].sum())]
     columns += [(axis, unit, rows[:, number]) for number, axis in enumerate("xyz", start=1)]
-    return _contents(columns, {0.0}, path, rate_hz)
+    return _table(columns, {0.0}, path)
 
 
 def _vectors(reader: Any, connections: Any, place: str) -> Iterator[tuple[float, float, float, float]]:
@@ -127,23 +127,19 @@ def _vectors(reader: Any, connections: Any, place: str) -> Iterator[tuple[float,
         yield (time_ns - start) / 1e9, message.x, message.y, message.z
 
 
-def _contents(columns: list[Column], steps_s: set[float], path: Path, rate_hz: float | None) -> Contents:
-    """Return columns as a recording; `steps_s`: between samples, 0 where the file states none. Raises TextureError."""
+def _table(columns: list[Column], steps_s: set[float], path: Path) -> Table:
+    """Return columns as a table; `steps_s`: between samples, 0 where the file states none. Raises TextureError."""
     lengths = {len(values) for _, _, values in columns}
     if len(lengths) > 1 or len(steps_s) > 1:
         listed = ", ".join(name for name, _, _ in columns)
         raise TextureError(
             f"{path}: channels of several rates or lengths; choose one of {listed} with `key`", parameter="key"
         )
-    units = tuple(unit if name == "time" else _unit(unit, path) for name, unit, _ in columns)
+    units = tuple(unit and (spelt(unit) or unit) for _, unit, _ in columns)
     values = np.column_stack([np.asarray(each, np.float64) for _, _, each in columns])
     step_s = next(iter(steps_s), 0.0)
-    names = tuple(name.lower() for name, _, _ in columns)
-    return signal_of(Table(values, names, units, None, 1 / step_s if step_s > 0 else None), path, rate_hz)
-
-
-def _unit(text: str | None, path: Path) -> str | None:
-    return known_unit(text, str(path)) if text else None
+    names = tuple(name for name, _, _ in columns)
+    return Table(values, names, units, None, 1 / step_s if step_s > 0 else None)
 
 
 def _reject_too_large(count: int, path: Path) -> None:
@@ -151,7 +147,7 @@ def _reject_too_large(count: int, path: Path) -> None:
         raise TextureError(f"{path}: {count} samples, which {lack}")
 
 
-SUFFIXES: dict[str, Callable[[Path, str | None, float | None], Contents]] = {
+SUFFIXES: dict[str, Callable[[Path, str | None], Table]] = {
     ".tdms": _read_tdms,
     ".lvm": _read_lvm,
     ".xdf": _read_xdf,

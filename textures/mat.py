@@ -11,22 +11,22 @@ import numpy as np
 
 from vibrocast import extras
 from vibrocast.textures import arrays, hdf5
+from vibrocast.textures.columns import Table
 from vibrocast.textures.recording import Contents, Recording, TextureError
-from vibrocast.textures.text import Table, signal_of
 
 NUMBERS = ("single", "double", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)))
 """MATLAB's classes of numbers; NumPy has the same names."""
 MAX_BYTES = 2**31 - 2**10  # of a variable in version 5, its tags included
 
 
-def read(path: Path, key: str | None, rate_hz: float | None) -> Contents:
+def read(path: Path, key: str | None, rate_hz: float | None) -> Contents | Table:
     """Read a variable of numbers, a field of a struct or a table; `key` and `rate_hz` as in `textures.load`.
 
     A row is one channel, as a column is. `key` names fields and columns as MATLAB does: "trial.acc", "trials(2).acc".
     Raises TextureError, OSError, and MissingExtraError for a table without the extra [formats].
     """
     if hdf5.is_hdf5(path):
-        return _read_objects(path, key, rate_hz) if hdf5.has_tables(path) else hdf5.read(path, key, rate_hz)
+        return _read_objects(path, key) if hdf5.has_tables(path) else hdf5.read(path, key, rate_hz)
     from scipy.io import loadmat, whosmat
 
     with arrays.parsing(path, "a .mat file"):
@@ -35,7 +35,7 @@ def read(path: Path, key: str | None, rate_hz: float | None) -> Contents:
         except TypeError:  # scipy's, at an object
             variables = None
         if variables is None:
-            return _read_objects(path, key, rate_hz)
+            return _read_objects(path, key)
         stated = [
             name
             for name, (size, kind) in variables.items()
@@ -85,7 +85,7 @@ def _inside(name: str, value: Any) -> Iterator[tuple[str, Any]]:
         yield name, value
 
 
-def _read_objects(path: Path, key: str | None, rate_hz: float | None) -> Contents:
+def _read_objects(path: Path, key: str | None) -> Table:
     """Read a table or timetable, or a column of it."""
     extras.require("formats", "matio")
     from matio import load_from_mat
@@ -98,13 +98,13 @@ def _read_objects(path: Path, key: str | None, rate_hz: float | None) -> Content
         frame = tables[arrays.chosen_key(list(tables), name or None, path)]
         columns = frame.select_dtypes("number")
         columns = columns[[arrays.chosen_key(list(columns), column, path)]] if column else columns
-        names, values = [str(each).lower() for each in columns], columns.to_numpy(np.float64)
+        names, values = [str(each) for each in columns], columns.to_numpy(np.float64)
         if frame.index.dtype.kind in "mM":  # a timetable
             names, seconds = ["time", *names], (frame.index - frame.index[0]).total_seconds()
             values = np.column_stack([seconds, values])
         units = tuple("s" if each == "time" else None for each in names)
         rates = [float(np.squeeze(each)) for name, each in variables.items() if name.lower() in arrays.RATE_NAMES]
-        return signal_of(Table(values, tuple(names), units, None, next(iter(rates), None)), path, rate_hz)
+        return Table(values, tuple(names), units, None, next(iter(rates), None))
 
 
 def write(path: Path, recording: Recording) -> None:

@@ -5,14 +5,16 @@ one value a line at 2800 Hz. They state no unit.
 """
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from vibrocast.textures.axes import AXES
+from vibrocast.textures.columns import signal_of
 from vibrocast.textures.recording import Contents, TextureError, unusable
-from vibrocast.textures.text import read_table, signal_of
+from vibrocast.textures.text import read_table
 
 RATE_HZ = 2800.0
 
@@ -20,11 +22,12 @@ _AXIS_FILE = re.compile(r"(.+)_([XYZ])\.txt", re.IGNORECASE | re.DOTALL)
 _REFERENCE_NAME = re.compile(r".+_-_.+_-_.+_-_[^_]+", re.DOTALL)
 
 
-def read_folder(path: Path, axis: str | None, rate_hz: float | None) -> Contents:
+def read_folder(path: Path, columns: Sequence[str] | None, rate_hz: float | None) -> Contents:
     """Read one recording: `path` is a folder with one recording, or FOLDER/NAME without axis and `.txt`.
 
-    `axis`: one of AXES, or None for all. `rate_hz`: as in `textures.load`. Returns one channel for each axis. Raises
-    TextureError with the recordings to choose from or the missing files, OSError when a file cannot be read.
+    `columns`: letters or numbers of axes, or None for all. `rate_hz`: as in `textures.load`. Returns one channel for
+    each axis. Raises TextureError with the recordings to choose from or the missing files, OSError when a file cannot
+    be read.
     """
     folder = path if path.is_dir() else path.parent
     recordings = _recordings(folder) if folder.is_dir() else {}
@@ -40,13 +43,16 @@ def read_folder(path: Path, axis: str | None, rate_hz: float | None) -> Contents
         if name not in recordings:
             raise TextureError(f"{path}: no such file or recording; check the name")
     files = _file_of_each_axis(recordings[name])
-    wanted = AXES if axis is None else (axis,)
+    known = {**{letter: letter for letter in AXES}, **{str(number): letter for number, letter in enumerate(AXES, 1)}}
+    if unknown := [name for name in columns or () if name.upper() not in known]:
+        raise unusable(path, f"no axis {unknown[0]!r}", "choose of x, y and z with `columns`", "columns")
+    wanted = tuple(known[name.upper()] for name in columns or AXES)
     if missing := [letter for letter in wanted if letter not in files]:
         raise unusable(
             folder / name,
             f"no file for axis {', '.join(missing)}",
-            f"add it, or choose one of the axes there: `axis`={' or '.join(sorted(files))}",
-            "axis",
+            f"add it, or choose of the axes there: `columns`={' or '.join(sorted(files)).lower()}",
+            "columns",
         )
     paths = [files[letter] for letter in wanted]
     axes = [with_known_rate(signal_of(read_table(one), one, rate_hz), one) for one in paths]
@@ -57,11 +63,11 @@ def read_folder(path: Path, axis: str | None, rate_hz: float | None) -> Contents
         raise unusable(
             folder / name,
             f"axes differ in length ({lengths} samples), rate or unit",
-            "repair them, or choose one with `axis`",
-            "axis",
+            "repair them, or choose one with `columns`",
+            "columns",
         )
     samples = np.hstack([one.samples for one in axes])
-    return replace(axes[0], samples=samples, axes=AXES if axis is None else ())
+    return replace(axes[0], samples=samples, axes=AXES if wanted == AXES else ())
 
 
 def with_known_rate(contents: Contents, path: Path) -> Contents:

@@ -1,5 +1,6 @@
-"""The recording that every loader and generator returns, and the units that it may have."""
+"""The recording that every loader and generator returns, the units that it may have, and their spellings."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,11 +21,41 @@ INPUT_UNITS: dict[str, tuple[str, float]] = {
     "full scale": ("full scale", 1.0),
     "drive": ("full scale", 1.0),  # the numbers are the actuator's drive signal
     "m/s^2": ("m/s^2", 1.0),
+    "mm/s^2": ("m/s^2", 1e-3),
     "g": ("m/s^2", 9.80665),
+    "mg": ("m/s^2", 9.80665e-3),
     "nm": ("um", 1e-3),
     "um": ("um", 1.0),
     "mm": ("um", 1e3),
 }
+VOLTS = {"uV": 1e-6, "mV": 1e-3, "V": 1.0}
+"""Units of a sensor's output, in V; its sensitivity turns them into one of UNITS."""
+FILE_UNITS = (*INPUT_UNITS, *VOLTS)
+"""Units of the numbers in a file."""
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+"""Units of a column of times, in s."""
+
+_SPELLINGS = {
+    "full scale": ("full_scale",),
+    "m/s^2": ("m/s2", "m/s²", "m/s**2", "m/s/s", "m_s2", "ms2", "ms^2", "ms-2", "m/sec^2", "m/sec2", "ms⁻²", "m·s⁻²"),
+    "mm/s^2": ("mm/s2", "mm/s²", "mm/s**2", "mm/s/s", "mm_s2", "mm/sec^2"),
+    "g": ("gs", "g0", "gn", "gravity", "gravities"),
+    "mg": ("milli-g", "millig"),
+    "um": ("µm", "μm", "micron", "microns"),  # micro sign and Greek mu
+    "mm": ("millimetre", "millimetres", "millimeter", "millimeters"),
+    "uV": ("µV", "μV", "microvolt", "microvolts"),
+    "mV": ("millivolt", "millivolts"),
+    "V": ("volt", "volts"),
+    "s": ("sec", "secs", "second", "seconds"),
+    "ms": ("msec", "msecs", "millis", "millisecond", "milliseconds"),
+    "us": ("µs", "μs", "usec", "usecs", "micros", "microsecond", "microseconds"),
+    "ns": ("nsec", "nsecs", "nanos", "nanosecond", "nanoseconds"),
+}
+SPELLINGS = {name: name for name in (*FILE_UNITS, *SECONDS)} | {
+    other: name for name, others in _SPELLINGS.items() for other in others
+}
+"""The unit, one of FILE_UNITS and SECONDS, by each way to write it."""
+_IN_ANY_CASE = {text.casefold(): unit for text, unit in SPELLINGS.items()}
 
 
 class TextureError(InputError):
@@ -36,13 +67,26 @@ def unusable(path: Path | str, problem: str, action: str, *parameters: str) -> T
     return TextureError(f"{path}: {problem}", action=action, parameter=parameters)
 
 
+def spelt(text: str) -> str | None:
+    """Return the unit that a text means, as in SPELLINGS, in any case if it is not there; None for any other text."""
+    return SPELLINGS.get(text) or _IN_ANY_CASE.get(text.casefold())
+
+
+def known_unit(text: str, place: str, known: Collection[str] = INPUT_UNITS) -> str:
+    """Return a unit as spelt in `known`. Raises TextureError, which names the `place`, for any other."""
+    unit = spelt(text)
+    if unit is None or unit not in known:
+        raise TextureError(f"{place}: unknown unit {text!r}; known are {', '.join(known)}", parameter="unit")
+    return unit
+
+
 @dataclass(frozen=True, eq=False)
 class Contents:
     """The samples of a file, and the facts that it states.
 
-    `samples`: float64 (n, channels), as numbers in the file. `rate_hz`, `unit` (one of INPUT_UNITS): None if the file
-    does not state them. `full_scale`: the number that stands for full scale if the unit is "full scale"; None if the
-    file's type of integers states none. `axes`, `notes`: as in Recording.
+    `samples`: float64 (n, channels), as numbers in the file. `rate_hz`, `unit` (one of FILE_UNITS): None if the
+    file does not state them. `full_scale`: the number that stands for full scale if the unit is "full scale"; None if
+    the file's type of integers states none. `axes`, `notes`: as in Recording. `names`: of the channels, or none.
     """
 
     samples: Signal
@@ -50,6 +94,7 @@ class Contents:
     unit: str | None
     full_scale: float | None = 1.0
     axes: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
 
@@ -64,7 +109,7 @@ class Recording:
         name: A name for people.
         axes: The axis of each channel, where the channels are the axes of one texture; empty otherwise.
         drive: Whether the samples are the actuator's drive signal, so that 1.0 in "full scale" is its full stroke.
-        notes: How a clip was rendered and what was left out, for people; empty for other files.
+        notes: What `load` inferred, left out or doubts, and how a clip was rendered, in sentences for people.
 
     Raises:
         TextureError: An attribute is none of these.

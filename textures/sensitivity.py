@@ -4,11 +4,9 @@ import re
 from dataclasses import dataclass
 
 from vibrocast.errors import InputError
-from vibrocast.textures import INPUT_UNITS
-from vibrocast.textures.text import known_unit
+from vibrocast.textures.recording import INPUT_UNITS, VOLTS, known_unit
 
 EXAMPLES = "10.2mV/g, 1mV/(m/s^2), 0.3mV/um; 256/g for counts"
-_VOLTS = {"uV": 1e-6, "mV": 1e-3, "V": 1.0}
 _FORM = re.compile(r"\s*(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+)\s*(uV|mV|V)?\s*/\s*(\(.+\)|[^()]+?)\s*")
 _HIGHEST = 1e9
 
@@ -39,7 +37,7 @@ def parse(text: str) -> Sensitivity:
     unit, factor = INPUT_UNITS[known_unit(unit_text.strip("()").strip(), repr(text))]
     if unit == "full scale":
         raise InputError(f"{text!r} is per {unit_text}; write it per unit of acceleration or length: {EXAMPLES}")
-    per_unit = float(number) * _VOLTS.get(volts or "", 1.0) / factor
+    per_unit = float(number) * VOLTS.get(volts or "", 1.0) / factor
     if not 1 / _HIGHEST < per_unit < _HIGHEST:
         raise InputError(f"{text!r} is the sensitivity of no sensor; write one such as {EXAMPLES}")
     return Sensitivity(per_unit, unit, volts is not None, text.strip())

@@ -1,92 +1,93 @@
-"""Reads text files of numbers, CSV and TXT, and the columns, rates and units that they state."""
+"""Reads text files of numbers, CSV and TXT: finds their layout, and the names, units and rate that they state."""
 
 import csv
 import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from itertools import islice
 from pathlib import Path
 from typing import TextIO
 
 import numpy as np
 
-from vibrocast.textures.axes import AXES, order_of_axes
+from vibrocast.textures.columns import NO_UNITS, Table, name_and_unit
 from vibrocast.textures.memory import shortage
-from vibrocast.textures.recording import INPUT_UNITS, Contents, Recording, Signal, TextureError, unusable
+from vibrocast.textures.recording import FILE_UNITS, Recording, Signal, TextureError, known_unit, spelt, unusable
 
-TIME_NAMES = ("t", "time", "timestamp")
-# the first and the last: pandas' names for its index, written and read
-INDEX_NAMES = ("", "index", "n", "sample", "unnamed: 0")
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
-OTHER_SPELLINGS = {
-    "full_scale": "full scale",
-    "m/s2": "m/s^2",
-    "m/s²": "m/s^2",
-    "m/s**2": "m/s^2",
-    "m_s2": "m/s^2",
-    "µm": "um",  # micro sign
-    "μm": "um",  # Greek mu
-}
 ENCODING = "utf-8-sig"
 MAX_LINE_CHARACTERS = 100_000
-GRID_TOLERANCE = 0.25  # of a step: the most by which a time or position may miss the uniform grid
-RATE_TOLERANCE = 1e-9  # rounding error of the arithmetic of times
-PLAUSIBLE_RATES_HZ = (200.0, 200_000.0)  # of a texture, if a column of times states no unit
+LAYOUT_LINES = 1000
+"""The layout of the numbers is that of most of so many lines from the start."""
+MAX_TRAILER_LINES = 20
+"""So many lines of text at the end are left out."""
 
 _STATEMENT = re.compile(r"[#\s]*(rate_hz|unit)\s*[:=]\s*(.*?)\s*", re.IGNORECASE)
+_NUMBER, _TIME, _TEXT, _EMPTY = "n", "d", "t", "e"
 _DECIMAL_COMMA = r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?"
+_BLANKS_BETWEEN = re.compile(rf"\s*(?:{_DECIMAL_COMMA}|[+-]?\d+)(?:\s+(?:{_DECIMAL_COMMA}|[+-]?\d+))+\s*")
 _DECIMAL_COMMAS = re.compile(rf"{_DECIMAL_COMMA}(?:[;,\s]\s*{_DECIMAL_COMMA})*")
-_BRACKETED = re.compile(r"(.*?)[\s_]*[(\[]\s*(.*?)\s*[)\]]")
+_QUOTED_CHARACTERS = 40
 
 
 @dataclass(frozen=True)
-class Table:
-    """Numbers of a text file, and the facts that it states.
+class _Layout:
+    """How the lines of numbers are laid out.
 
-    `values`: float64 (rows, columns). `names`: one for each column, in lower case, empty if the file has none.
-    `own_units`: of each column by its name, spelt as in INPUT_UNITS or SECONDS, or None. `unit` and `rate_hz`: of all
-    channels, from lines such as `# unit: m/s^2` and `# rate_hz: 2800`, or None.
+    `delimiter`: None = blanks. `kinds`: of each field, _NUMBER, _TIME for a date or a time of day, _TEXT, or _EMPTY.
     """
 
-    values: Signal
-    names: tuple[str, ...]
-    own_units: tuple[str | None, ...]
-    unit: str | None
-    rate_hz: float | None
+    delimiter: str | None
+    kinds: str
 
-    @property
-    def units(self) -> tuple[str | None, ...]:
-        """The unit of each column: its own, or that of all channels."""
-        common = (None if name in TIME_NAMES else self.unit for name in self.names)
-        return tuple(own or unit for own, unit in zip(self.own_units, common, strict=True))
+    def holds(self, line: str) -> bool:
+        """Return whether a line has these fields. Where others have text, it may have anything."""
+        found = _layout_of(line, self.delimiter).kinds
+        return len(found) == len(self.kinds) and all(
+            own in (kind, _TEXT) for own, kind in zip(self.kinds, found, strict=True)
+        )
 
 
-def read_table(path: Path) -> Table:
-    """Read numbers in columns separated by tab, semicolon, comma or blanks, below any comments and column names.
+@dataclass(frozen=True)
+class _Head:
+    """The lines above the numbers: how many, and what they state.
 
-    Numbers may be quoted, and lines may end in a separator. The reader drops lines that start with #, empty lines, and
-    a column named as an index that counts the lines. Raises TextureError, also if commas may be decimal ones, OSError
-    when the file cannot be read.
+    `fields`: names with units, or none. `misfit`: the line above the numbers, where it names other columns, or "".
+    """
+
+    layout: _Layout
+    lines: int
+    fields: list[tuple[str, str | None]]
+    misfit: str
+    statements: dict[str, str]
+
+
+def read_table(path: Path, skip_lines: int = 0) -> Table:
+    """Read numbers in columns separated by tab, semicolon, comma or blanks.
+
+    Above them may be lines of text: comments, names of the columns, their units. Below them, too. Numbers may be
+    quoted, have a decimal comma unless commas separate them, and end in a separator. The reader drops lines that start
+    with # and empty lines. `skip_lines`: so many at the start are not looked at. Raises TextureError, also if commas
+    may be decimal ones, OSError when the file cannot be read.
     """
     # A number as text takes about as many bytes as its float64.
     if lack := shortage(path.stat().st_size):
         raise TextureError(f"{path}: {lack}")
     try:
         with path.open(encoding=ENCODING) as file:
-            return _read(file, path)
+            return _read(file, path, skip_lines)
     except UnicodeDecodeError as error:
         raise TextureError(f"{path}: not UTF-8 text; save it as a UTF-8 CSV file") from error
 
 
 def column_names(path: Path) -> list[str]:
-    """Return the names of a text file's columns, in lower case, from its first line that is no comment.
-
-    Empty where that line holds numbers. Raises TextureError for an unknown unit, and OSError.
-    """
+    """Return the names of a text file's columns, in small letters; none where it has none. Raises OSError."""
     with path.open(encoding=ENCODING, errors="replace") as file:
-        while line := file.readline(MAX_LINE_CHARACTERS):
-            if line.strip() and not line.lstrip().startswith("#"):
-                fields = [] if _is_numeric(line.partition("#")[0]) else _column_names(line.strip(), None, 0)
-                return [_name_and_unit(field.strip().strip("\"'"), path)[0] for field in fields]
-    return []
+        try:
+            return [name.lower() for name, _ in _head(file, path, 0).fields]
+        except TextureError:
+            return []
 
 
 def write_table(path: Path, recording: Recording) -> None:
@@ -100,278 +101,254 @@ def write_table(path: Path, recording: Recording) -> None:
         file.writelines(",".join(map(repr, row.tolist())) + "\n" for row in recording.samples)
 
 
-def signal_of(table: Table, path: Path, rate_hz: float | None = None) -> Contents:
-    """Return the channels of a table: every column except the time, whose steps give the rate.
+def _read(file: TextIO, path: Path, skip_lines: int) -> Table:
+    head = _head(file, path, skip_lines)
+    layout, statements = head.layout, head.statements
 
-    `rate_hz`: the user's rate; it decides if the times allow several. Columns x, y and z are put into this order.
-    Raises TextureError if the columns contradict each other, a comment or `rate_hz`, and if a time or an index may be
-    among the channels.
-    """
-    times = [index for index, name in enumerate(table.names) if name in TIME_NAMES]
-    channels = [index for index in range(len(table.names)) if index not in times]
-    if len(times) > 1:
-        raise TextureError(f"{path}: {len(times)} columns of times; keep one")
-    if not channels:
-        raise TextureError(f"{path}: no column of a signal next to those of a time or an index; add one")
-    stated_hz = table.rate_hz
-    if times:
-        column = _TimeColumn(path, table.names[times[0]], table.own_units[times[0]], table.values[:, times[0]])
-        stated_hz = column.rate_hz(table.rate_hz, rate_hz)
-    elif len(channels) > 1 and table.own_units[0] is None and _is_ramp(table.values[:, 0]):
-        raise TextureError(
-            f"{path}: the first column rises in equal steps, like a time or an index; name it time_s, time_ms or "
-            "index in a first line, or remove it"
-        )
-    units = {table.units[index] for index in channels}
-    if len(units) > 1:
-        raise TextureError(f"{path}: columns of different units; keep columns of one unit, each with its unit stated")
-    unit = units.pop()
-    if unit in SECONDS:
-        raise TextureError(f"{path}: a channel in {unit}; name a column of times time_{unit}, remove any other")
-    axes: tuple[str, ...] = ()
-    if order := order_of_axes([table.names[index] for index in channels]):
-        channels, axes = [channels[place] for place in order], AXES
-    samples = table.values if channels == list(range(len(table.names))) else table.values[:, channels]
-    return Contents(samples, stated_hz, unit, axes=axes)
+    def lines() -> Iterator[str]:
+        file.seek(0)
+        return islice(file, head.lines, None)
 
-
-def known_unit(text: str, place: str) -> str:
-    """Return a unit as spelt in INPUT_UNITS. Raises TextureError, which names the `place`, for an unknown one."""
-    unit = OTHER_SPELLINGS.get(text, text)
-    if unit not in INPUT_UNITS:
-        raise TextureError(f"{place}: unknown unit {text!r}; known are {', '.join(INPUT_UNITS)}", parameter="unit")
-    return unit
-
-
-def uniform_step(values: Signal, place: str) -> float:
-    """Return the step of rising values (n,) that lie on a uniform grid, to GRID_TOLERANCE of a step.
-
-    Otherwise raises TextureError, which names the `place`, the line and the size of the flaw.
-    """
-    if len(values) < 2:
-        raise TextureError(f"{place}: a single line, which has no step; give two lines or more")
-    if not np.isfinite(values).all():
-        raise TextureError(f"{place}: line {int(np.isfinite(values).argmin()) + 1} holds no number; repair that line")
-    with np.errstate(over="ignore", invalid="ignore"):
-        step = float(values[-1] - values[0]) / (len(values) - 1)
-        deviation = np.abs(values - (values[0] + step * np.arange(len(values))))
-        if np.isfinite(step) and step > 0 and deviation.max() <= GRID_TOLERANCE * step:
-            return step
-        steps = np.diff(values)
-    rises = (steps > 0) & np.isfinite(steps)
-    if not rises.all():
-        raise TextureError(f"{place}: does not rise after line {int(rises.argmin()) + 1}; sort the lines")
-    usual_step, gap = float(np.median(steps)), int(steps.argmax())
-    if steps[gap] > 1.5 * usual_step:
-        raise TextureError(
-            f"{place}: a gap of {steps[gap]:g} after line {gap + 1}, where the usual step is {usual_step:g}; fill "
-            "the gap, or cut the file there"
-        )
-    worst = int(deviation.argmax())
-    raise TextureError(
-        f"{place}: jitter, line {worst + 1} is off the uniform grid by {deviation[worst]:.3g}, "
-        f"{deviation[worst] / step:.0%} of a step; resample to equal steps first"
-    )
-
-
-@dataclass(frozen=True)
-class _TimeColumn:
-    """A column of times. `unit`: one of SECONDS if the name states it, else None."""
-
-    path: Path
-    name: str
-    unit: str | None
-    values: Signal
-
-    def rate_hz(self, commented_hz: float | None, given_hz: float | None) -> float:
-        """Return the rate in Hz from a comment or the user, if the times allow it, else that of the times.
-
-        Raises TextureError if they contradict each other, or if the unit is neither stated nor obvious.
-        """
-        if self.unit is not None and self.unit not in SECONDS:
-            raise TextureError(f"{self.path}: times in {self.unit}; name the column time_s, time_ms or time_us")
-        rates_hz = self._rates_hz()
-        slowest_hz, fastest_hz = PLAUSIBLE_RATES_HZ
-        plausible = [unit for unit, (rate_hz, _) in rates_hz.items() if slowest_hz <= rate_hz <= fastest_hz]
-        said = rates_hz[(plausible or list(rates_hz))[0]][0]
-        for stated_hz, contradiction in (
-            (commented_hz, "a comment says {:g} Hz; correct one of them"),
-            (given_hz, "leave out `rate_hz`={:g}, or correct the column"),
-        ):
-            if stated_hz is not None and not any(
-                abs(stated_hz - rate_hz) <= off_hz for rate_hz, off_hz in rates_hz.values()
-            ):
-                problem = f"{self.path}: the time column says {said:g} Hz"
-                raise TextureError(problem, action=contradiction.format(stated_hz), parameter="rate_hz")
-        if stated := commented_hz or given_hz:
-            return stated
-        if self.unit is None and "s" not in plausible:
-            possible = ", ".join(f"{rate_hz:g} Hz in {unit}" for unit, (rate_hz, _) in rates_hz.items())
-            raise unusable(
-                self.path,
-                f"the column {self.name!r} states no unit, and its rate may be {possible}",
-                "name it time_s, time_ms or time_us (or index, if it counts the samples), or give `rate_hz`",
-                "rate_hz",
-            )
-        return said
-
-    def _rates_hz(self) -> dict[str, tuple[float, float]]:
-        """Return the rate for each unit that the times may have, whole if they allow it, and its possible error.
-
-        Times with few digits scatter about their grid. So may the first and the last one, which give the rate.
-        """
-        try:
-            step = uniform_step(self.values, f"{self.path}: column of times")
-        except TextureError as error:
+    if not head.fields:
+        if layout.delimiter == "," and _may_be_decimal_commas(lines()):
             raise TextureError(
-                str(error), action="or remove that column and give `rate_hz`", parameter="rate_hz"
-            ) from error
-        intervals = np.arange(len(self.values))
-        scatter = float(np.ptp(self.values - step * intervals))
-        rates_hz = {}
-        for unit in [self.unit] if self.unit else SECONDS:
-            rate_hz = 1 / step / SECONDS[unit]
-            off_hz = rate_hz * (scatter / step / intervals[-1] + RATE_TOLERANCE)
-            whole_hz = float(np.round(rate_hz))
-            rates_hz[unit] = (whole_hz if abs(rate_hz - whole_hz) <= off_hz else rate_hz, off_hz)
-        return rates_hz
-
-
-def _is_ramp(values: Signal) -> bool:
-    try:
-        return len(values) > 2 and uniform_step(values, "") > 0
-    except TextureError:
-        return False
-
-
-def _read(file: TextIO, path: Path) -> Table:
-    statements: dict[str, str] = {}
-    header = ""
-    while True:
-        start = file.tell()
-        line = file.readline(MAX_LINE_CHARACTERS)
-        if not line:
-            raise TextureError(f"{path}: holds no numbers; give a file with one sample a line")
-        if len(line) == MAX_LINE_CHARACTERS or "\0" in line:
-            raise TextureError(f"{path}: not a text file of numbers; write one sample a line")
-        if statement := _STATEMENT.fullmatch(line):
-            statements[statement[1].lower()] = statement[2]
-        elif line.strip() and not line.lstrip().startswith("#"):
-            numbers = line.partition("#")[0]
-            if _is_numeric(numbers):
-                break
-            if _DECIMAL_COMMAS.fullmatch(line.strip().replace('"', "")):
-                raise TextureError(f"{path}: {line.strip()[:40]!r} has decimal commas; write decimal points")
-            if header:
-                raise TextureError(
-                    f"{path}: {line.strip()[:40]!r} is not a line of numbers; write numbers with a decimal point, "
-                    "commas between columns and # before comments"
-                )
-            header = line.strip()
-    delimiter = _delimiter(numbers)
-    file.seek(start)
-    values = _values(file, delimiter, _fields(numbers, delimiter), path)
-    fields = _column_names(header, delimiter, values.shape[1])
-    if len(fields) != values.shape[1]:
-        file.seek(start)
-        if delimiter == "," and _may_be_decimal_commas(file):
-            raise TextureError(
-                f"{path}: decimal commas? write decimal points, or name each of the {values.shape[1]} columns in a "
+                f"{path}: decimal commas? write decimal points, or name each of the {len(layout.kinds)} columns in a "
                 "first line"
             )
-        if header:
-            raise TextureError(
-                f"{path}: {len(fields)} column names for {values.shape[1]} columns of numbers; name each column"
+        if head.misfit:
+            raise unusable(
+                path,
+                f"{_quoted(head.misfit)} does not name columns of numbers, of which there are {len(layout.kinds)}",
+                "name each column, or pass over that line with `skip_lines`",
+                "skip_lines",
             )
-    columns = [_name_and_unit(field.strip().strip("\"'"), path) for field in fields] or [("", None)] * values.shape[1]
-    if header:
-        kept = [index for index, column in enumerate(columns) if not _is_index(*column, values[:, index])]
-        values, columns = values[:, kept], [columns[index] for index in kept]
-    names, units = tuple(name for name, _ in columns), tuple(unit for _, unit in columns)
-    unit = known_unit(statements["unit"], str(path)) if "unit" in statements else None
+    notes: tuple[str, ...] = ()
+    try:
+        values = _values(lines, layout)
+    except UnicodeDecodeError:
+        raise
+    except ValueError as error:
+        rows, trailer, more = _end_of_numbers(lines(), layout)
+        count = layout.kinds.count(_NUMBER)
+        numbers = f"{count} number{'s' * (count > 1)}"
+        place = f"line {head.lines + rows + 1}, {_quoted(trailer)}"
+        if not trailer or more > min(MAX_TRAILER_LINES, rows // MAX_TRAILER_LINES):
+            reason = place if trailer else str(error).partition(";")[0].rstrip(".")
+            raise unusable(
+                path,
+                f"{reason} is not {numbers} as the lines above it",
+                "repair or remove that line, or pass over lines at the start with `skip_lines`",
+                "skip_lines",
+            ) from error
+        values = _values(lambda: islice(lines(), rows), layout)
+        notes = (f"{path}: left out {more} line(s) behind the samples, from {place}",)
+    kept = [column for column, kind in enumerate(layout.kinds) if kind != _EMPTY]
+    fields = head.fields or [("", None)] * len(layout.kinds)
+    units = ["s" if layout.kinds[column] == _TIME else fields[column][1] for column in kept]
+    unit = known_unit(statements["unit"], str(path), FILE_UNITS) if "unit" in statements else None
     try:
         rate_hz = float(statements["rate_hz"]) if "rate_hz" in statements else None
     except ValueError as error:
         raise TextureError(f"{path}: rate_hz {statements['rate_hz']!r} is not a number; correct it") from error
-    return Table(values, names, units, unit, rate_hz)
+    values = values if len(kept) == len(layout.kinds) else values[:, kept]
+    return Table(values, tuple(fields[column][0] for column in kept), tuple(units), unit, rate_hz, head.lines, notes)
 
 
-def _delimiter(line: str) -> str | None:
-    return next((delimiter for delimiter in "\t;," if delimiter in line.strip()), None)
+def _head(file: TextIO, path: Path, skip_lines: int) -> _Head:
+    """Read the first lines of a file. Raises TextureError where they hold no numbers, or names of other columns."""
+    lines: list[str] = []
+    counts: Counter[_Layout] = Counter()
+    while len(lines) < skip_lines + LAYOUT_LINES and (line := file.readline(MAX_LINE_CHARACTERS)):
+        if len(line) == MAX_LINE_CHARACTERS or "\0" in line:
+            raise TextureError(f"{path}: not a text file of numbers; write one sample a line")
+        lines.append(line)
+        if len(lines) > skip_lines and _data(line):
+            counts[_layout_of(line)] += 1
+    usual = [layout for layout in counts if _NUMBER in layout.kinds and (layout.delimiter or _TEXT not in layout.kinds)]
+    layout = max(usual, key=lambda each: counts[each], default=None)
+    if layout is None:
+        if not (said := [line for line in lines[skip_lines:] if _data(line)]):
+            raise TextureError(f"{path}: holds no numbers; give a file with one sample a line")
+        raise unusable(
+            path,
+            f"holds no numbers that can be read; {_quoted(said[-1])} is not a line of numbers",
+            "write one sample a line, or pass over more than that many lines of text with `skip_lines`",
+            "skip_lines",
+        )
+    start = next(place for place, line in enumerate(lines) if place >= skip_lines and layout.holds(line))
+    above = [line.strip(" \r\n") for line in lines[skip_lines:start] if line.strip()]
+    stated = [match for line in above if (match := _STATEMENT.fullmatch(line))]
+    statements = {match[1].lower(): match[2] for match in stated}
+    others = [line for line in above if not _STATEMENT.fullmatch(line)]
+    fields = _named(others, layout)
+    misfit = others[-1] if others and not fields and not others[-1].lstrip().startswith("#") else ""
+    several = (layout.delimiter or len(layout.kinds) == 1) and len(_names(misfit, layout)) > 1
+    return _Head(layout, start, fields, misfit if several else "", statements)
 
 
-def _fields(line: str, delimiter: str | None) -> list[str]:
+def _named(above: Sequence[str], layout: _Layout) -> list[tuple[str, str | None]]:
+    """Return name and unit of each field, from the last lines of text that have as many fields, or none.
+
+    A line of units may follow the names, and # may begin either.
+    """
+    units: list[str | None] = []
+    for line in reversed(above):
+        names = _names(line.lstrip("# "), layout)
+        fields = [name_and_unit(name) for name in names]
+        if len(names) != len(layout.kinds) or (line.startswith("#") and len(fields) == 1 and fields[0][1] is None):
+            continue  # a remark
+        if not units and (found := _units(names)):
+            units = found
+            continue
+        return [(name, own or unit) for (name, own), unit in zip(fields, units or [None] * len(fields), strict=True)]
+    return [(unit or "", unit) for unit in units]
+
+
+def _units(names: Sequence[str]) -> list[str | None]:
+    """Return the units of a line that holds nothing else, None where a column has none; [] for other lines."""
+    bare = [name.strip(" \"'") for name in names]
+    inner = [text[1:-1].strip() if text[:1] + text[-1:] in ("()", "[]") else text for text in bare]
+    units = [spelt(text) for text in inner]
+    if not any(units) or any(
+        not unit and text == bracketed and text.lower() not in NO_UNITS
+        for unit, text, bracketed in zip(units, inner, bare, strict=True)
+    ):
+        return []
+    return [unit or (None if text.lower() in NO_UNITS else text) for unit, text in zip(units, inner, strict=True)]
+
+
+def _names(line: str, layout: _Layout) -> list[str]:
+    """Split a line above the numbers into as many names as there are fields, if it can be."""
+    count = len(layout.kinds)
+    delimiter = layout.delimiter or next((each for each in "\t;," if each in line), None)
+    if delimiter is None and count == 1:
+        names = [line]
+    elif delimiter is None and '"' not in line:  # where blanks separate columns, "x (m/s^2)" is one name
+        names = re.findall(r"\S+(?:\s*[(\[][^)\]]*[)\]])?", line)
+    else:
+        names = next(csv.reader([line], delimiter=delimiter or " ", skipinitialspace=True), [])
+    if len(names) == count + 1 and not names[-1].strip():
+        return names[:-1]
+    return [*names, ""] if len(names) == count - 1 and layout.kinds.endswith(_EMPTY) else names
+
+
+def _data(line: str) -> str:
+    """Return a line without a comment, and without blanks around it."""
+    return line.partition("#")[0].strip(" \r\n")
+
+
+def _layout_of(line: str, delimiter: str | None = "") -> _Layout:
+    """Return the layout of one line. `delimiter`: "" finds it."""
+    data = _data(line)
+    if delimiter == "":
+        delimiter = next((each for each in "\t;," if each in data.strip()), None)
+        if delimiter == "," and _BLANKS_BETWEEN.fullmatch(data):
+            delimiter = None
+    return _Layout(delimiter, "".join(map(_kind, _fields(data, delimiter))))
+
+
+def _fields(data: str, delimiter: str | None) -> list[str]:
     """Split a line at the delimiter or at blanks, and remove quotes around fields."""
     if delimiter is None:
-        return [field.strip('"') for field in line.split()]
-    return next(csv.reader([line.strip(" \r\n")], delimiter=delimiter))
+        return [field.strip('"') for field in data.split()]
+    return next(csv.reader([data], delimiter=delimiter), [])
 
 
-def _is_numeric(line: str) -> bool:
-    fields = _fields(line, _delimiter(line))
+def _kind(field: str) -> str:
+    if not field.strip():
+        return _EMPTY
     try:
-        for field in fields if fields[-1] else fields[:-1]:
-            float(field)
+        float(field.replace(",", "."))
     except ValueError:
-        return False
-    return any(fields)
+        return _TEXT if _moment(field) is None else _TIME
+    return _NUMBER
 
 
-def _may_be_decimal_commas(file: TextIO) -> bool:
-    """Return whether all remaining lines may hold numbers with decimal commas and commas between them."""
-    lines = (line.partition("#")[0].strip().replace('"', "") for line in file)
-    return all(_DECIMAL_COMMAS.fullmatch(line) for line in lines if line)
-
-
-def _values(file: TextIO, delimiter: str | None, first_fields: list[str], path: Path) -> Signal:
-    """Return the remaining lines as float64 (rows, columns); a delimiter at the end of all lines makes no column."""
-    surplus = len(first_fields) - 1 if not first_fields[-1] else None
+def _moment(field: str) -> datetime | None:
+    """Return a date with a time, or a time of a day, as ISO 8601 writes them; None for any other text."""
+    text = field.strip()
     try:
-        values = np.loadtxt(
-            file,
+        moment = datetime.fromisoformat(f"1970-01-01 {text}" if re.match(r"\d\d:", text) else text)
+    except ValueError:
+        return None
+    return moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+
+
+def _seconds_of() -> Callable[[str], float]:
+    """Return what turns dates and times into s since the first that it gets. It raises ValueError."""
+    first: list[datetime] = []
+
+    def seconds(field: str) -> float:
+        if (moment := _moment(field)) is None:
+            raise ValueError("no date or time")
+        first.append(moment)
+        del first[1:]
+        return (moment - first[0]).total_seconds()
+
+    return seconds
+
+
+def _may_be_decimal_commas(lines: Iterable[str]) -> bool:
+    """Return whether all lines may hold numbers with decimal commas and commas between them."""
+    return all(_DECIMAL_COMMAS.fullmatch(data) for line in lines if (data := _data(line)))
+
+
+def _values(lines: Callable[[], Iterable[str]], layout: _Layout) -> Signal:
+    """Return lines of numbers as float64 (rows, columns). Raises ValueError for lines of another layout."""
+
+    def load(texts: Iterable[str], delimiter: str | None) -> Signal:
+        return np.loadtxt(
+            texts,
             delimiter=delimiter,
             quotechar='"',
-            converters=None if surplus is None else {surplus: _nothing},
+            converters={
+                column: {_TIME: _seconds_of(), _TEXT: lambda _: float("nan"), _EMPTY: _nothing}[kind]
+                for column, kind in enumerate(layout.kinds)
+                if kind != _NUMBER
+            }
+            or None,
             ndmin=2,
             dtype=np.float64,
+            encoding=None,
         )
+
+    try:
+        return load(lines(), layout.delimiter)
     except UnicodeDecodeError:
         raise
-    except ValueError as error:
-        reason = str(error).partition(";")[0].rstrip(".")
-        raise TextureError(f"{path}: {reason}, counted from the first line of numbers; repair that line") from error
-    return values if surplus is None else np.delete(values, surplus, axis=1)
+    except ValueError:
+        if not any("," in line for line in islice(lines(), LAYOUT_LINES)):
+            raise
+    parted = (_fields(data, layout.delimiter) for line in lines() if (data := _data(line)))
+    return load(("\t".join(fields).replace(",", ".") for fields in parted), "\t")
 
 
 def _nothing(field: str) -> float:
     if field.strip():
-        raise ValueError
+        raise ValueError("no number belongs here")
     return 0.0
 
 
-def _column_names(header: str, delimiter: str | None, count: int) -> list[str]:
-    """Split a header into columns: `time_s`, `x (m/s^2)`, `height_um`, `acceleration [g]`, `force`."""
-    delimiter = delimiter or _delimiter(header)
-    if not header:
-        return []
-    if delimiter is None and count == 1:
-        fields = [header]
-    elif delimiter is None:  # where blanks separate columns, "x (m/s^2)" is one name
-        fields = re.findall(r"\S+(?:\s*[(\[][^)\]]*[)\]])?", header)
-    else:
-        fields = _fields(header, delimiter)
-    return fields[:-1] if len(fields) == count + 1 and not fields[-1] else fields
+def _end_of_numbers(lines: Iterable[str], layout: _Layout) -> tuple[int, str, int]:
+    """Return how many lines are above the first that does not fit, this line, and how many come from there.
+
+    "" where all fit. Many, where one of those that come fits again.
+    """
+    rows = more = 0
+    trailer = ""
+    for line in lines:
+        fits = not _data(line) or layout.holds(line)
+        if trailer and _data(line):
+            more = more + 1 if not fits else MAX_TRAILER_LINES + 1
+        elif not fits:
+            trailer, more = line, 1
+        if not trailer:
+            rows += 1
+        if more > MAX_TRAILER_LINES:
+            break
+    return rows, trailer, more
 
 
-def _is_index(name: str, unit: str | None, values: Signal) -> bool:
-    return name in INDEX_NAMES and unit is None and np.array_equal(values, values[0] + np.arange(len(values)))
-
-
-def _name_and_unit(field: str, path: Path) -> tuple[str, str | None]:
-    if bracketed := _BRACKETED.fullmatch(field):
-        name, unit = bracketed[1], bracketed[2]
-        return name.lower(), unit if unit in SECONDS else known_unit(unit, f"{path}: column {field!r}")
-    for unit in (*SECONDS, *INPUT_UNITS, *OTHER_SPELLINGS):
-        if field.endswith(f"_{unit}"):
-            return field[: -len(unit) - 1].lower(), OTHER_SPELLINGS.get(unit, unit)
-    return field.lower(), None
+def _quoted(line: str) -> str:
+    text = line.strip()
+    return repr(text if len(text) <= _QUOTED_CHARACTERS else text[:_QUOTED_CHARACTERS] + "...")

@@ -177,7 +177,7 @@ def bench(
     """Measure codecs and trained models on a folder of recordings.
 
     A MANIFEST is a CSV file that names recordings. It has the column file, and any of unit, rate_hz, full_scale,
-    hand_speed_mm_s, axis, reduce, key, material, subject and split.
+    hand_speed_mm_s, columns, reduce, key, material, subject and split.
 
     The command codes each recording at every setting of every codec. If one fails, the others continue; the failures
     are listed at the end, and the exit code is 1.

@@ -150,6 +150,17 @@ class LogFile(logging.FileHandler):
         raise OSError(error.errno, error.strerror, self.baseFilename) from error
 
 
+class NotesHandler(logging.Handler):
+    """Prints what the reader of recordings notes, on stderr."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print one line, whatever it quotes."""
+        click.echo(f"note: {plain(record.getMessage())}", err=True)
+
+
+logging.getLogger("vibrocast.textures").addHandler(NotesHandler(logging.WARNING))
+
+
 def keep_log(path: Path) -> None:
     """Append the log of this program to a file. Raises OSError, then or later."""
     handler = LogFile(path, encoding="utf-8")

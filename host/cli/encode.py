@@ -14,7 +14,7 @@ from vibrocast.codec.rate_control import Outcome, RateTarget
 from vibrocast.codec.stream import Stream
 from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.describe import describe_felt_error, describe_quality
-from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, positive, reject_overwriting
+from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, positive, reject_overwriting
 from vibrocast.host.cli.options import (
     QualityOptions,
     RecordingOptions,
@@ -30,6 +30,7 @@ from vibrocast.host.cli.options import (
 from vibrocast.host.cli.sections import CODING, SectionedCommand, section
 from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
 from vibrocast.host.cli.steps import encoded, encoded_profile, files_of
+from vibrocast.textures.files import MAX_SKIPPED_LINES
 
 
 def parsed_setting(ctx: click.Context, param: click.Parameter, values: Sequence[str]) -> dict[str, str]:
@@ -57,10 +58,16 @@ def parsed_setting(ctx: click.Context, param: click.Parameter, values: Sequence[
         unit_option,
         click.option("--full-scale", type=positive("VALUE"), help="Give the value of 1.0 in a WAV file, in --unit."),
         click.option(
-            "--axis",
-            type=click.Choice((*textures.AXES, *textures.REDUCTIONS), case_sensitive=False),
-            help="Take one of three axes, or reduce them; none keeps three. "
-            "Default: dft321 for P1918.1.1 recordings, none for others.",
+            "--columns",
+            metavar="NAME,...",
+            help="Take columns by name or number, such as x,z; or dft321 or norm of three axes, such as norm:ax,ay,az.",
+        ),
+        click.option(
+            "--sensitivity", metavar="TEXT", help="Give what the sensor of a file in volts or counts has, as 100mV/g."
+        ),
+        click.option("--resample", is_flag=True, help="Interpolate samples at equal steps from uneven times."),
+        click.option(
+            "--skip-lines", type=Whole("LINES", 0, MAX_SKIPPED_LINES), default=0, help="Pass over lines of a text file."
         ),
         click.option(
             "--key",

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 import click
 
 from vibrocast.errors import BAD_INPUT, FAILED, VibrocastError
+from vibrocast.host.cli.commands import subcommands
 
 FLAGS = {"highpass_hz=None": "keep_dc"}
 """Settings of the library's parameters that a flag of another name makes."""
@@ -21,11 +22,18 @@ class CommandError(click.ClickException):
 
 
 def option_names(command: click.Command | None) -> dict[str, str]:
-    """Return the options of a subcommand by the parameters of the library that they set."""
+    """Return the options of a subcommand by the parameters of the library that they set.
+
+    A command with some of the options that complete a file refers to `encode`, which has all.
+    """
     options = [each for each in (command.params if command else ()) if each.opts[0].startswith("--")]
     named = {each.opts[0].removeprefix("--").replace("-", "_"): each.opts[0] for each in options}
     named |= {each.name: each.opts[0] for each in options if each.name}
-    return named | {setting: named[flag] for setting, flag in FLAGS.items() if flag in named}
+    named |= {setting: named[flag] for setting, flag in FLAGS.items() if flag in named}
+    if command is None or "unit" not in named or command.name == "encode":
+        return named
+    coding = subcommands()["encode"].load()
+    return {name: f"`vibrocast encode {option}`" for name, option in option_names(coding).items()} | named
 
 
 def explained(error: Exception, options: Mapping[str, str]) -> CommandError:

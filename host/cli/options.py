@@ -222,19 +222,26 @@ class RecordingOptions:
     rate_hz: float | None = None
     unit: str | None = None
     full_scale: float | None = None
-    axis: str | None = None
+    columns: str | None = None
     key: str | None = None
     hand_speed_mm_s: float | None = None
+    sensitivity: str | None = None
+    skip_lines: int = 0
+    resample: bool = False
 
     def facts(self) -> dict[str, Any]:
         """Return the arguments of `textures.load`."""
-        chosen = "axis" if self.axis in textures.AXES else "reduce"
-        return {**vars(self), "axis": None, chosen: self.axis}
+        if self.columns is None:
+            return vars(self)
+        reduction, _, names = self.columns.partition(":")
+        if reduction not in textures.REDUCTIONS:
+            return vars(self)
+        return {**vars(self), "reduce": reduction, "columns": names or None}
 
 
 rate_hz_option = click.option("--rate-hz", type=positive("Hz"), help="Give the sample rate of a file that states none.")
 unit_option = click.option(
-    "--unit", type=click.Choice(list(textures.INPUT_UNITS)), help="Give the unit of a file that states none."
+    "--unit", type=click.Choice(list(textures.FILE_UNITS)), help="Give the unit of a file that states none."
 )
 hand_speed_option = click.option(
     "--hand-speed-mm-s", type=positive("mm/s"), help="Give the speed of the hand over a height profile."

@@ -94,7 +94,7 @@ def test_a_serial_sensor_is_recorded_and_encoded(tmp_path: Path, sent: Callable[
     stated = json.loads((tmp_path / "out.json").read_text())
     assert stated["format"] == ("text" if sent is lines else "binary")
     assert stated["lost"]["gaps"] == 0
-    succeeds("encode", path, tmp_path / "out.vct", "--axis", "x")
+    succeeds("encode", path, tmp_path / "out.vct", "--columns", "x")
 
 
 @needs_terminals

@@ -83,7 +83,7 @@ def test_the_advice_for_packets_that_cannot_be_split_gives_a_stream_that_fits(co
 @pytest.mark.parametrize(
     ("channels", "rate_hz", "advice"),
     [
-        (9, 2800, "take one with `axis`"),
+        (9, 2800, "take some with `columns`"),
         (1, 99, "encode the recording with `stream_rate_hz` 100"),
         (1, 48_001, "encode the recording with `stream_rate_hz` 48000"),
     ],

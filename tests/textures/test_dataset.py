@@ -55,7 +55,7 @@ def test_every_kind_of_file_is_a_recording_and_three_axes_are_one(tmp_path: Path
     assert "deeper/wood" not in [entry.name for entry in read(tmp_path, tmp_path / "deeper").entries]
     together, single = (next(each for each in found if each.name.startswith(name)) for name in REFERENCE[:2])
     assert load(together, unit="m/s^2").rate_hz == 2800
-    x, z = (load(entry, unit="m/s^2", axis=axis) for entry, axis in ((together, "X"), (single, None)))
+    x, z = (load(entry, unit="m/s^2", columns=columns) for entry, columns in ((together, "x"), (single, None)))
     np.testing.assert_allclose(x.samples, z.samples)
     assert together.material == single.material == "polyesterpad"
 
@@ -138,7 +138,7 @@ def test_options_are_for_the_files_that_leave_them_open(tmp_path: Path) -> None:
     np.save(tmp_path / "bare.npy", np.ones(20))
     textures.save_profile(tmp_path / "profile.csv", textures.surface_profile("grating", seconds=0.1, rate_hz=3000))
     found = {entry.name: entry for entry in entries(tmp_path)}
-    options: dict[str, Any] = {"rate_hz": 1560.0, "unit": "um", "axis": "Z", "key": "samples", "hand_speed_mm_s": 50}
+    options: dict[str, Any] = {"rate_hz": 1560.0, "unit": "um", "columns": "z", "key": "samples", "hand_speed_mm_s": 50}
     loaded = {name: load(entry, **options) for name, entry in found.items()}
     assert {name: (recording.rate_hz, recording.unit) for name, recording in loaded.items()} == {
         "plain": (8000, "full scale"),
@@ -170,7 +170,7 @@ def test_a_manifest_states_what_files_do_not(tmp_path: Path) -> None:
     write_axes(tmp_path, REFERENCE[0], "XYZ")
     path = manifest(
         tmp_path,
-        "file,unit,rate_hz,full_scale,axis,key,material,subject,kind\n"
+        "file,unit,rate_hz,full_scale,columns,key,material,subject,kind\n"
         "deep/a.wav,m/s^2,,8,,,Cork,anna,tool\n"
         "b.npz,um,1000,,,left,felt,ben,\n"
         "b.npz,um,1000,,,right,felt,ben,\n"
@@ -198,7 +198,7 @@ def test_a_manifest_states_what_files_do_not(tmp_path: Path) -> None:
         ("file\na.wav\nb.wav\n\nc.wav\n", "row 3, file: b.wav does not exist, nor do those of 1 other rows"),
         ("file,unit\na.wav,furlong\n", "row 2, unit: unknown unit 'furlong'"),
         ("file,rate_hz\na.wav,fast\n", "row 2, rate_hz: 'fast' is no positive number"),
-        ("file,axis\na.wav,w\n", "row 2, axis: 'w' is none of X"),
+        ("file,reduce\na.wav,w\n", "row 2, reduce: 'w' is none of dft321"),
         ("file,split\na.wav,validation\n", "row 2, split: 'validation' is neither train nor test"),
         ("file\na.wav\na.wav\n", "is in several rows"),
         ('file\n"a.wav\n', "not a CSV file in UTF-8"),

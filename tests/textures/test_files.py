@@ -102,7 +102,7 @@ def test_integers_of_an_array_are_numbers_or_full_scale(tmp_path: Path) -> None:
         ({"rate_hz": 5}, {}, "holds no array of numbers; give another file"),
         ({"samples": [1.0]}, {}, "give `rate_hz`"),
         ({"samples": [1.0], "rate_hz": 5}, {}, "give `unit`"),
-        ({"samples": [1.0], "rate_hz": 5, "unit": "volt"}, {}, "unknown unit 'volt'"),
+        ({"samples": [1.0], "rate_hz": 5, "unit": "furlong"}, {}, "unknown unit 'furlong'"),
         ({"samples": [1.0], "rate_hz": [5, 6]}, {"unit": "um"}, "rate_hz is not one number"),
         ({"samples": [1.0], "rate_hz": 0}, {"unit": "um"}, "sample rate 0"),
         ({"samples": 1.0}, {}, "shape"),

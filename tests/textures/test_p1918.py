@@ -40,8 +40,8 @@ def test_a_folder_of_one_recording_is_reduced(tmp_path: Path) -> None:
 def test_one_axis_is_chosen(tmp_path: Path, axis: str) -> None:
     stem = write_recording(tmp_path)
     expected = AXES[:, ["XYZ".index(axis)]]
-    np.testing.assert_allclose(load(tmp_path, unit="m/s^2", axis=axis).samples, expected)
-    np.testing.assert_allclose(load(stem, unit="m/s^2", axis=axis).samples, expected)
+    np.testing.assert_allclose(load(tmp_path, unit="m/s^2", columns=axis.lower()).samples, expected)
+    np.testing.assert_allclose(load(stem, unit="m/s^2", columns=axis.lower()).samples, expected)
     np.testing.assert_allclose(load(tmp_path / f"{NAME}_{axis}.txt", unit="m/s^2").samples, expected)
 
 
@@ -67,8 +67,18 @@ def test_other_names_do_not_state_a_rate(tmp_path: Path) -> None:
         (NAME, {}, {}, "give `unit`"),
         ("", {"Z": "1\n" * 299}, {"unit": "g"}, r"differ in length \(300, 300, 299 samples\)"),
         ("", {"Y": "1 2\n" * 300}, {"unit": "g"}, "several columns"),
-        (f"{NAME}_X.txt", {}, {"unit": "g", "axis": "Y"}, r"holds axis X; for `axis`=Y give .*slow$"),
-        (f"{NAME}_X.txt", {}, {"unit": "g", "reduce": "norm"}, r"holds axis X; for `reduce`=norm give .*slow$"),
+        (
+            f"{NAME}_X.txt",
+            {},
+            {"unit": "g", "columns": "Y"},
+            r"holds axis X; for other `columns`.* give .*slow$",
+        ),
+        (
+            f"{NAME}_X.txt",
+            {},
+            {"unit": "g", "reduce": "norm"},
+            r"holds axis X; for other `columns`.* give .*slow$",
+        ),
         ("cork", {}, {}, "no such file or recording"),
     ],
 )
@@ -89,11 +99,11 @@ def test_a_folder_that_holds_no_recording(tmp_path: Path) -> None:
 
 def test_a_missing_axis(tmp_path: Path) -> None:
     stem = write_recording(tmp_path, axes="XZ")
-    with pytest.raises(TextureError, match=r"no file for axis Y; .* `axis`=X or Z"):
+    with pytest.raises(TextureError, match=r"no file for axis Y; .* `columns`=x or z"):
         load(tmp_path, unit="g")
     with pytest.raises(TextureError, match="no file for axis Y"):
-        load(stem, unit="g", axis="Y")
-    assert load(tmp_path, unit="g", axis="Z").channels == 1
+        load(stem, unit="g", columns="Y")
+    assert load(tmp_path, unit="g", columns="z").channels == 1
 
 
 @given(axes=arrays(np.float64, st.tuples(st.integers(1, 64), st.just(3)), elements=st.floats(-100, 100)))

@@ -78,8 +78,8 @@ def test_options(tmp_path: Path, options: dict[str, float], message: str) -> Non
         ("position_um,height_um\n0,1\n1,2\n", "at least 8 heights"),
         ("position_um,height_um,other_um\n0,1,1\n1,2,1\n", "two columns"),
         ("position,height_um\n0,1\n1,2\n", "must state a length: position_nm"),
-        ("position_um,height_um\n0,1\n1,2\n1,2\n7,1\n", "does not rise after line 2"),
-        ("position_um,height_um\n0,1\n1,2\n2,2\n7,1\n", "column of positions: a gap of 5 after line 3"),
+        ("position_um,height_um\n0,1\n1,2\n1,2\n7,1\n", "repeats in line 4; remove"),
+        ("position_um,height_um\n0,1\n1,2\n2,2\n7,1\n", "column of positions: a gap of 5 after line 4"),
         ("position_um,height_um\n" + "".join(f"{n},nan\n" for n in range(9)), "not numbers"),
     ],
 )

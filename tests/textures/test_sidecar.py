@@ -38,7 +38,9 @@ def test_a_file_written_in_pieces_states_unit_and_axes(tmp_path: Path) -> None:
     assert (recording.rate_hz, recording.unit, recording.axes) == (1000.0, "m/s^2", ("X", "Y", "Z"))
     with pytest.raises(TextureError, match="three axes of one texture"):
         textures.load_for_actuators(written(tmp_path))
-    assert textures.load_for_actuators(written(tmp_path), axis="z").samples == pytest.approx(SAMPLES[:, 2:], rel=1e-6)
+    assert textures.load_for_actuators(written(tmp_path), columns="z").samples == pytest.approx(
+        SAMPLES[:, 2:], rel=1e-6
+    )
 
 
 def test_a_file_can_be_read_at_any_time_while_it_is_written(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Tests of text files: columns, names, rates, units, and whatever else a text file may hold."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -94,37 +95,38 @@ def test_a_rate_that_is_no_whole_number(tmp_path: Path, rate_hz: float) -> None:
         ("1\n2\n", {"rate_hz": 10, "unit": "um", "full_scale": -1}, "not positive"),
         ("1\n2\n", {"rate_hz": 10, "unit": "full scale", "full_scale": 3}, "give its `unit` too"),
         ("1\nnan\n", {"rate_hz": 10, "unit": "um"}, "/file.csv: sample 1 of channel 0 is nan"),
-        ("1,2\n3\n", {"rate_hz": 10, "unit": "um"}, "number of columns"),
-        ("1,\n3,4\n", {"rate_hz": 10, "unit": "um"}, "convert string '4'"),
-        ("some\nwords\n", {}, "not a line of numbers"),
-        ("0,5;0,25\n", {}, "'0,5;0,25' has decimal commas; write decimal points"),
-        ("x_um\ty_um\n-0,5\t1,5E-3\n", {}, "has decimal commas"),
-        ('"0,5","0,25"\n', {}, "has decimal commas"),
+        ("1,2\n3\n", {"rate_hz": 10, "unit": "um"}, "line 2, '3' is not 2 numbers as the lines above it"),
+        ("1,\n3,4\n", {"rate_hz": 10, "unit": "um"}, "line 2, '3,4' is not 1 number as"),
+        ("some\nwords\n", {}, "'words' is not a line of numbers"),
         ("0,123\n0,5\n\n-1,25e-3\n", {"rate_hz": 10, "unit": "um"}, "decimal commas.* name each of the 2 columns"),
         ("x_um\n0,123\n0,5 # half\n", {"rate_hz": 10}, "decimal commas.* name each of the 2 columns"),
         ("time_s,x_um\n0,000,0,5\n0,001,0,7\n", {}, "decimal commas.* name each of the 4 columns"),
-        ("x,y\n1\n", {}, "2 column names for 1"),
-        ("x (volt)\n1\n", {}, "unknown unit 'volt'"),
+        ("x,y\n1\n", {}, "'x,y' does not name columns of numbers, of which there are 1"),
+        ("x (furlong)\n1\n", {}, "unknown unit 'furlong'"),
         ("# rate_hz: fast\n1\n", {}, "'fast' is not a number"),
         ("# rate_hz: 10\nx_um\n1\n", {"rate_hz": 20}, "states 10 Hz; leave out `rate_hz`=20"),
         ("# rate_hz: 10\nx_um\n1\n", {"unit": "m/s^2"}, "states its unit"),
         ("# rate_hz: 10\nx_um,y_g\n1,2\n", {}, "different units"),
-        ("# rate_hz: 10\nduration_ms\n1\n2\n", {}, "a channel in ms"),
-        ("time_s,t_ms,x\n0,0,1\n1,1,1\n", {}, "2 columns of times; keep one"),
+        ("# rate_hz: 10\nduration_ms\n1\n2\n", {}, "no column of a signal"),
+        ("time_s,t_ms,x\n0,0,1\n1,1,1\n", {}, "say different rates: 'time' 1 Hz, 't' 1000 Hz"),
         ("index,time_s\n0,0\n1,1\n", {}, "no column of a signal"),
-        ("time_s,x_um\n0,1\n1,1\n5,1\n", {}, "a gap of 4 after line 2, where the usual step is 2.5"),
-        ("time_s,x_um\n0,1\n0,1\n", {}, "does not rise"),
+        ("time_s,x_um\n0,1\n1,1\n5,1\n", {}, "a gap of 4 after line 3, where the usual step is 1"),
+        ("time_s,x_um\n0,1\n0,1\n", {}, "the same in all lines"),
         ("time_s,x_um\n0,1\n", {}, "a single line"),
-        ("time_s,x_um\n0,1\nnan,1\n", {}, "line 2 holds no number"),
+        ("time_s,x_um\n0,1\nnan,1\n", {}, "line 3 holds no number"),
         ("# rate_hz: 3\ntime_s,x_um\n0,1\n1,1\n", {}, "the time column says 1 Hz; a comment says 3 Hz; correct one"),
-        ("time,x_um\n0,1\n1,1\n", {}, "1 Hz in s, 1000 Hz in ms, 1e[+]06 Hz in us; name it .* or give `rate_hz`"),
-        ("0,5\n1,6\n2,-8\n", {"rate_hz": 10, "unit": "um"}, "first column rises in equal steps"),
-        ("1\n2\n", {"axis": "X"}, "axis needs three channels"),
-        ("1\n2\n", {"axis": "W"}, "`axis`=W: not one of X, Y, Z; .* give `reduce`"),
+        ("time,x_um\n0,1\n1,1\n", {}, "1 Hz in s, 1000 Hz in ms, 1e[+]06 Hz in us.*; name it .* or give `rate_hz`"),
+        ("0,5\n1,6\n2,-8\n", {"rate_hz": 10, "unit": "um"}, "column 1 rises like a time or an index"),
+        ("1\n2\n", {"columns": "x"}, "no column is 'x'; choose with `columns` among 1"),
+        ("1\n2\n", {"columns": ""}, "`columns` names none"),
         ("1\n2\n", {"key": "a"}, "leave it out"),
         ("1\n2\n", {"hand_speed_mm_s": 5}, "leave out `hand_speed_mm_s`"),
-        ("time (g),x_um\n0,1\n1,1\n", {}, "times in g; name the column time_s, time_ms or time_us"),
-        ("time_s,x_um\n0,1\n1e-318,1\n", {}, "sample rate inf"),
+        (
+            "time (g),x_um\n0,1\n1,1\n",
+            {},
+            "'time' is in g; name it time_s, time_ms, time_us or time_ns",
+        ),
+        ("time_s,x_um\n0,1\n1e-318,1\n", {}, "says inf Hz, which no sensor has"),
         ("time,x_um\n0,1\n1e-318,1\n", {}, "states no unit"),
         ("\0\0\0", {}, "not a text file"),
         ("7" * 200_000, {}, "not a text file"),
@@ -161,19 +163,33 @@ def test_a_time_column_of_another_unit_must_state_it(tmp_path: Path, step: float
     assert load(written(tmp_path, f"time_{unit},x_um\n{lines}")).rate_hz == rate_hz
 
 
-def test_flaws_of_times_are_named_with_line_and_size(tmp_path: Path) -> None:
-    times_ms = np.arange(1000.0)
-    for change, message in (
-        (lambda times: np.delete(times, range(700, 732)), "a gap of 33 after line 700, where the usual step is 1;"),
-        (lambda times: times + 0.3 * (times == 400), "jitter, line 401 is off the uniform grid by 0.3, 30% of a step"),
-        (lambda times: times - 2 * (times == 400), "does not rise after line 400"),
-    ):
-        lines = (f"{time_ms:.3f},{index % 7}" for index, time_ms in enumerate(change(times_ms)))
-        path = written(tmp_path, "\n".join(["time_ms,x_um", *lines]))
-        with pytest.raises(
-            TextureError, match=f"column of times: {message}.*; or remove that column and give `rate_hz`"
-        ):
-            load(path)
+def with_steps(folder: Path, times_ms: np.ndarray, form: str = "{:.3f}") -> Path:
+    lines = (f"{form.format(time_ms)},{index % 7}" for index, time_ms in enumerate(times_ms))
+    return written(folder, "\n".join(["time_ms,x_um", *lines]))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            lambda times: np.delete(times, range(700, 732)),
+            "a gap of 33 after line 701, .* usual step is 1; give ",
+        ),
+        (lambda times: times + 0.3 * (times == 400), "line 402 is off .* by 0.3, 30% of a step: only this line; give "),
+        (lambda times: times + 0.4 * (times % 3 == 0), "line .* is off .*: 334 of 1000 lines jitter; give `resample`"),
+        (lambda times: times - 2 * (times == 400), "runs back after line 401, .* lines are out of order; sort"),
+        (lambda times: times % 600, "runs back after line 601, from 599 to 0: another take.* its own file"),
+        (
+            lambda times: 32.0 * (times // 32) + 0.5 * (times > 500),
+            "967 of 1000 lines repeat .* bursts; .*`rate_hz`",
+        ),
+    ],
+)
+def test_flaws_of_times_have_causes_of_their_own(
+    tmp_path: Path, change: Callable[[np.ndarray], np.ndarray], message: str
+) -> None:
+    with pytest.raises(TextureError, match=message):
+        load(with_steps(tmp_path, change(np.arange(1000.0))))
 
 
 @pytest.mark.parametrize(
@@ -189,7 +205,7 @@ def test_columns_x_y_and_z_are_axes_of_one_texture(tmp_path: Path, names: str, o
         assert recording.axes == ("X", "Y", "Z")
         np.testing.assert_array_equal(recording.samples, rows)
     for recording, samples in (
-        (load(path, axis="y"), rows[:, [1]]),
+        (load(path, columns="y"), rows[:, [1]]),
         (load(path, reduce="norm"), np.sqrt(np.sum(rows**2, axis=1, keepdims=True))),
         (load(path, reduce="dft321"), dft321(rows.astype(float))),
     ):
@@ -210,9 +226,9 @@ def test_three_columns_without_names_are_axes_on_request(tmp_path: Path) -> None
     path = written(tmp_path, "# rate_hz: 10\n# unit: um\n1,5,2\n2,3,4\n1,1,1\n")
     assert load(path).axes == ()
     assert load(path, reduce="none").axes == ("X", "Y", "Z")
-    np.testing.assert_allclose(load(path, axis="Y").samples, [[5], [3], [1]])
+    np.testing.assert_allclose(load(path, columns="Y").samples, [[5], [3], [1]])
     for options, message in (
-        ({"axis": "X", "reduce": "norm"}, "give only one of them"),
+        ({"columns": "x", "reduce": "norm"}, "reduce needs three channels"),
         ({"reduce": "mean"}, "`reduce`=mean: not one of dft321, norm, none"),
     ):
         with pytest.raises(TextureError, match=message):
@@ -239,7 +255,7 @@ def test_numbers_come_back(
     try:
         assert load(path, rate_hz=10).samples.tolist() == [list(pair) for pair in values]
     except TextureError as error:
-        assert "first column rises" in str(error)
+        assert "rises like a time" in str(error)
 
 
 WORDS = ["time_s", "position_um", "height_um", "x (g)", "# rate_hz: ", "unit: um", "1", "-2.5", "1e999", "nan", "0x10"]
