@@ -28,6 +28,10 @@ def test_states_problem_cause_and_action(kind: type[VibrocastError], exit_code: 
     [
         ("encode", "give --rate-hz, --model or `highpass_hz=None`; `sixteen_bit` and `unit`"),
         ("bench", "give `rate_hz`, `model` or --keep-dc; `sixteen_bit` and `unit`"),
+        (
+            "render",
+            "give `vibrocast encode --rate-hz`, --model or `highpass_hz=None`; `sixteen_bit` and `unit`",
+        ),
         ("decode", "give `rate_hz`, --model or `highpass_hz=None`; `sixteen_bit` and `unit`"),
     ],
 )

@@ -94,8 +94,8 @@ def signal_of(
 ) -> Contents:
     """Return the channels of a table, and the rate that its times give.
 
-    `columns`: names or numbers, from 1, of the channels; None takes the only column besides times and counts, the axes
-    X, Y and Z in this order, or else all columns that state a unit of a texture. `rate_hz`: the user's rate, which
+    `columns`: names or numbers, from 1, of the channels. None takes the only column besides times and counts, or the
+    axes in the order X, Y, Z, or else all columns that state a unit. `rate_hz`: the user's rate, which
     decides if the times allow several. `resample`: interpolates uneven times and short gaps.
 
     Raises TextureError for a column that may be none of these, for columns that contradict each other, a comment or

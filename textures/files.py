@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from vibrocast.textures import apart, arguments, arrays, clips, hdf5, laboratory, mat, p1918, wav
 from vibrocast.textures.axes import DFT321, REDUCTIONS, reduced
 from vibrocast.textures.columns import Table, select, signal_of
+from vibrocast.textures.doubts import doubts_of
 from vibrocast.textures.profiles import Profile
 from vibrocast.textures.recording import (
     FILE_UNITS,
@@ -131,12 +132,13 @@ def load(  # noqa: PLR0913 - each is a fact that a file may not state
     samples = contents.samples
     if scale != 1:
         samples *= scale
-    for note in contents.notes:
-        _log.warning(note)
     drive = (unit or contents.unit) == "drive"
     # An error in the samples names the path; the recording has the file's name.
-    checked = Recording(samples, rate_hz, output_unit, str(path), contents.axes, drive, contents.notes)
-    return replace(checked, name=path.stem if path.is_file() else path.name)
+    checked = Recording(samples, rate_hz, output_unit, str(path), contents.axes, drive)
+    notes = contents.notes if drive else (*contents.notes, *doubts_of(checked))
+    for note in () if path.suffix.lower() in clips.SUFFIXES else notes:  # `convert` prints those of a clip
+        _log.warning(note)
+    return replace(checked, name=path.stem if path.is_file() else path.name, notes=notes)
 
 
 def load_for_actuators(

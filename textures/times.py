@@ -174,7 +174,9 @@ def _flaw(values: Signal, place: str, lines: int, remedy: str) -> TextureError:
         )
         if usual > 0 and behind.max() <= _DISORDER_STEPS * usual:
             return TextureError(problem, "lines are out of order", "sort the lines by this column")
-        return TextureError(problem, "another take, or a clock that began again", "put each part into its own file")
+        return TextureError(
+            problem, "a second recording, or a clock that began again", "put each part into its own file"
+        )
     if (steps == 0).any():
         first = lines + int(np.argmin(steps > 0)) + 2
         return TextureError(f"{place}: repeats in line {first}", action="remove the lines that repeat")

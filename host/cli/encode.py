@@ -60,10 +60,10 @@ def parsed_setting(ctx: click.Context, param: click.Parameter, values: Sequence[
         click.option(
             "--columns",
             metavar="NAME,...",
-            help="Take columns by name or number, such as x,z; or dft321 or norm of three axes, such as norm:ax,ay,az.",
+            help="Take columns by name or number, as x,z. dft321, or norm:ax,ay,az, reduces three axes.",
         ),
         click.option(
-            "--sensitivity", metavar="TEXT", help="Give what the sensor of a file in volts or counts has, as 100mV/g."
+            "--sensitivity", metavar="TEXT", help="Give the sensitivity of the sensor of volts or counts, as 100mV/g."
         ),
         click.option("--resample", is_flag=True, help="Interpolate samples at equal steps from uneven times."),
         click.option(

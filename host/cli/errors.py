@@ -24,13 +24,14 @@ class CommandError(click.ClickException):
 def option_names(command: click.Command | None) -> dict[str, str]:
     """Return the options of a subcommand by the parameters of the library that they set.
 
-    A command with some of the options that complete a file refers to `encode`, which has all.
+    A command for one file with some of the options that complete it refers to `encode`, which has all.
     """
     options = [each for each in (command.params if command else ()) if each.opts[0].startswith("--")]
     named = {each.opts[0].removeprefix("--").replace("-", "_"): each.opts[0] for each in options}
     named |= {each.name: each.opts[0] for each in options if each.name}
     named |= {setting: named[flag] for setting, flag in FLAGS.items() if flag in named}
-    if command is None or "unit" not in named or command.name == "encode":
+    arguments = [each.name for each in (command.params if command else ()) if isinstance(each, click.Argument)]
+    if command is None or command.name == "encode" or "unit" not in named or arguments[0] not in ("file", "files"):
         return named
     coding = subcommands()["encode"].load()
     return {name: f"`vibrocast encode {option}`" for name, option in option_names(coding).items()} | named

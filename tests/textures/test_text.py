@@ -178,7 +178,7 @@ def with_steps(folder: Path, times_ms: np.ndarray, form: str = "{:.3f}") -> Path
         (lambda times: times + 0.3 * (times == 400), "line 402 is off .* by 0.3, 30% of a step: only this line; give "),
         (lambda times: times + 0.4 * (times % 3 == 0), "line .* is off .*: 334 of 1000 lines jitter; give `resample`"),
         (lambda times: times - 2 * (times == 400), "runs back after line 401, .* lines are out of order; sort"),
-        (lambda times: times % 600, "runs back after line 601, from 599 to 0: another take.* its own file"),
+        (lambda times: times % 600, "runs back after line 601, from 599 to 0: a second recording.* its own file"),
         (
             lambda times: 32.0 * (times // 32) + 0.5 * (times > 500),
             "967 of 1000 lines repeat .* bursts; .*`rate_hz`",
