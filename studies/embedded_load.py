@@ -3,15 +3,13 @@
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from statistics import fmean
 from typing import Any
 
 import click
 import polars as pl
 
-from studies import page
-from studies.emulated_core import CORES
-from studies.firmware import RATE_HZ, TABLES, Load, Size
+from studies import firmware, page
+from studies.firmware import DSP, PORTABLE, RATE_HZ, Load, Size
 from vibrocast.evaluation import charts, comparison
 from vibrocast.evaluation.bd_rate import SNR, SPQI
 from vibrocast.evaluation.comparison import Measurements
@@ -22,8 +20,8 @@ BITS_PER_SAMPLE = 0.8
 """Near the rates of 10 dB SNR, at which the loads are counted."""
 SCALES = (SNR, SPQI)
 PROCESSORS = {
-    ("M4F", "DSP instructions"): "load of a Cortex-M4F at 168 MHz, % of its cycles",
-    ("M0+", "portable C"): "load of a Cortex-M0+ at 133 MHz, % by instructions",
+    ("M4F", DSP): "load of a Cortex-M4F at 168 MHz, % of its cycles",
+    ("M0+", PORTABLE): "load of a Cortex-M0+ at 133 MHz, % by instructions",
 }
 """Core and kernels of the loads, and the axis of each."""
 
@@ -35,11 +33,14 @@ def rows(measurements: Measurements, loads: Sequence[Load], sizes: Sequence[Size
     `cost` (the axis), `per_sample` (cycles or instructions), `load_percent` of one channel at RATE_HZ, and
     `memory_bytes` (code, image and state).
     """
-    found = [
-        (*where, cost, *of_decoder(loads, sizes, str(where[1]), core, kernels))
-        for where in qualities(measurements, [size.decoder for size in sizes])
-        for (core, kernels), cost in PROCESSORS.items()
-    ]
+    means, bytes_of = firmware.mean_loads(loads), {(size.decoder, size.kernels): size for size in sizes}
+    found = []
+    for where in qualities(measurements, [size.decoder for size in sizes]):
+        for (core, kernels), cost in PROCESSORS.items():
+            load, size = means[where[1], core, kernels], bytes_of[where[1], kernels]
+            by_cycles = load.cycles, load.cycles_percent
+            counted = (load.instructions, load.load_percent) if load.cycles is None else by_cycles
+            found.append((*where, cost, *counted, size.code_bytes + size.image_bytes + size.state_1_bytes))
     text = dict.fromkeys(("quality", "codec", "curve", "source"), pl.String)
     numbers = {"per_sample": pl.Float64, "load_percent": pl.Float64, "memory_bytes": pl.Int64}
     columns: dict[str, Any] = {**text, "bits_per_sample": pl.Float64, "value": pl.Float64, "cost": pl.String, **numbers}
@@ -59,17 +60,6 @@ def qualities(measurements: Measurements, decoders: Sequence[str]) -> Iterator[t
                 yield scale.field, decoder, best, measurements.source(best), BITS_PER_SAMPLE, means[best]
 
 
-def of_decoder(
-    loads: Sequence[Load], sizes: Sequence[Size], decoder: str, core: str, kernels: str
-) -> tuple[float, float, int]:
-    """Return cycles, or else instructions, a sample; the load in percent; and the bytes: means over the textures."""
-    of = [load for load in loads if (load.decoder, load.core, load.kernels) == (decoder, core, kernels)]
-    per_sample = fmean(load.instructions if load.cycles is None else load.cycles for load in of)
-    size = next(size for size in sizes if (size.decoder, size.kernels) == (decoder, kernels))
-    memory_bytes = size.code_bytes + size.image_bytes + size.state_1_bytes
-    return per_sample, 100 * per_sample * RATE_HZ / CORES[core].clock_hz, memory_bytes
-
-
 @page.study
 def main(out: Path) -> None:
     """Draw OUT/results/embedded_load.svg from the tables of a benchmark in OUT/results and of studies.firmware."""
@@ -77,9 +67,7 @@ def main(out: Path) -> None:
     tables: dict[str, Any] = {
         name: read_rows(results / f"{name}.csv", kind) for name, kind in comparison.TABLES.items()
     }
-    loads = read_rows(TABLES / "firmware_loads.csv", Load)
-    sizes = read_rows(TABLES / "firmware_sizes.csv", Size)
-    table = rows(Measurements(**tables), loads, sizes)
+    table = rows(Measurements(**tables), firmware.stored(Load), firmware.stored(Size))
     title = f"Quality at {BITS_PER_SAMPLE:g} bit/sample against the load of one channel at {RATE_HZ} Hz"
     drawn = charts.Chart(Path(EMBEDDED).stem, title, table)
     drawn.write(results, partial(charts.plot_loads, scales=SCALES))

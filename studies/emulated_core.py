@@ -3,22 +3,36 @@
 import struct
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import unicorn
-from unicorn import arm_const as emulated
-from unicorn import riscv_const
 
-from vibrocast import codec, extras
+from vibrocast import codec, extras, models
 from vibrocast.codec import Decoded, Stream
+from vibrocast.evaluation import trained
 from vibrocast.firmware.build import FLAGS, M0_PLUS, M4F, M7, M33, ROOT, cortex_m_flags
 from vibrocast.firmware.elf import Elf
 from vibrocast.firmware.native_core import BuildError
-from vibrocast.harness.boards.cycles import CycleCounter
+from vibrocast.models import Model
+
+try:
+    import unicorn
+    from unicorn import arm_const, riscv_const
+
+    from vibrocast.harness.boards.cycles import CycleCounter
+except ModuleNotFoundError as error:
+    raise SystemExit(str(extras.explained(error) or error)) from error
+
+DECODERS = ("mdct", "dct", "slp", "eva-16", "eva-128", "parametric")
+"""Codecs, and families of models that ship."""
+DECODE, DECODE_IN_BLOCKS = (
+    ("decoder_size", "decoder_init", "decoder_packet_samples", *functions)
+    for functions in (("decode",), ("feed", "poll"))
+)
+"""The functions of a codec that `decode` and `decode_in_blocks` call; `vc_NAME_` stands before each."""
 
 _FLASH, _RAM, _DATA = 0x0800_0000, 0x2000_0000, 0x6000_0000
 _MEMORY_BYTES = 1 << 20
@@ -27,7 +41,7 @@ _TOP = _RAM + _MEMORY_BYTES
 _RETURN = _DATA + _MEMORY_BYTES - 4
 _PAINT = b"\xa5"
 _CONFIGURATION, _TABLES, _PACKET, _SAMPLES = (_DATA + offset for offset in (0, 0x100, 0x80000, 0x90000))
-_ARM = [getattr(emulated, f"UC_ARM_REG_{name}") for name in ("SP", "LR", "R0", "R1", "R2", "R3")]
+_ARM = [getattr(arm_const, f"UC_ARM_REG_{name}") for name in ("SP", "LR", "R0", "R1", "R2", "R3")]
 _RISC_V = [getattr(riscv_const, f"UC_RISCV_REG_{name}") for name in ("SP", "RA", "A0", "A1", "A2", "A3")]
 """Stack pointer, return address, and the first four arguments."""
 
@@ -47,12 +61,36 @@ class Core:
 
 
 CORES = {
-    "M4F": Core("Cortex-M4F", 168e6, cortex_m_flags(M4F), emulated.UC_CPU_ARM_CORTEX_M4),
-    "M7": Core("Cortex-M7", 480e6, cortex_m_flags(M7), emulated.UC_CPU_ARM_CORTEX_M7),
-    "M33": Core("Cortex-M33", 150e6, cortex_m_flags(M33), emulated.UC_CPU_ARM_CORTEX_M33),
-    "M0+": Core("Cortex-M0+", 133e6, cortex_m_flags(M0_PLUS), emulated.UC_CPU_ARM_CORTEX_M0),
+    "M4F": Core("Cortex-M4F", 168e6, cortex_m_flags(M4F), arm_const.UC_CPU_ARM_CORTEX_M4),
+    "M7": Core("Cortex-M7", 480e6, cortex_m_flags(M7), arm_const.UC_CPU_ARM_CORTEX_M7),
+    "M33": Core("Cortex-M33", 150e6, cortex_m_flags(M33), arm_const.UC_CPU_ARM_CORTEX_M33),
+    "M0+": Core("Cortex-M0+", 133e6, cortex_m_flags(M0_PLUS), arm_const.UC_CPU_ARM_CORTEX_M0),
 }
 """With the clocks of an STM32F405, an STM32H743, an RP2350 and an RP2040."""
+
+RISC_V = Core(
+    "RV32IMC",
+    160e6,
+    ("-target", "riscv32-freestanding", "-mcpu=generic_rv32+m+c", "-ffreestanding", "-fno-builtin", "-g0"),
+    riscv_const.UC_CPU_RISCV32_SIFIVE_E31,
+    arm=False,
+)
+"""With the clock of an ESP32-C3."""
+
+
+def members_of(decoder: str) -> list[Model]:
+    """Return the models of a family, from the coarsest to the finest; none of a codec's own name."""
+    return [] if decoder in codec.CODECS else models.members(decoder)
+
+
+def codec_of(decoder: str) -> str:
+    """Return the codec of a decoder: its own name, or that of its family's models."""
+    return decoder if decoder in codec.CODECS else trained.codec_name(members_of(decoder)[0])
+
+
+def functions_of(names: Iterable[str], functions: Sequence[str]) -> list[str]:
+    """Return the names in the core of `functions` of some codecs."""
+    return [f"vc_{name}_{function}" for name in sorted(names) for function in functions]
 
 
 def compile_core(
@@ -95,12 +133,9 @@ class EmulatedCore:
         self.symbols = image.symbols
         self._thumb = int(core.arm)
         self._registers = _ARM if core.arm else _RISC_V
-        kind = (
-            (unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS)
-            if core.arm
-            else (unicorn.UC_ARCH_RISCV, unicorn.UC_MODE_RISCV32)
-        )
-        self._machine: Any = unicorn.Uc(*kind)
+        arm = unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS
+        risc_v = unicorn.UC_ARCH_RISCV, unicorn.UC_MODE_RISCV32
+        self._machine: Any = unicorn.Uc(*(arm if core.arm else risc_v))
         self._machine.ctl_set_cpu_model(core.emulated_as)
         for start in (_FLASH, _RAM, _DATA):
             self._machine.mem_map(start, _MEMORY_BYTES)
@@ -214,11 +249,7 @@ class Costs:
 
     def most(self, other: "Costs") -> "Costs":
         """Return the greater of each."""
-        return Costs(
-            max(self.feed_cycles, other.feed_cycles),
-            max(self.block_cycles, other.block_cycles),
-            max(self.sample_cycles, other.sample_cycles),
-        )
+        return Costs(*map(max, zip(astuple(self), astuple(other), strict=True)))
 
 
 def decode_in_blocks(

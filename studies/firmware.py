@@ -4,20 +4,35 @@ import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
-from itertools import product
 from pathlib import Path
-from statistics import fmean
 from typing import Any
 
 import numpy as np
+import polars as pl
 
 from studies import page
-from vibrocast import codec, extras, models
+from studies.emulated_core import (
+    CORES,
+    DECODE,
+    DECODERS,
+    Core,
+    EmulatedCore,
+    Run,
+    codec_of,
+    compile_core,
+    decode,
+    functions_of,
+    members_of,
+    state_bytes,
+)
+from vibrocast import codec
 from vibrocast.codec import Signal, Stream
 from vibrocast.codec.encoding import middle
 from vibrocast.codec.source import live_format
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
-from vibrocast.evaluation import points, trained
+from vibrocast.evaluation import trained
+from vibrocast.evaluation.points import Row, read_rows
+from vibrocast.evaluation.tables import as_rows, frame
 from vibrocast.firmware.build import size as firmware_size
 from vibrocast.host import hand_playback, live
 from vibrocast.host.live_playback import LivePlayback
@@ -27,38 +42,14 @@ from vibrocast.planner import costs, playing
 from vibrocast.planner.costs import board_cores, quiet_part
 from vibrocast.textures.generate import GENERATORS
 
-try:
-    from studies.emulated_core import (
-        CORES,
-        Core,
-        EmulatedCore,
-        compile_core,
-        decode,
-        state_bytes,
-    )
-except ModuleNotFoundError as error:
-    raise SystemExit(str(extras.explained(error) or error)) from error
-
 RATE_HZ = 2800
 SECONDS = 0.5
 TARGET_DB = 10.0
-DECODERS = (
-    "mdct",
-    "dct",
-    "slp",
-    "eva-16",
-    "eva-128",
-    "parametric",
-)
-"""Codecs, and families of models that ship."""
 QUALITIES_DB = (5.0, 10.0, 20.0)
 CHANNELS = (1, 2, 4)
 """For how many a decoder is compiled."""
 TABLES = Path(costs.__file__).parent / "data"
 """Folder of the figures as CSV, where an installed planner finds them too."""
-_LOADS, _SIZES, _CONTROLLERS, _DECODING = (
-    TABLES / f"firmware_{name}.csv" for name in ("loads", "sizes", "controller", "decoding")
-)
 BOARD = "stm32f405"
 SMALL = {
     "VC_BUFFER_SAMPLES": 4096,
@@ -68,10 +59,8 @@ SMALL = {
     "VC_CAPTURE_SAMPLES": 0,
 }
 """Buffers of a controller that plays streams as they come: half a second of 8 kHz, no captures."""
-_PORTABLE = {"DSP instructions": {}, "portable C": {"VC_PORTABLE": 1}}
-_KERNELS = tuple(reversed(_PORTABLE))
-"""As the page has them: the portable ones first."""
-_FUNCTIONS = ("decoder_size", "decoder_init", "decoder_packet_samples", "decode")
+DSP, PORTABLE = "DSP instructions", "portable C"
+_SWITCHES: dict[str, dict[str, int]] = {DSP: {}, PORTABLE: {"VC_PORTABLE": 1}}
 
 
 @dataclass(frozen=True)
@@ -154,6 +143,12 @@ PLAYED = (
     Playing(PROFILE_UNIT, 100_000, 1, 1024),
 )
 """Streams that differ in all that a controller's load depends on besides decoding; profiles' rates are per metre."""
+TABLE_NAMES: dict[type[Any], str] = {
+    Load: "firmware_loads.csv",
+    Size: "firmware_sizes.csv",
+    ControllerLoad: "firmware_controller.csv",
+    Decoding: "firmware_decoding.csv",
+}
 PROFILE_SAMPLES = 4096
 PROFILE_SPEED_MM_S = 100.0
 
@@ -173,7 +168,7 @@ def coded(decoder: str, kind: str, seconds: float) -> tuple[Stream, float]:
     """
     model = _model(decoder)
     signal = texture(kind, seconds)
-    name = _codec_name(decoder)
+    name = codec_of(decoder)
     if codec.CODECS[name].keeps_waveform:
         source = codec.Source.of(signal, RATE_HZ, name, live=True, model=model)
         stream = codec.encode_to_snr(source, TARGET_DB)
@@ -191,19 +186,19 @@ def measure_loads(folder: Path, decoders: Iterable[str], kinds: Sequence[str], s
     Raises BuildError, and AssertionError where an emulated decoder gives other samples than the host.
     """
     for core_name, core in CORES.items():
-        for kernels in _PORTABLE:
-            program = _program(folder, core, kernels, {_codec_name(decoder) for decoder in decoders})
+        for kernels in _SWITCHES:
+            program = _program(folder, core, kernels, {codec_of(decoder) for decoder in decoders})
             for decoder in decoders:
                 for kind in kinds:
                     stream, snr_db = coded(decoder, kind, seconds)
                     run = decode(program, core, stream)
-                    expected = stream.decode_integers()
-                    assert np.array_equal(run.decoded, expected), f"{decoder} decodes {kind} differently on {core_name}"
+                    is_exact = np.array_equal(run.decoded, stream.decode_integers())
+                    assert is_exact, f"{decoder} decodes {kind} differently on {core_name}"
                     yield Load(
                         decoder,
                         kind,
                         round(snr_db, 2),
-                        round(8 * sum(map(len, stream.packets)) / len(run.decoded), 4),
+                        bits_per_sample(stream, run),
                         core_name,
                         kernels,
                         round(run.instructions, 1),
@@ -212,30 +207,33 @@ def measure_loads(folder: Path, decoders: Iterable[str], kinds: Sequence[str], s
                     )
 
 
+def bits_per_sample(stream: Stream, run: Run) -> float:
+    """Return the bits of packets for each decoded sample."""
+    return round(8 * sum(map(len, stream.packets)) / len(run.decoded), 4)
+
+
 def measure_decoding(folder: Path, decoders: Iterable[str], kinds: Sequence[str], seconds: float) -> Iterator[Decoding]:
     """Yield what decoding takes at every length of block and some qualities. Raises BuildError."""
     core = CORES["M4F"]
     for decoder in decoders:
-        name = _codec_name(decoder)
-        program = _program(folder, core, "DSP instructions", {name})
+        name = codec_of(decoder)
+        program = _program(folder, core, DSP, {name})
         known = codec.CODECS[name]
         for block in known.blocks or ("",):
             for kind, stream in _qualities(decoder, known.block_setting(block), kinds, seconds):
                 run = decode(program, core, stream)
-                bits_per_sample = 8 * sum(map(len, stream.packets)) / len(run.decoded)
-                quiet = quiet_part(run.decoded)
-                yield Decoding(
-                    decoder, block, kind, round(bits_per_sample, 4), round(quiet, 4), round(run.instructions, 1)
-                )
+                bits, quiet = bits_per_sample(stream, run), round(quiet_part(run.decoded), 4)
+                yield Decoding(decoder, block, kind, bits, quiet, round(run.instructions, 1))
 
 
 def _qualities(
     decoder: str, given: codec.Setting, kinds: Sequence[str], seconds: float
 ) -> Iterator[tuple[str, Stream]]:
-    """Yield textures as they are streamed: at QUALITIES_DB; by every third member of
-    a family of models; or at each rate point of a codec that keeps no waveform.
+    """Yield textures as they are streamed at several qualities.
+
+    At QUALITIES_DB, by every third member of a family of models, or at each rate point of a codec without a waveform.
     """
-    name, members = _codec_name(decoder), _members(decoder)
+    name, members = codec_of(decoder), members_of(decoder)
     for kind in kinds:
         signal = texture(kind, seconds)
         if len(members) > 1:
@@ -254,8 +252,8 @@ def measure_sizes(folder: Path, decoders: Iterable[str]) -> Iterator[Size]:
     """Yield the bytes of each decoder with each kernels. Raises BuildError."""
     core = CORES["M4F"]
     for decoder in decoders:
-        name, model = _codec_name(decoder), _model(decoder)
-        for kernels in _PORTABLE:
+        name, model = codec_of(decoder), _model(decoder)
+        for kernels in _SWITCHES:
             built = [EmulatedCore(_program(folder, core, kernels, {name}, channels), core) for channels in CHANNELS]
             states = [state_bytes(emulated_core, name) for emulated_core in built]
             image = trained.flash_bytes(model) if model else 0
@@ -267,7 +265,7 @@ def measure_controllers(folder: Path, seconds: float) -> Iterator[ControllerLoad
     sizes = {channels: _rest_bytes(folder, CORES["M4F"], channels) for channels in CHANNELS}
     for board, core_name in board_cores().items():
         core = CORES[core_name]
-        program = _program(folder, core, "DSP instructions", {"mdct"}, max(CHANNELS))
+        program = _program(folder, core, DSP, {"mdct"}, max(CHANNELS))
         for played in PLAYED:
             with playing.opened(board, None) as (session, counter):
                 if played.channels > session.controller.description.limits.channels:
@@ -318,92 +316,63 @@ def _play(
 def _rest_bytes(folder: Path, core: Core, channels: int) -> tuple[int, int]:
     """Return flash and RAM of a small controller but for its decoders, which share one memory. Raises BuildError."""
     whole = firmware_size(BOARD, {**SMALL, "VC_CHANNELS": channels, "VC_MAX_CHANNELS": channels})
-    names = {_codec_name(decoder) for decoder in DECODERS}
-    decoders = EmulatedCore(_program(folder, core, "DSP instructions", names, channels), core)
+    names = {codec_of(decoder) for decoder in DECODERS}
+    decoders = EmulatedCore(_program(folder, core, DSP, names, channels), core)
     return whole.flash - decoders.flash_bytes, whole.ram - max(state_bytes(decoders, name) for name in names)
 
 
 def _program(folder: Path, core: Core, kernels: str, codecs: set[str], channels: int = 1) -> Path:
-    functions = [f"vc_{name}_{function}" for name in sorted(codecs) for function in _FUNCTIONS]
     name = "-".join((*sorted(codecs), core.title, kernels.split()[0], str(channels)))
-    return compile_core(folder / f"{name}.elf", core, functions, {"VC_MAX_CHANNELS": channels, **_PORTABLE[kernels]})
-
-
-def _codec_name(decoder: str) -> str:
-    return decoder if decoder in codec.CODECS else trained.codec_name(_members(decoder)[0])
-
-
-def _members(decoder: str) -> list[Model]:
-    """Return the models of a family; none of a codec's own name."""
-    return [] if decoder in codec.CODECS else models.members(decoder)
+    switches = {"VC_MAX_CHANNELS": channels, **_SWITCHES[kernels]}
+    return compile_core(folder / f"{name}.elf", core, functions_of(codecs, DECODE), switches)
 
 
 def _model(decoder: str) -> Model | None:
     """Return the middle model of a family, near TARGET_DB; None for a codec's own name."""
-    members = _members(decoder)
+    members = members_of(decoder)
     return middle(members) if members else None
-
-
-def _tables(decoder: str) -> bytes | None:
-    model = _model(decoder)
-    return model.tables if model else None
 
 
 def rendered(loads: Sequence[Load], sizes: Sequence[Size], controller: Sequence[ControllerLoad]) -> str:
     """Return the page."""
-    cores = [name for name in CORES if name != "M4F"]
+    means = mean_loads(loads)
     decoders = list(dict.fromkeys(load.decoder for load in loads))
-    on_m4 = [_on_m4(loads, decoder) for decoder in decoders]
-    by_load = sorted(on_m4, key=lambda row: row["dsp"]["cycles_percent"])
+    m4_percent = {decoder: means[decoder, "M4F", DSP].cycles_percent for decoder in decoders}
     return page.render(
         "firmware",
+        globals(),
         textures=list(dict.fromkeys(load.texture for load in loads)),
-        rate_hz=RATE_HZ,
-        target_db=TARGET_DB,
-        clock_mhz=CORES["M4F"].clock_hz / 1e6,
-        decoders=on_m4,
-        fitting=[row for row in on_m4 if row["dsp"]["cycles_percent"] < 100],
-        lightest=by_load[0],
-        heaviest=by_load[-1],
-        portable_over=[row["decoder"] for row in on_m4 if row["portable"]["cycles_percent"] > 100],
-        cores=[{"name": name, "title": CORES[name].title, "clock_mhz": CORES[name].clock_hz / 1e6} for name in cores],
-        by_core={decoder: [_load(loads, decoder, *cell) for cell in product(cores, _KERNELS)] for decoder in decoders},
-        memory={size.decoder: _memory(loads, sizes, size.decoder) for size in sizes},
-        profile_speed_mm_s=PROFILE_SPEED_MM_S,
-        board=BOARD,
-        profile_unit=PROFILE_UNIT,
+        others=[name for name in CORES if name != "M4F"],
+        decoders=decoders,
+        loads=means,
+        fitting=[decoder for decoder in decoders if m4_percent[decoder] < 100],
+        lightest=min(decoders, key=lambda decoder: m4_percent[decoder]),
+        heaviest=max(decoders, key=lambda decoder: m4_percent[decoder]),
+        too_slow=[decoder for decoder in decoders if means[decoder, "M4F", PORTABLE].cycles_percent > 100],
+        memory={(size.decoder, size.kernels): size for size in sizes},
         controllers=[(load, CORES[board_cores()[load.board]].clock_hz) for load in controller],
     )
 
 
-def _load(loads: Sequence[Load], decoder: str, core: str, kernels: str) -> dict[str, float]:
-    """Return what a decoder takes on a core, means over the textures: load in percent, by instructions and cycles."""
-    of = [load for load in loads if (load.decoder, load.core, load.kernels) == (decoder, core, kernels)]
-    to_percent = 100 * RATE_HZ / CORES[core].clock_hz
-    instructions = fmean(load.instructions for load in of)
-    return {
-        "instructions": instructions,
-        "load_percent": instructions * to_percent,
-        "max_percent": max(load.instructions for load in of) * to_percent,
-        "cycles_percent": fmean(load.cycles or 0.0 for load in of) * to_percent,
-        "bits_per_sample": fmean(load.bits_per_sample for load in of),
-        "stack_bytes": max(load.stack_bytes for load in of),
+def stored(kind: type[Row]) -> list[Row]:
+    """Return the rows of the table of this kind. Raises OSError."""
+    return read_rows(TABLES / TABLE_NAMES[kind], kind)
+
+
+def mean_loads(loads: Sequence[Load]) -> dict[tuple[str, str, str], Any]:
+    """Return what decoders take by decoder, core and kernels: means over the textures, and the most.
+
+    `load_percent`, `max_percent`: of the core by instructions; `cycles_percent`: by cycles. Other columns as of Load.
+    """
+    hz = pl.DataFrame({"core": list(CORES), "clock_hz": [core.clock_hz for core in CORES.values()]})
+    means = pl.col("instructions", "cycles", "bits_per_sample").mean()
+    most = pl.col("instructions").max().alias("most"), pl.col("stack_bytes").max()
+    table = frame(loads, Load).join(hz, on="core").group_by("decoder", "core", "kernels", "clock_hz").agg(means, *most)
+    percent = {
+        name: 100 * pl.col(column) * RATE_HZ / pl.col("clock_hz")
+        for name, column in (("load_percent", "instructions"), ("max_percent", "most"), ("cycles_percent", "cycles"))
     }
-
-
-def _on_m4(loads: Sequence[Load], decoder: str) -> dict[str, Any]:
-    portable, dsp = (_load(loads, decoder, "M4F", kernels) for kernels in _KERNELS)
-    return {"decoder": decoder, "portable": portable, "dsp": dsp}
-
-
-def _memory(loads: Sequence[Load], sizes: Sequence[Size], decoder: str) -> list[float]:
-    """Return bytes: code with portable and DSP kernels, image, state for each of CHANNELS, stack with both kernels."""
-    portable, dsp = (
-        next(size for size in sizes if (size.decoder, size.kernels) == (decoder, kernels)) for kernels in _KERNELS
-    )
-    stacks = [_load(loads, decoder, "M4F", kernels)["stack_bytes"] for kernels in _KERNELS]
-    states = [dsp.state_1_bytes, dsp.state_2_bytes, dsp.state_4_bytes]
-    return [portable.code_bytes, dsp.code_bytes, dsp.image_bytes, *states, *stacks]
+    return {(row.decoder, row.core, row.kernels): row for row in as_rows(table.with_columns(**percent))}
 
 
 @page.study
@@ -413,16 +382,15 @@ def main(out: Path, from_tables: bool) -> None:
     if not from_tables:
         with tempfile.TemporaryDirectory() as temporary:
             folder, kinds = Path(temporary), list(GENERATORS)
-            measured: list[tuple[Path, list[Any], type[Any]]] = [
-                (_LOADS, list(measure_loads(folder, DECODERS, kinds, SECONDS)), Load),
-                (_SIZES, list(measure_sizes(folder, DECODERS)), Size),
-                (_CONTROLLERS, list(measure_controllers(folder, 2.0)), ControllerLoad),
-                (_DECODING, list(measure_decoding(folder, DECODERS, kinds, SECONDS)), Decoding),
-            ]
-        for path, rows, kind in measured:
-            page.write_rows(path, rows, kind)
-    loads, sizes = points.read_rows(_LOADS, Load), points.read_rows(_SIZES, Size)
-    page.write(out, "firmware", rendered(loads, sizes, points.read_rows(_CONTROLLERS, ControllerLoad)), from_tables)
+            measured: dict[type[Any], list[Any]] = {
+                Load: list(measure_loads(folder, DECODERS, kinds, SECONDS)),
+                Size: list(measure_sizes(folder, DECODERS)),
+                ControllerLoad: list(measure_controllers(folder, 2.0)),
+                Decoding: list(measure_decoding(folder, DECODERS, kinds, SECONDS)),
+            }
+        for kind, rows in measured.items():
+            page.write_rows(TABLES / TABLE_NAMES[kind], rows, kind)
+    page.write(out, "firmware", rendered(stored(Load), stored(Size), stored(ControllerLoad)), from_tables)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,5 @@
 """Injects faults into a bench that are to be noticed: `python -m studies.injected_faults --out docs/benchmarks`."""
 
-import json
 import re
 import sys
 import tempfile
@@ -12,8 +11,7 @@ import click
 
 from studies import page
 from studies.faulty_bench import FAULTS, SOUND, Injected, faulty_bench, run_host
-from vibrocast import errors, progress
-from vibrocast.host.cli.option_types import Whole
+from vibrocast import errors
 
 TABLE, CLEAN_TABLE = "injected_faults.csv", "clean_runs.csv"
 DEVICES = {
@@ -22,8 +20,9 @@ DEVICES = {
 }
 """Each controller with the measurements of its clean runs. An emulated processor is too slow for live packets, and its
 throughput is that of this computer: it changes by half from run to run."""
+NO_ALARM = "none"
 ALARMS = {
-    0: "none",
+    0: NO_ALARM,
     errors.FAILED: "measurement failed",
     errors.BAD_INPUT: "wrong bench",
     errors.NO_DEVICE: "no device",
@@ -41,6 +40,7 @@ max_lost_percent = 0.5
 max_bad_frames = 0
 max_drift_ppm = 300
 """
+CLEAN_RUNS = 3
 SENSED = ("actuator", "sensor")
 # The machine may do something else while it measures the sound bench, with which all faults are compared.
 _TRIES = 5
@@ -67,11 +67,6 @@ class Clean:
     reason: str
 
 
-def measured(out: Path, *arguments: str) -> list[str]:
-    """Return the command that measures a bench."""
-    return [sys.executable, "-c", _HOST, "measure", "--out", str(out), *arguments]
-
-
 def names(place: str) -> str:
     """Return the measurements that show faults of a place; a sweep takes long, and shows the actuator."""
     return "fidelity,response" if place in SENSED else "latency,throughput,fidelity"
@@ -81,94 +76,74 @@ def reason(said: str) -> str:
     """Return why a command failed, from its first error: all that it names, without what to do."""
     errors = [line.partition(": ")[2] for line in said.splitlines() if line.startswith(("error: ", "not measured: "))]
     text = next((each for each in errors if not each.startswith("not all could be measured")), "")
-    return re.sub(r"(?<!\w)/\S*/", "", _without_advice(text.rpartition("measured.json: ")[2]))
+    problem = text.rpartition("measured.json: ")[2]
+    return re.sub(r"(?<!\w)/\S*/", "", problem.rpartition("; ")[0] or problem)
 
 
-def _without_advice(error: str) -> str:
-    """Return an error without its last part, which says what to do."""
-    return error.rpartition("; ")[0] or error
+def measured(bench: Path, out: Path, only: str, earlier: Path | None, injected: Injected = SOUND) -> tuple[str, str]:
+    """Measure a bench into a folder, and compare with that of an earlier run; return the alarm and its reason."""
+    compared = () if earlier is None else ("--compare", str(earlier / "measured.json"))
+    options = ("--bench", str(bench), "--allow-programs", "--only", only, "--out", str(out), *compared)
+    code, said = run_host(injected, [sys.executable, "-c", _HOST, "measure", *options])
+    return ALARMS.get(code, str(code)), reason(said)
 
 
-def on_bench(injected: Injected, folder: Path, earlier: Path | None) -> tuple[int, str]:
-    """Measure a bench with a fault into a folder; return the exit code, and what the command said."""
-    with faulty_bench(injected, folder, LIMITS) as bench:
-        compared = () if earlier is None else ("--compare", str(earlier))
-        only = names(injected.place)
-        command = measured(folder, "--bench", str(bench), "--allow-programs", "--only", only, *compared)
-        code, said = run_host(injected, command)
-    return code, said
+def on_bench(injected: Injected, out: Path, earlier: Path | None) -> tuple[str, str]:
+    """Measure a bench with a fault, as `measured` does, into a new folder."""
+    out.mkdir()
+    with faulty_bench(injected, out, LIMITS) as bench:
+        return measured(bench, out, names(injected.place), earlier, injected)
 
 
 def notice(faults: Sequence[Injected], folder: Path) -> Iterator[Noticed]:
     """Measure a sound bench, and one with each fault; yield what noticed it. Raises click.ClickException."""
     earlier = {}
     for place in {names(each.place): each.place for each in faults}.values():
-        sound = folder / f"sound-{names(place)}"
-        sound.mkdir()
-        for _ in range(_TRIES):
-            code, said = on_bench(Injected(place, SOUND.fault), sound, None)
-            if code == 0:
+        for number in range(_TRIES):
+            sound = folder / f"sound-{names(place)}-{number}"
+            alarm, why = on_bench(Injected(place, SOUND.fault), sound, None)
+            if alarm == NO_ALARM:
                 break
         else:
-            raise click.ClickException(f"the sound bench fails: {said}; use a less busy machine")
-        earlier[names(place)] = sound / "measured.json"
+            raise click.ClickException(f"the sound bench fails: {why}; use a less busy machine")
+        earlier[names(place)] = sound
     for number, injected in enumerate(faults):
-        inside = folder / str(number)
-        inside.mkdir()
-        code, said = on_bench(injected, inside, earlier[names(injected.place)])
-        yield Noticed(injected.place, injected.fault, ALARMS.get(code, str(code)), reason(said))
+        found = on_bench(injected, folder / str(number), earlier[names(injected.place)])
+        yield Noticed(injected.place, injected.fault, *found)
 
 
-def clean_runs(devices: Sequence[str], runs: int, folder: Path) -> Iterator[Clean]:
+def clean_runs(folder: Path) -> Iterator[Clean]:
     """Measure controllers without faults again and again; yield each run, compared with the first one."""
-    bench = folder / "bench.toml"
-    for device in devices:
-        limits = LIMITS.replace("min_snr_db = 8\n", "")
+    bench, limits = folder / "bench.toml", LIMITS.replace("min_snr_db = 8\n", "")
+    for device, only in DEVICES.items():
         bench.write_text(
             f'[[controllers]]\nname = "it"\naddress = "{device}"\n[[textures]]\ngenerate = "rough"\n[limits]\n{limits}'
         )
-        first = folder / device
-        for run in range(runs + 1):
-            out = first if run == 0 else folder / f"{device}-{run}"
-            compared = ("--compare", str(first / "measured.json")) if run else ()
-            code, said = run_host(SOUND, measured(out, "--bench", str(bench), "--only", DEVICES[device], *compared))
-            if run:
-                yield Clean(device, run, ALARMS.get(code, str(code)), reason(said))
+        first, *others = (folder / f"{device}-{run}" for run in range(CLEAN_RUNS + 1))
+        measured(bench, first, only, None)
+        for run, out in enumerate(others, 1):
+            yield Clean(device, run, *measured(bench, out, only, first))
 
 
 def rendered(noticed: Sequence[Noticed], clean: Sequence[Clean]) -> str:
     """Return the page with both tables."""
-    missed = [each for each in noticed if each.alarm == "none"]
-    false_alarms = [each for each in clean if each.alarm != "none"]
     return page.render(
-        "injected_faults", noticed=noticed, clean=clean, missed=missed, false_alarms=false_alarms, limits=LIMITS
+        "injected_faults",
+        globals(),
+        noticed=noticed,
+        clean=clean,
+        missed=[each for each in noticed if each.alarm == NO_ALARM],
+        false_alarms=[each for each in clean if each.alarm != NO_ALARM],
     )
 
 
 @page.study
-@click.option("--runs", type=Whole("NUMBER", 0), default=3, show_default=True, help="Repeat clean runs so often.")
-@click.option(
-    "--device",
-    "devices",
-    type=click.Choice(list(DEVICES)),
-    multiple=True,
-    default=tuple(DEVICES),
-    show_default=True,
-    help="Choose a controller for clean runs; may be repeated.",
-)
-def main(runs: int, devices: tuple[str, ...], out: Path) -> None:
+def main(out: Path) -> None:
     """Inject faults into a bench, measure sound ones as well, and write the page injected_faults.md."""
-    with tempfile.TemporaryDirectory() as folder:
-        with progress.bar("injecting faults") as update:
-            noticed = []
-            for each in notice(FAULTS, Path(folder)):
-                noticed.append(each)
-                update(len(noticed) / len(FAULTS), json.dumps(vars(each)))
-        with progress.bar("clean runs") as update:
-            clean = []
-            for run in clean_runs(devices, runs, Path(folder)):
-                clean.append(run)
-                update(len(clean) / max(1, runs * len(devices)), json.dumps(vars(run)))
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        noticed = page.collected("injecting faults", notice(FAULTS, folder), len(FAULTS), str)
+        clean = page.collected("clean runs", clean_runs(folder), CLEAN_RUNS * len(DEVICES), str)
     tables = ((TABLE, noticed, Noticed), (CLEAN_TABLE, clean, Clean))
     page.publish(out, "injected_faults", rendered(noticed, clean), tables)
 

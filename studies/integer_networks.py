@@ -2,18 +2,19 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import groupby
-from operator import attrgetter
 from pathlib import Path
-from statistics import fmean
+from typing import Any
+
+import polars as pl
 
 from studies import page
-from vibrocast import codec, models, progress, textures
+from vibrocast import codec, models, textures
 from vibrocast.codec import eva
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.eva_image import EvaImage
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.evaluation.curves import Curve, Panel, curves
+from vibrocast.evaluation.tables import as_rows, frame
 from vibrocast.models import Model
 from vibrocast.textures import dataset
 
@@ -33,41 +34,26 @@ class Row:
     snr_db_by_onnx: float
 
 
-@dataclass(frozen=True)
-class Loss:
-    """A model's mean SNR in integers, and what it loses against the graph: mean and worst recording, in dB."""
-
-    family: str
-    model: str
-    snr_db: float
-    mean_db: float
-    worst_db: float
-
-
 @page.study
 @page.FOLDER
 def main(folder: Path, out: Path) -> None:
     """Decode a folder of recordings by every model of EVA that ships, in integers and by ONNX Runtime."""
     recordings = [dataset.load(trace) for trace in dataset.entries(folder)]
     chosen = [model for model in models.shipped() if model.codec_identifier == eva.IDENTIFIER]
-    with progress.bar("decoding twice") as update:
-        rows = []
-        for number, model in enumerate(chosen, 1):
-            rows += list(compared(model, recordings))
-            update(number / len(chosen), model.name)
-    rows.sort(key=attrgetter("family", "model", "recording"))
+    every = (row for model in chosen for row in compared(model, recordings))
+    rows = page.collected("decoding twice", every, len(chosen) * len(recordings), lambda row: row.model)
+    rows.sort(key=lambda row: (row.family, row.model, row.recording))
     losses = losses_of(rows)
-    draw(page.results_folder(out) / f"{STEM}.png", losses)
+    families = {loss.family: [own for own in losses if own.family == loss.family] for loss in losses}
+    lines = [
+        Curve(family, *zip(*sorted((loss.snr_db, loss.mean_db) for loss in own), strict=True))
+        for family, own in families.items()
+    ]
+    panel = Panel("", "SNR in integers, dB", "lost to int8, dB", lines, lines=(LIMIT_DB,))
+    curves(page.results_folder(out) / f"{STEM}.png", [panel])
     limited = [loss for loss in losses if loss.snr_db <= LIMIT_TO_SNR_DB]
-    text = page.render(
-        STEM,
-        losses=losses,
-        recordings=len(recordings),
-        worst=max(limited, key=attrgetter("mean_db"), default=None),
-        limit_db=LIMIT_DB,
-        limit_to_snr_db=LIMIT_TO_SNR_DB,
-        stem=STEM,
-    )
+    worst = max(limited, key=lambda loss: loss.mean_db, default=None)
+    text = page.render(STEM, globals(), losses=losses, recordings=len(recordings), worst=worst)
     page.publish(out, STEM, text, [(f"{STEM}.csv", rows, Row)])
 
 
@@ -76,9 +62,11 @@ def compared(model: Model, recordings: Sequence[textures.Recording]) -> Iterator
     both = with_graph(model)
     for recording in recordings:
         coded = encode_recording(recording, round(recording.rate_hz), model=both, highpass_hz=None)
-        decoded = (replace(coded.stream, runtime=runtime).decode() for runtime in codec.RUNTIMES)
-        snr_db = dict(zip(codec.RUNTIMES, (codec.snr_db(coded.recording.samples, one) for one in decoded), strict=True))
-        if (integers := snr_db["core"]) is not None and (floats := snr_db["onnx"]) is not None:
+        integers, floats = (
+            codec.snr_db(coded.recording.samples, replace(coded.stream, runtime=runtime).decode())
+            for runtime in ("core", "onnx")
+        )
+        if integers is not None and floats is not None:
             yield Row(model.family, model.name, recording.name, integers, floats)
 
 
@@ -92,24 +80,14 @@ def with_graph(model: Model) -> Model:
     return replace(model, image=replace(image, payload=payload.pack()).pack())
 
 
-def losses_of(rows: Sequence[Row]) -> list[Loss]:
-    """Return the loss of each model, of rows that are sorted by family and model."""
-    losses = []
-    for (family, model), own in groupby(rows, key=attrgetter("family", "model")):
-        group = list(own)
-        differences_db = [row.snr_db_by_onnx - row.snr_db for row in group]
-        snr_db = fmean(row.snr_db for row in group)
-        losses.append(Loss(family, model, snr_db, fmean(differences_db), max(differences_db)))
-    return losses
+def losses_of(rows: Sequence[Row]) -> list[Any]:
+    """Return a row for each model: its mean SNR in integers, and what it loses against the graph.
 
-
-def draw(path: Path, losses: Sequence[Loss]) -> None:
-    """Draw the mean loss of each model over its SNR, a line for each family. Raises OSError."""
-    lines = []
-    for family, own in groupby(losses, key=attrgetter("family")):
-        snrs_db, lost_db = zip(*sorted((loss.snr_db, loss.mean_db) for loss in own), strict=True)
-        lines.append(Curve(family, snrs_db, lost_db))
-    curves(path, [Panel("", "SNR in integers, dB", "lost to int8, dB", lines, lines=(LIMIT_DB,))])
+    Attributes: `family`, `model`, `snr_db`; `mean_db` and `worst_db`, of the loss over the recordings.
+    """
+    lost = pl.col("snr_db_by_onnx") - pl.col("snr_db")
+    of_model = frame(rows, Row).group_by("family", "model", maintain_order=True)
+    return as_rows(of_model.agg(pl.col("snr_db").mean(), mean_db=lost.mean(), worst_db=lost.max()))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,6 @@
 """Writes the page of the latency budget, and its table: `python -m studies.latency --out docs/benchmarks`."""
 
-import statistics
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,7 +8,7 @@ import click
 
 import vibrocast
 from studies import page
-from vibrocast.harness.latency import Latency, MinLatency, find_min_latency, measure_latency
+from vibrocast.harness.latency import Latency, find_min_latency, measure_latency
 from vibrocast.harness.measurements import machine
 from vibrocast.host import bench_file, live
 from vibrocast.host.bench_file import Bench, BenchController
@@ -45,28 +44,53 @@ class Row:
 
 
 @page.study
-@click.option(
-    "--device",
-    "addresses",
-    multiple=True,
-    default=ADDRESSES,
-    show_default=True,
-    help="Measure this controller; may be repeated.",
-)
-def main(out: Path, addresses: tuple[str, ...]) -> None:
+def main(out: Path) -> None:
     """Measure the latency of controllers, and write the page latency.md."""
     budgets, searches = {}, {}
-    for address in addresses:
+    for address in ADDRESSES:
         bench = Bench((BenchController(address, address),))
         with bench_file.connect(bench, bench.first) as session:
             texture = bench.scene()[0]
-            runs = sorted((measure_latency(session, texture) for _ in range(RUNS)), key=_total_ms)
-            budgets[address] = runs
+            runs = [measure_latency(session, texture) for _ in range(RUNS)]
+            budgets[address] = Budget.of(runs)
             searches[address] = find_min_latency(session, texture)
-        click.echo(f"{address}: {statistics.median(map(_total_ms, runs)):.1f} ms", err=True)
+        click.echo(f"{address}: {budgets[address].middle.total_ms:.1f} ms", err=True)
     played = played_parts(RECORDING)
-    text = rendered(budgets, searches, played, machine())
+    text = page.render(
+        "latency",
+        globals(),
+        machine=machine(),
+        playout_delay_ms=1e3 * live.PLAYOUT_DELAY_S,
+        above=[address for address, budget in budgets.items() if budget.middle.total_ms >= TARGET_MS],
+        played=played,
+        budgets=budgets,
+        searches=searches,
+    )
     page.publish(out, "latency", text, [("latency.csv", rows(budgets, played), Row)])
+
+
+@dataclass(frozen=True)
+class Budget:
+    """The delays of several live streams on a controller.
+
+    `middle`: the one in the middle of the runs without an underrun, or of all where there is no such. `parts`: of that
+    one, by the names of PARTS, in ms. `stable`: the number of runs without an underrun.
+    """
+
+    middle: Latency
+    parts: dict[str, float]
+    min_ms: float
+    max_ms: float
+    stable: int
+
+    @classmethod
+    def of(cls, runs: Sequence[Latency]) -> "Budget":
+        """Return the budget of runs."""
+        ordered = sorted(runs, key=lambda run: run.total_ms)
+        stable = [run for run in ordered if not run.report.lost_anything]
+        kept = stable or ordered
+        middle = kept[len(kept) // 2]
+        return cls(middle, live_parts(middle), ordered[0].total_ms, ordered[-1].total_ms, len(stable))
 
 
 def live_parts(latency: Latency) -> dict[str, float]:
@@ -98,59 +122,11 @@ def played_parts(path: Path) -> dict[str, float]:
     }
 
 
-def rows(budgets: dict[str, list[Latency]], played: dict[str, float]) -> list[Row]:
+def rows(budgets: Mapping[str, Budget], played: Mapping[str, float]) -> list[Row]:
     """Return the table: of each live stream, and of the recording played on the simulated controller."""
-    found = []
-    for address, runs in budgets.items():
-        middle = _middle(runs)
-        parts = {**live_parts(middle), "total": middle.total_ms}
-        found += [Row("live", address, part, round(delay_ms, 2)) for part, delay_ms in parts.items()]
-    parts = {**played, "total": sum(played.values())}
-    return found + [Row("play", "sim", part, round(delay_ms, 2)) for part, delay_ms in parts.items()]
-
-
-def rendered(
-    budgets: dict[str, list[Latency]],
-    searches: dict[str, MinLatency],
-    played: dict[str, float],
-    machine: dict[str, str],
-) -> str:
-    """Return the page. `budgets`: by address, runs with the default playout delay, sorted by their total."""
-    middle = {address: _middle(runs) for address, runs in budgets.items()}
-    return page.render(
-        "latency",
-        machine=machine,
-        recording=RECORDING,
-        runs=RUNS,
-        target_ms=TARGET_MS,
-        playout_delay_ms=1e3 * live.PLAYOUT_DELAY_S,
-        totals_ms=[latency.total_ms for latency in middle.values()],
-        above=[address for address, latency in middle.items() if latency.total_ms >= TARGET_MS],
-        first=next(iter(middle.values())),
-        parts=PARTS,
-        played=played,
-        budgets={
-            address: {
-                "middle": middle[address],
-                "parts": live_parts(middle[address]),
-                "min_ms": _total_ms(runs[0]),
-                "max_ms": _total_ms(runs[-1]),
-                "stable": sum(not run.report.lost_anything for run in runs),
-            }
-            for address, runs in budgets.items()
-        },
-        searches=searches,
-    )
-
-
-def _middle(runs: Sequence[Latency]) -> Latency:
-    """Return the one in the middle of the runs without an underrun, or of all where there is no such."""
-    kept = [run for run in runs if not run.report.lost_anything] or runs
-    return kept[len(kept) // 2]
-
-
-def _total_ms(latency: Latency) -> float:
-    return latency.total_ms
+    found = {("live", address): {**each.parts, "total": each.middle.total_ms} for address, each in budgets.items()}
+    found["play", "sim"] = {**played, "total": sum(played.values())}
+    return [Row(*of, part, round(delay_ms, 2)) for of, parts in found.items() for part, delay_ms in parts.items()]
 
 
 if __name__ == "__main__":

@@ -5,23 +5,20 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import click
 import numpy as np
 
 from studies import page
 from studies.latency import PARTS
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.source import recording_format
-from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.transports import SerialTransport
 from vibrocast.firmware.build import build
 from vibrocast.harness.measurements import machine
 from vibrocast.host import player
-from vibrocast.host.cli.option_types import Whole, positive
 from vibrocast.host.controller import Controller
 from vibrocast.host.event_loop import run_all
 from vibrocast.host.live import LiveStream, paced
@@ -29,6 +26,8 @@ from vibrocast.textures import GENERATORS, Recording
 
 RATE_HZ = 2800
 CHANNELS = 10
+CONTROLLERS = (1, 20, 50, 100)
+SECONDS = 10.0
 TABLE = "many_controllers.csv"
 LIVE_TABLE = "many_live_streams.csv"
 LIVE_STREAMS = (1, 10, 100)
@@ -89,52 +88,43 @@ class LiveMeasured:
     unsent_percent: float
 
 
-def noise(channels: int, seconds: float) -> Stream:
-    """Return a coded stream of noise, a few kbit/s for each channel."""
-    samples = 5.0 * np.random.default_rng(1).standard_normal((round(seconds * RATE_HZ), channels))
-    return encode_recording(Recording(samples, float(RATE_HZ), "um", "noise"), live=True).stream
-
-
 @contextlib.contextmanager
-def ports(count: int, channels: int, cores: Sequence[int]) -> Iterator[list[str]]:
-    """Run `count` controllers, which may have to be compiled first, on some cores; yield the names of their ports."""
+def connected(count: int, channels: int) -> Iterator[list[Controller]]:
+    """Run and connect `count` controllers, which may have to be compiled first.
+
+    This process stays on one core, and those of the controllers share the others, if there are any.
+    """
     program = build("host", {"VC_CHANNELS": channels, "VC_CAPTURE_SAMPLES": 0})
+    own, *others = every = sorted(os.sched_getaffinity(0))
+    os.sched_setaffinity(0, [own])
     processes = []
     try:
         for _ in range(count):
             process = subprocess.Popen([program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
             processes.append(process)
-            if cores:
-                os.sched_setaffinity(process.pid, cores)
-        yield [process.stdout.readline().strip() for process in processes if process.stdout]
+            os.sched_setaffinity(process.pid, others or every)
+        ports = [process.stdout.readline().strip() for process in processes if process.stdout]
+        with contextlib.ExitStack() as stack:
+            yield [Controller(stack.enter_context(SerialTransport(port))) for port in ports]
     finally:
         for process in processes:
             process.communicate()
+        os.sched_setaffinity(0, every)
 
 
-@contextlib.contextmanager
-def pinned() -> Iterator[list[int]]:
-    """Keep this process on one core; yield the others."""
-    cores = sorted(os.sched_getaffinity(0))
-    os.sched_setaffinity(0, cores[:1])
-    try:
-        yield cores[1:]
-    finally:
-        os.sched_setaffinity(0, cores)
-
-
-def measure(count: int, seconds: float) -> Measured:
-    """Stream to `count` controllers at once, without reading back; this process on one core, theirs on the others."""
-    stream = noise(CHANNELS, seconds)
+def measure(count: int) -> Measured:
+    """Stream noise to `count` controllers at once, a few kbit/s for each channel, without reading back."""
+    samples = 5.0 * np.random.default_rng(1).standard_normal((round(SECONDS * RATE_HZ), CHANNELS))
+    stream = encode_recording(Recording(samples, float(RATE_HZ), "um", "noise"), live=True).stream
     settings = player.PlaybackSettings()
-    children_s = os.times().children_user + os.times().children_system
-    with pinned() as others, ports(count, CHANNELS, others) as names, contextlib.ExitStack() as stack:
-        controllers = [Controller(stack.enter_context(SerialTransport(name))) for name in names]
+    with connected(count, CHANNELS) as controllers:
+        before = os.times()  # children count once they have ended, so the compiler is left out
         works = {number: (each, player.play_steps(each, stream, settings)) for number, each in enumerate(controllers)}
         began_s = time.process_time()
         results = run_all(works).values()
         took_s = time.process_time() - began_s
-    children_s = os.times().children_user + os.times().children_system - children_s
+    after = os.times()
+    children_s = after.children_user + after.children_system - before.children_user - before.children_system
     for result in results:
         if isinstance(result, Exception):
             print(f"failed: {result}", file=sys.stderr)
@@ -142,19 +132,18 @@ def measure(count: int, seconds: float) -> Measured:
     return Measured(
         count,
         CHANNELS,
-        round(took_s / seconds, 3),
-        round(children_s / seconds, 3),
+        round(took_s / SECONDS, 3),
+        round(children_s / SECONDS, 3),
         sum(result.underruns for result in played),
         sum(result.lost_packets for result in played),
         count - len(played),
     )
 
 
-def measure_live(count: int, seconds: float) -> LiveMeasured:
+def measure_live(count: int) -> LiveMeasured:
     """Stream to `count` controllers as a program does that reads blocks of all channels and sends each its own."""
-    sources = [GENERATORS[LIVE_TEXTURE](seed=seed, seconds=seconds, rate_hz=RATE_HZ) for seed in range(count)]
-    with pinned() as others, ports(count, 1, others) as names, contextlib.ExitStack() as stack:
-        controllers = [Controller(stack.enter_context(SerialTransport(name))) for name in names]
+    sources = [GENERATORS[LIVE_TEXTURE](seed=seed, seconds=SECONDS, rate_hz=RATE_HZ) for seed in range(count)]
+    with connected(count, 1) as controllers:
         streams = [LiveStream(*each) for each in zip(controllers, map(recording_format, sources), strict=True)]
         packet_samples, clock = streams[0].packet_samples, controllers[0].clock
         rounds = len(sources[0].samples) // packet_samples
@@ -182,46 +171,20 @@ def measure_live(count: int, seconds: float) -> LiveMeasured:
         np.nanmax(late_ms - early_ms),
         *np.nanmedian(np.diff(times_ms), axis=(0, 1))[:4],
         count * np.nanmedian(times_ms[..., 5] - times_ms[..., 2]),
-        took_s / seconds,
+        took_s / SECONDS,
         100 * sum(stream.dropped_packets for stream in streams) / (rounds * count),
     ]
     restarts = sum(stream.begun - 1 for stream in streams)
     return LiveMeasured(count, restarts, *(round(float(each), 3) for each in figures))
 
 
-def rendered(rows: Sequence[Measured], live: Sequence[LiveMeasured], seconds: float) -> str:
-    """Return the page with the table."""
-    return page.render(
-        "many_controllers",
-        rows=rows,
-        live=live,
-        live_figures=LIVE_FIGURES,
-        live_texture=LIVE_TEXTURE,
-        rate_hz=RATE_HZ,
-        seconds=seconds,
-        buffer_s=player.BUFFER_S,
-        processor=machine()["processor"],
-        cores=os.cpu_count(),
-    )
-
-
 @page.study
-@click.option(
-    "--controllers",
-    "counts",
-    type=Whole("NUMBER", 1),
-    multiple=True,
-    default=(1, 20, 50, 100),
-    show_default=True,
-    help="Measure with this number of controllers; may be repeated.",
-)
-@click.option("--seconds", type=positive("s"), default=10.0, show_default=True, help="Set the duration.")
-def main(counts: tuple[int, ...], seconds: float, out: Path) -> None:
+def main(out: Path) -> None:
     """Measure hosts with many controllers, and write the page many_controllers.md."""
-    rows = [measure(count, seconds) for count in counts]
-    live = [measure_live(count, seconds) for count in LIVE_STREAMS]
-    tables = ((TABLE, rows, Measured), (LIVE_TABLE, live, LiveMeasured))
-    page.publish(out, "many_controllers", rendered(rows, live, seconds), tables)
+    rows, live = [measure(count) for count in CONTROLLERS], [measure_live(count) for count in LIVE_STREAMS]
+    use = {"processor": machine()["processor"], "cores": os.cpu_count(), "buffer_s": player.BUFFER_S}
+    text = page.render("many_controllers", globals(), rows=rows, live=live, **use)
+    page.publish(out, "many_controllers", text, ((TABLE, rows, Measured), (LIVE_TABLE, live, LiveMeasured)))
 
 
 if __name__ == "__main__":

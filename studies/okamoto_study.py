@@ -1,16 +1,15 @@
 """Puts simulated observers through the texture paper's listening study: `python -m studies.okamoto_study`."""
 
-import csv
-import itertools
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain, product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import click
 import msgspec
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,9 +18,10 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from studies import page
-from studies.texture_paper import HAND_SPEED_MM_S, STRETCH_MM, generated_profiles
+from studies.texture_paper import HAND_SPEED_MM_S, PAPER_LEVELS, STRETCH_MM, generated_profiles
 from vibrocast import textures
 from vibrocast.evaluation import pictures
+from vibrocast.evaluation.points import read_rows
 from vibrocast.files import atomic_write
 from vibrocast.output.actuator import ACTUATORS
 from vibrocast.study import statistics, stimuli
@@ -82,13 +82,7 @@ class Published:
 
 def read_tables() -> list[Published]:
     """Return the rows of TABLES."""
-    with TABLES.open(newline="", encoding="utf-8") as file:
-        return [
-            Published(
-                row["texture"], row["algorithm"].removesuffix("_db"), *map(float, (row["level"], row["t9"], row["p"]))
-            )
-            for row in csv.DictReader(file)
-        ]
+    return read_rows(TABLES, Published)
 
 
 @dataclass(frozen=True)
@@ -173,24 +167,23 @@ class Limit:
     percent: Mapping[float | None, float]
 
 
+def limits_of(simulated: Simulated, table: Sequence[Published], texture: str, family: str) -> list[float | None]:
+    """Return the limit of a texture in each study, and last the paper's; none where the paper has no such rows."""
+    rows = [row for row in table if (row.texture, row.family) == (texture, family)]
+    studies = [*zip(*(simulated.tests[row.key][1] for row in rows), strict=True), [row.is_noticed for row in rows]]
+    values = [row.parameter for row in rows]
+    return [limit(dict(zip(values, each, strict=True)), family) for each in studies] if rows else []
+
+
 def limits(simulated: Simulated, table: Sequence[Published]) -> list[Limit]:
     """Return the limits of all textures, among the paper's conditions."""
     found = []
-    for texture, family in itertools.product(TEXTURES, FAMILIES):
-        rows = [row for row in table if (row.texture, row.family) == (texture, family)]
-        if rows:
-            studies = np.array([simulated.tests[row.key][1] for row in rows]).T
-            values = [row.parameter for row in rows]
-            counts = Counter(limit(dict(zip(values, each, strict=True)), family) for each in studies.tolist())
-            paper = limit({row.parameter: row.is_noticed for row in rows}, family)
-            percent = {value: 100 * count / len(studies) for value, count in counts.most_common()}
+    for texture, family in product(TEXTURES, FAMILIES):
+        if every := limits_of(simulated, table, texture, family):
+            *own, paper = every
+            percent = {value: 100 * count / len(own) for value, count in Counter(own).most_common()}
             found.append(Limit(texture, family, paper, percent))
     return found
-
-
-def agreeing_percent(found: Sequence[Limit]) -> float:
-    """Return in how many per cent of all studies and limits the paper's came out."""
-    return float(np.mean([each.percent.get(each.paper, 0.0) for each in found]))
 
 
 @dataclass(frozen=True)
@@ -212,8 +205,8 @@ def similar(simulated: Simulated, table: Sequence[Published]) -> list[Similar]:
     """Return EXCEPTIONS as simulated observers grade them."""
     found = []
     for texture, levels in EXCEPTIONS.items():
-        finer = min(row.parameter for row in table if row.texture == texture and row.family == LINEAR
-                    and row.parameter > levels)  # fmt: skip
+        linear = [row.parameter for row in table if (row.texture, row.family) == (texture, LINEAR)]
+        finer = min(each for each in linear if each > levels)
         grades = [simulated.grades[texture, f"{LINEAR} {each:g}"].mean(axis=1) for each in (levels, finer)]
         worse = grades[0] - grades[1]
         found.append(Similar(texture, levels, finer, np.percentile(worse, SPREAD), 100 * float(np.mean(worse <= 0))))
@@ -222,28 +215,23 @@ def similar(simulated: Simulated, table: Sequence[Published]) -> list[Similar]:
 
 def orders(simulated: Simulated, table: Sequence[Published]) -> dict[str, float]:
     """Return the orders that the paper reports, with the per cent of studies that have them."""
-    studies = len(simulated.grades[TEXTURES[0], AGAIN])
-    holds: dict[str, list[bool]] = {}
-    for study in range(studies):
 
-        def reached(texture: str, family: str, beyond: float, study: int = study) -> float:
-            rows = [row for row in table if (row.texture, row.family) == (texture, family)]
-            found = limit({row.parameter: bool(simulated.tests[row.key][1][study]) for row in rows}, family)
-            return beyond if found is None else found
+    def reached(family: str, beyond: float) -> Values:
+        """Return the limits (studies, textures); `beyond`: where everything is noticed."""
+        every = [limits_of(simulated, table, texture, family)[:-1] for texture in TEXTURES]
+        return np.array([[beyond if each is None else each for each in own] for own in every]).T
 
-        levels, cuts = ([reached(name, *way) for name in TEXTURES] for way in ((LINEAR, np.inf), (CUT, -np.inf)))
-        grades = [
-            [simulated.grades[name, f"{LINEAR} {value}"][study].mean() for value in (14, 12, 10, 8, 6, 5, 4)]
-            for name in TEXTURES
-        ]
-        noticed = [bool(simulated.tests[name, f"{CUT} 0"][1][study]) for name in ("wood", "sandpaper")]
-        for text, is_so in (
-            ("leather bears fewer linear levels than wood and sandpaper", levels[2] < min(levels[:2])),
-            ("b0 rises from wood over sandpaper to leather", cuts[0] < cuts[1] < cuts[2]),
-            ("a cut at the threshold, b0 = 0 dB, is noticed on wood and sandpaper", all(noticed)),
-            ("some coarser linear levels get a better mean grade", any(np.any(np.diff(each) < 0) for each in grades)),
-        ):
-            holds.setdefault(text, []).append(bool(is_so))
+    levels, cuts = reached(LINEAR, np.inf), reached(CUT, -np.inf)
+    grades = [
+        [simulated.grades[texture, f"{LINEAR} {value}"].mean(axis=1) for value in PAPER_LEVELS] for texture in TEXTURES
+    ]
+    noticed = [simulated.tests[texture, f"{CUT} 0"][1] for texture in ("wood", "sandpaper")]
+    holds = {
+        "leather bears fewer linear levels than wood and sandpaper": levels[:, 2] < levels[:, :2].min(axis=1),
+        "b0 rises from wood over sandpaper to leather": np.all(np.diff(cuts) > 0, axis=1),
+        "a cut at the threshold, b0 = 0 dB, is noticed on wood and sandpaper": np.all(noticed, axis=0),
+        "some coarser linear levels get a better mean grade": np.any(np.diff(grades, axis=1) < 0, axis=(0, 1)),
+    }
     return {text: 100 * float(np.mean(each)) for text, each in holds.items()}
 
 
@@ -272,30 +260,28 @@ class Stage:
         return 10 * float(np.log10(coded / whole)) if coded else -np.inf
 
     def simulate(
-        self, study: Study, seeds: Iterable[int], integration_s: float
+        self, study: Study, seeds: Sequence[int], integration_s: float
     ) -> dict[Key, list[dict[int, list[int]]]]:
         """Let PARTICIPANTS take part once for each seed; return answers of each stimulus by study and participant."""
         skins: Mapping[str, Skin] = {
             key: replace(skin, integration_s=integration_s) for key, skin in self._skins.items()
         }
         found: dict[Key, list[dict[int, list[int]]]] = {}
-        seeds = list(seeds)
-        for number, seed in enumerate(seeds):
-            drawn = msgspec.structs.replace(study, seed=seed)
-            for participant in range(1, PARTICIPANTS + 1):
-                observer, trials = Observer(seed, participant), design(drawn, participant)
-                history: list[Answered] = []
-                while (trial := trials.next_trial(history)) is not None:
-                    felt = {each.label: skins[str(each.stimulus)] for each in trial.intervals}
-                    values = observer.answer(study.method, trial, felt)
-                    history.append(Answered(trial, Answer(values, 0.0, {})))
-                    if trial.phase == MAIN:
-                        key = trial.texture, str(trial.facts["condition"])
-                        by_study = found.setdefault(key, [{} for _ in seeds])
-                        by_study[number].setdefault(participant, []).append(values[0])
+        for (number, seed), participant in product(enumerate(seeds), range(1, PARTICIPANTS + 1)):
+            observer = Observer(seed, participant)
+            trials = design(msgspec.structs.replace(study, seed=seed), participant)
+            history: list[Answered] = []
+            while (trial := trials.next_trial(history)) is not None:
+                felt = {each.label: skins[str(each.stimulus)] for each in trial.intervals}
+                values = observer.answer(study.method, trial, felt)
+                history.append(Answered(trial, Answer(values, 0.0, {})))
+                if trial.phase == MAIN:
+                    key = trial.texture, str(trial.facts["condition"])
+                    by_study = found.setdefault(key, [{} for _ in seeds])
+                    by_study[number].setdefault(participant, []).append(values[0])
         return found
 
-    def grades(self, seeds: Iterable[int], integration_s: float = INTEGRATION_S) -> Simulated:
+    def grades(self, seeds: Sequence[int], integration_s: float = INTEGRATION_S) -> Simulated:
         """Return the grades of simulated studies, one for each seed."""
         answers = self.simulate(self.graded, seeds, integration_s)
         return Simulated(
@@ -305,23 +291,23 @@ class Stage:
             }
         )
 
-    def sensitivities(self, seeds: Iterable[int]) -> list[Sensitivity]:
+    def sensitivities(self, seeds: Sequence[int]) -> list[Sensitivity]:
         """Return d' at the paper's limits by each formula, from pairs that are the same and that differ."""
         answers = self.simulate(self.compared, seeds, INTEGRATION_S)
         rows = []
-        for texture, family in itertools.product(TEXTURES, (LINEAR, CUT)):
-            ((condition, by_study),) = [
+        for texture, family in product(TEXTURES, (LINEAR, CUT)):
+            ((condition, by_study),) = (
                 (name, own) for (of, name), own in answers.items() if of == texture and name.startswith(family)
+            )
+            pairs = [
+                [list(chain(*people.values())) for people in pair]
+                for pair in zip(by_study, answers[texture, UNCOMPRESSED], strict=True)
             ]
-            value = condition.split()[1]
+            rates = [statistics.rates(sum(hit), len(hit), sum(alarm), len(alarm)) for hit, alarm in pairs]
             for model in MODELS:
-                found = []
-                for different, same in zip(by_study, answers[texture, UNCOMPRESSED], strict=True):
-                    hits, false_alarms = (list(itertools.chain(*each.values())) for each in (different, same))
-                    rates = statistics.rates(sum(hits), len(hits), sum(false_alarms), len(false_alarms))
-                    found.append(statistics.sensitivity_same_different(*rates, model))
-                spread = map(float, np.percentile(found, SPREAD))
-                rows.append(Sensitivity(texture, family, float(value), model, *SENSITIVITIES[family], *spread))
+                found = [statistics.sensitivity_same_different(*each, model) for each in rates]
+                value, spread = float(condition.split()[1]), np.percentile(found, SPREAD).tolist()
+                rows.append(Sensitivity(texture, family, value, model, *SENSITIVITIES[family], *spread))
         return rows
 
 
@@ -337,22 +323,10 @@ def results(stage: Stage, simulated: Simulated, table: Sequence[Published]) -> l
     for row in table:
         t, noticed = simulated.tests[row.key]
         low, median, high = np.percentile(t, SPREAD).tolist()
-        rows.append(
-            Result(
-                texture=row.texture,
-                family=row.family,
-                parameter=row.parameter,
-                paper_t=row.t,
-                paper_p=row.p,
-                t_low=low,
-                t=median,
-                t_high=high,
-                noticed_percent=100 * float(np.mean(noticed)),
-                grade=float(np.mean(simulated.grades[row.key])),
-                energy_db=stage.energy_db(row.key),
-                snr_db=stage.facts[row.key]["snr_db"] or 0.0,
-            )
-        )
+        noticed_percent, grade = 100 * float(np.mean(noticed)), float(np.mean(simulated.grades[row.key]))
+        paper, quality = (row.t, row.p), (stage.energy_db(row.key), stage.facts[row.key]["snr_db"] or 0.0)
+        key = row.texture, row.family, row.parameter
+        rows.append(Result(*key, *paper, low, median, high, noticed_percent, grade, *quality))
     return rows
 
 
@@ -382,54 +356,58 @@ def integrations(
     return found
 
 
-STYLES: Mapping[str, tuple[str, str]] = {
-    LINEAR: ("o", pictures.BLUE),
-    LOG: ("s", pictures.ORANGE),
-    CUT: ("o", pictures.BLUE),
+NO_PEOPLE = "Simulated observers, not people: 5 to 95 % of the studies"
+STYLES: Mapping[str, tuple[str, str, float]] = {
+    LINEAR: ("o", pictures.BLUE, -0.12),
+    LOG: ("s", pictures.ORANGE, 0.12),
+    CUT: ("o", pictures.BLUE, 0.0),
 }
-"""Marker and colour of each family; the paper's values are hollow and of the same shape."""
+"""Marker, colour and shift along x of each family; the paper's values are hollow and of the same shape."""
 
 
-def _axes_style(axes: Axes) -> None:
-    axes.tick_params(labelsize=pictures.SMALL_POINTS)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(color=pictures.PALE, linewidth=0.7)
+@contextmanager
+def _figure(path: Path, width_in: float, height_in: float) -> Iterator[Figure]:
+    """Yield a figure to draw on, which is written when the block succeeds. Raises OSError."""
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    yield figure
+    for axes in figure.axes:
+        axes.tick_params(labelsize=pictures.SMALL_POINTS)
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.grid(color=pictures.PALE, linewidth=0.7)
+    with atomic_write(path) as partial:
+        pictures.write(figure, partial)
 
 
 def draw_t(path: Path, rows: Sequence[Result]) -> None:
     """Draw t of the paper and of the simulated studies over levels and over b0, a column for each texture."""
-    figure = Figure(figsize=(9.6, 5.6), layout="constrained")
-    figure.suptitle("Simulated observers, not people: 5 to 95 % of the studies", fontsize=pictures.POINTS)
-    grid = figure.subplots(2, len(TEXTURES), sharey=True, sharex="row")
-    for (line, families), (column, texture) in itertools.product(
-        enumerate(((LINEAR, LOG), (CUT,))), enumerate(TEXTURES)
-    ):
-        axes = grid[line, column]
-        for family, shift in zip(families, (-0.12, 0.12), strict=False):
-            own = [row for row in rows if (row.texture, row.family) == (texture, family)]
-            if not own:
-                continue
-            marker, colour = STYLES[family]
-            x = np.array([row.parameter for row in own]) + (shift if family != CUT else 0.0)
-            t = np.array([(row.t, row.t - row.t_low, row.t_high - row.t) for row in own]).T
-            style: Any = {"color": colour, "markersize": 4, "elinewidth": 1.0, "linewidth": 0.8}
-            name = "threshold cut" if family == CUT else f"{family} levels"
-            axes.errorbar(x, t[0], t[1:], fmt=f"{marker}-", label=f"{name}: simulated", **style)
-            axes.plot(
-                x, [row.paper_t for row in own], marker, markersize=7, markerfacecolor="none",
-                markeredgecolor=pictures.INK, label=f"{name}: the paper",
-            )  # fmt: skip
-        axes.axhline(CRITICAL_T, color=pictures.INK, linestyle=":", linewidth=1.0)
-        axes.set_yscale("symlog", linthresh=3, linscale=1.2)
-        axes.set_yticks([0, 1, 2, 3, 5, 10, 20], ["0", "1", "2", "3", "5", "10", "20"])
-        axes.set_title(texture, fontsize=pictures.POINTS)
-        axes.set_xlabel("b0 of the cut, dB" if line else "levels L", fontsize=pictures.SMALL_POINTS)
-        _axes_style(axes)
-        if column == 0:
+    with _figure(path, 9.6, 5.6) as figure:
+        figure.suptitle(NO_PEOPLE, fontsize=pictures.POINTS)
+        grid = figure.subplots(2, len(TEXTURES), sharey=True, sharex="row")
+        for (line, families), (column, texture) in product(enumerate(((LINEAR, LOG), (CUT,))), enumerate(TEXTURES)):
+            axes = grid[line, column]
+            for family in families:
+                _draw_family(axes, family, [row for row in rows if (row.texture, row.family) == (texture, family)])
+            axes.axhline(CRITICAL_T, color=pictures.INK, linestyle=":", linewidth=1.0)
+            axes.set_yscale("symlog", linthresh=3, linscale=1.2)
+            axes.set_yticks([0, 1, 2, 3, 5, 10, 20], ["0", "1", "2", "3", "5", "10", "20"])
+            axes.set_title(texture, fontsize=pictures.POINTS)
+            axes.set_xlabel("b0 of the cut, dB" if line else "levels L", fontsize=pictures.SMALL_POINTS)
+        for axes in grid[:, 0]:
             axes.set_ylabel("t, 9 degrees of freedom", fontsize=pictures.SMALL_POINTS)
             axes.legend(fontsize=pictures.SMALL_POINTS, frameon=False)
-    with atomic_write(path) as partial:
-        pictures.write(figure, partial)
+
+
+def _draw_family(axes: Axes, family: str, rows: Sequence[Result]) -> None:
+    """Draw the conditions of a family on a texture; nothing for a family that it lacks."""
+    if rows:
+        marker, colour, shift = STYLES[family]
+        x = np.array([row.parameter for row in rows]) + shift
+        t = np.array([(row.t, row.t - row.t_low, row.t_high - row.t) for row in rows]).T
+        style: Any = {"color": colour, "markersize": 4, "elinewidth": 1.0, "linewidth": 0.8}
+        name = "threshold cut" if family == CUT else f"{family} levels"
+        axes.errorbar(x, t[0], t[1:], fmt=f"{marker}-", label=f"{name}: simulated", **style)
+        hollow: Any = {"markersize": 7, "markerfacecolor": "none", "markeredgecolor": pictures.INK}
+        axes.plot(x, [row.paper_t for row in rows], marker, label=f"{name}: the paper", **hollow)
 
 
 FORMULAS: Mapping[str, tuple[str, str, str]] = {
@@ -442,33 +420,33 @@ FORMULAS: Mapping[str, tuple[str, str, str]] = {
 
 def draw_sensitivities(path: Path, rows: Sequence[Sensitivity]) -> None:
     """Draw d' at the paper's limits by each formula, with the paper's ranges."""
-    figure = Figure(figsize=(7.2, 3.4), layout="constrained")
-    axes = figure.subplots()
-    axes.set_title("Simulated observers, not people: 5 to 95 % of the studies", fontsize=pictures.POINTS)
-    places = list(dict.fromkeys((row.texture, row.family, row.parameter) for row in rows))
-    for place, key in enumerate(places):
+    with _figure(path, 7.2, 3.4) as figure:
+        axes = figure.subplots()
+        axes.set_title(NO_PEOPLE, fontsize=pictures.POINTS)
+        places = list(dict.fromkeys((row.texture, row.family, row.parameter) for row in rows))
         for row in rows:
-            if (row.texture, row.family, row.parameter) == key:
-                name, marker, colour = FORMULAS[row.formula]
-                y = place + 0.22 * (1 - MODELS.index(row.formula))
-                axes.fill_between(
-                    [row.paper_low, row.paper_high], place - 0.4, place + 0.4, color=pictures.PALE,
-                    label="the paper's range" if place == 0 and row.formula == MODELS[0] else None,
-                )  # fmt: skip
-                axes.errorbar(
-                    row.value, y, xerr=[[row.value - row.low], [row.high - row.value]], fmt=marker, color=colour,
-                    markersize=5, elinewidth=1.0, label=name if place == 0 else None,
-                )  # fmt: skip
-    axes.set_yticks(range(len(places)), [f"{texture}, {_setting(family, value)}" for texture, family, value in places])
-    axes.invert_yaxis()
-    axes.set_xlabel("d'", fontsize=pictures.SMALL_POINTS)
-    _axes_style(axes)
-    axes.legend(fontsize=pictures.SMALL_POINTS, frameon=False)
-    with atomic_write(path) as partial:
-        pictures.write(figure, partial)
+            place = places.index((row.texture, row.family, row.parameter))
+            name, marker, colour = FORMULAS[row.formula]
+            range_name, label = ("the paper's range", name) if place == 0 else (None, None)
+            axes.fill_between(
+                [row.paper_low, row.paper_high],
+                place - 0.4,
+                place + 0.4,
+                color=pictures.PALE,
+                label=range_name if row.formula == MODELS[0] else None,
+            )
+            y, width = place + 0.22 * (1 - MODELS.index(row.formula)), [[row.value - row.low], [row.high - row.value]]
+            style: Any = {"color": colour, "markersize": 5, "elinewidth": 1.0}
+            axes.errorbar(row.value, y, xerr=width, fmt=marker, label=label, **style)
+        names = [f"{texture}, {setting(family, value)}" for texture, family, value in places]
+        axes.set_yticks(range(len(places)), names)
+        axes.invert_yaxis()
+        axes.set_xlabel("d'", fontsize=pictures.SMALL_POINTS)
+        axes.legend(fontsize=pictures.SMALL_POINTS, frameon=False)
 
 
-def _setting(family: str, value: float) -> str:
+def setting(family: str, value: float) -> str:
+    """Return a condition as the page names it."""
     return f"b0 {value:+g} dB" if family == CUT else f"{family} L = {value:g}"
 
 
@@ -478,7 +456,6 @@ def markdown(
     table: Sequence[Published],
     sensitivities: Sequence[Sensitivity],
     integrated: Sequence[Integration],
-    studies: int,
 ) -> str:
     """Return the page."""
     agreeing, rho = simulated.agreement(table)
@@ -486,53 +463,42 @@ def markdown(
     noticed = sum(row.is_noticed for row in table)
     return page.render(
         "okamoto_study",
+        globals(),
         rows={(row.texture, row.family, row.parameter): row for row in rows},
         table=table,
-        studies=studies,
-        participants=PARTICIPANTS,
         agreeing=np.percentile(agreeing, SPREAD),
         rho=np.percentile(rho, SPREAD),
         constant=max(noticed, len(table) - noticed),
         limits=found,
-        limits_percent=agreeing_percent(found),
+        limits_percent=float(np.mean([each.percent.get(each.paper, 0.0) for each in found])),
         similar=similar(simulated, table),
         orders=orders(simulated, table),
         sensitivities=sensitivities,
-        formulas={key: name for key, (name, *_) in FORMULAS.items()},
         integrated=integrated,
-        chosen_s=INTEGRATION_S,
-        textures=TEXTURES,
-        families=FAMILIES,
-        cut=CUT,
         values={family: sorted({row.parameter for row in table if row.family == family}) for family in FAMILIES},
-        setting=_setting,
-        alpha=ALPHA,
+        setting=setting,
         hidden=[float(np.mean(simulated.grades[name, AGAIN])) for name in TEXTURES],
     )
 
 
 @page.study
-@click.option("--studies", type=click.IntRange(2), default=STUDIES, show_default=True, help="Simulate so many.")
-def main(studies: int, out: Path) -> None:
+def main(out: Path) -> None:
     """Let simulated observers take part in the texture paper's study, and compare them with its tables."""
-    table, seeds = read_tables(), range(1, studies + 1)
+    table, seeds = read_tables(), range(1, STUDIES + 1)
     with TemporaryDirectory() as folder:
         stage = Stage(Path(folder))
         simulated = stage.grades(seeds)
         rows, sensitivities = results(stage, simulated, table), stage.sensitivities(seeds)
         integrated = integrations(stage, simulated, table, seeds)
-    tables = page.results_folder(out)
-    draw_t(tables / "simulated_study.svg", rows)
-    draw_sensitivities(tables / "simulated_study_sensitivity.svg", sensitivities)
-    text = markdown(rows, simulated, table, sensitivities, integrated, studies)
-    short = [page.rounded(row, ".4g") for row in rows]
-    short_sensitivities = [page.rounded(row, ".4g") for row in sensitivities]
-    page.publish(
-        out,
-        "simulated_study",
-        text,
-        [("simulated_study.csv", short, Result), ("simulated_study_sensitivity.csv", short_sensitivities, Sensitivity)],
-    )
+    name, folder_of_tables = "simulated_study", page.results_folder(out)
+    draw_t(folder_of_tables / f"{name}.svg", rows)
+    draw_sensitivities(folder_of_tables / f"{name}_sensitivity.svg", sensitivities)
+    text = markdown(rows, simulated, table, sensitivities, integrated)
+    tables: list[tuple[str, Sequence[Any], type[Any]]] = [
+        (f"{name}.csv", [page.rounded(row, ".4g") for row in rows], Result),
+        (f"{name}_sensitivity.csv", [page.rounded(row, ".4g") for row in sensitivities], Sensitivity),
+    ]
+    page.publish(out, name, text, tables)
 
 
 if __name__ == "__main__":

@@ -1,38 +1,45 @@
-"""Shared by the scripts: options, errors in one line, and pages, tables and charts that are written whole."""
+"""Shared by the scripts: options, errors in one line, progress, and pages, tables and charts that are written whole."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import click
 
-from vibrocast import pages
+from vibrocast import pages, progress
 from vibrocast.errors import VibrocastError
 from vibrocast.evaluation import points
 from vibrocast.evaluation.points import Record, Row
 from vibrocast.files import atomic_write
 
-FOLDER = click.argument("folder", type=click.Path(exists=True, file_okay=False, path_type=Path))
+Item = TypeVar("Item")
+
+EXISTING = click.Path(exists=True, file_okay=False, path_type=Path)
+FOLDER = click.argument("folder", type=EXISTING)
 FROM_TABLES = click.option("--from-tables", is_flag=True, help="Write the page from its tables, without measurements.")
-_OUT = click.option(
-    "--out",
-    type=click.Path(file_okay=False, path_type=Path),
-    required=True,
-    help="Write the page and its tables into this folder.",
-)
 
 
 def study(main: Callable[..., None]) -> click.Command:
     """Make a command of a function: it gets the option `out`, and its errors are one line."""
+    return _command(main, required=True, help="Write the page and its tables into this folder.")
 
+
+def drawing(default: Path) -> Callable[[Callable[..., None]], click.Command]:
+    """Make commands as `study` does, of functions that write pictures into `default` or another folder."""
+    shown = "/".join(default.parts[-2:])
+    return lambda main: _command(main, default=default, help=f"Write into this folder. Default: {shown}.")
+
+
+def _command(main: Callable[..., None], **of_out: Any) -> click.Command:
     @wraps(main)
     def command(**options: Any) -> None:
         with errors_in_one_line():
             main(**options)
 
-    return click.command()(_OUT(command))
+    kind = click.Path(file_okay=False, path_type=Path)
+    return click.command()(click.option("--out", type=kind, **of_out)(command))
 
 
 @contextmanager
@@ -44,6 +51,16 @@ def errors_in_one_line() -> Iterator[None]:
         raise click.ClickException(f"{error.filename}: {error.strerror}" if error.filename else str(error)) from error
     except VibrocastError as error:
         raise click.ClickException(str(error)) from error
+
+
+def collected(title: str, items: Iterable[Item], total: int | None, name: Callable[[Item], str]) -> list[Item]:
+    """Return items that take long to come, with a progress bar. `total`: None = not known. `name`: shows each."""
+    found: list[Item] = []
+    with progress.bar(title) as update:
+        for item in items:
+            found.append(item)
+            update(len(found) / total if total else None, name(item))
+    return found
 
 
 def results_folder(out: Path) -> Path:
@@ -73,9 +90,10 @@ def write(out: Path, name: str, text: str, redrawn: bool = False) -> None:
     click.echo(str(out / f"{name}.md"))
 
 
-def render(name: str, **values: object) -> str:
-    """Return the page of the template of this name, filled with values."""
-    return pages.render(Path(__file__).with_name(f"{name}.md.jinja"), **values)
+def render(name: str, script: Mapping[str, Any], **values: object) -> str:
+    """Return the page of the template of this name, filled with values and with the constants of a script's globals."""
+    constants = {key: value for key, value in script.items() if key.isupper()}
+    return pages.render(Path(__file__).with_name(f"{name}.md.jinja"), **constants, **values)
 
 
 def publish(out: Path, name: str, text: str, tables: Sequence[tuple[str, Sequence[Record], type[Record]]]) -> None:

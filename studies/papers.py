@@ -29,8 +29,9 @@ from vibrocast.evaluation.comparison import (
     pair_bd_rates,
 )
 from vibrocast.evaluation.points import MEASURED, Point, Row, read_rows
+from vibrocast.evaluation.results_page import NOTE, HeldOut, read_held_out
 from vibrocast.evaluation.speed import RATES, RATIO, Speed
-from vibrocast.evaluation.tables import as_rows, frame
+from vibrocast.evaluation.tables import as_rows, frame, grouped
 from vibrocast.files import atomic_write
 from vibrocast.host.cli.options import own_models_option
 from vibrocast.output import profile as rendering
@@ -114,20 +115,6 @@ class Ablation:
     snr_db: float
     living_latents: int
     more_bits_percent: float
-
-
-@dataclass(frozen=True)
-class HeldOut:
-    """Bits of a codec relative to a peer's at equal quality on recordings that no choice has seen, in percent.
-
-    The mean over the recordings, and the worst of them; None where it was not measured.
-    """
-
-    codec: str
-    measure: str
-    peer: str
-    mean_percent: float | None
-    worst_percent: float | None
 
 
 def families(measurements: Measurements) -> list[str]:
@@ -423,26 +410,20 @@ def rendered(
     rates = {(row.codec, row.anchor, row.quality): row for row in as_rows(means)}
     return page.render(
         "papers",
+        globals(),
         claims={paper: [claim for claim in claims if claim.paper == paper] for paper in (EVA, DCT)},
         outcomes=(YES, NO, UNDECIDABLE, NOT_YET, MODEL, NOT_COMPARABLE),
-        undecidable=UNDECIDABLE,
         readings={name: text for name, text in pvc_slp.readings().items() if name in measurements.curves},
         sensitivity={(row.anchor, row.codec, row.quality, row.low): row for row in rows},
         bands=pvc_slp.BANDS,
-        tolerance=TOLERANCE,
         families=names,
         others=others,
-        anchors=ANCHORS,
-        scales=PAPER_SCALES,
-        perceptual=SPQI,
         rates=rates,
         costs={name: measurements.cost(name) for name in (*names, *others)},
         speeds={name: _speeds(measurements, name) for name in (*names, *others)},
         ablation=ablation,
         pair=measurements.paper_pair,
         figure=figure,
-        ratios=WAVEFORM_RATIOS,
-        samples=WAVEFORM_SAMPLES,
         traces=len(measurements.compared),
     )
 
@@ -450,10 +431,8 @@ def rendered(
 def note(held_out: Sequence[HeldOut]) -> str:
     """Return what the page of results says of its recordings, with the figures on those that no choice has seen."""
     peers = list(dict.fromkeys(row.peer for row in held_out))
-    rows: dict[tuple[str, str], dict[str, HeldOut]] = {}
-    for row in held_out:
-        rows.setdefault((row.codec, row.measure), {})[row.peer] = row
-    return page.render("held_out", peers=peers, rows=rows)
+    rows = grouped(held_out, lambda row: (row.codec, row.measure))
+    return page.render("held_out", globals(), peers=peers, rows=rows)
 
 
 def _percent(claim: str, stated: float, here: float | None, words: str, why: str) -> Claim:
@@ -543,8 +522,8 @@ def main(folder: Path, out: Path, model_folders: tuple[Path, ...]) -> None:
         ("claims.csv", claims, Claim),
     )
     page.publish(out, "papers", text, written)
-    if held_out := of_others("held_out.csv", HeldOut):
-        with atomic_write(results / "note.md") as partial:  # a part of another page
+    if held_out := read_held_out(results):
+        with atomic_write(results / NOTE) as partial:  # a part of another page
             partial.write_text(note(held_out), encoding="utf-8")
 
 

@@ -1,23 +1,23 @@
 """Measures what planning saves at equal quality: `python -m studies.planning FOLDER... --out docs/benchmarks`."""
 
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
-from statistics import fmean
-from typing import Any
 
 import click
 import numpy as np
+import polars as pl
 
 from studies import page
-from vibrocast import codec, progress, textures
+from vibrocast import codec, textures
 from vibrocast.codec import mdct
 from vibrocast.codec.encoding import DEFAULT_SNR_DB, DEFAULT_STREAM_RATE_HZ, Encoding, encode_recording
 from vibrocast.codec.rate_control import added_bytes
 from vibrocast.codec.threshold import DETECTION_THRESHOLD, read_threshold
 from vibrocast.errors import InputError
+from vibrocast.evaluation.tables import as_rows, frame
 from vibrocast.host.bench_file import BenchActuator
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.planner import costs
@@ -37,7 +37,7 @@ WEIGHTS = {
     "instructions alone": Weights(0.0, 1.0, 0.0, 0.0),
 }
 """The planner's own, and what can be saved where one cost is all that counts."""
-_ALL_COSTS = next(iter(WEIGHTS))
+ALL_COSTS = next(iter(WEIGHTS))
 FREE, HELD = "any", "as the default's"
 """Delays: weighed as any other cost; or no longer than that of the default, both with the least margin."""
 
@@ -68,16 +68,6 @@ class Saving:
     planned_kilobytes: float
     default_delay_ms: float
     planned_delay_ms: float
-
-    @property
-    def bits_percent(self) -> float:
-        """Bits on the wire, planned against default."""
-        return 100 * (self.planned_wire_bps / self.default_wire_bps - 1)
-
-    @property
-    def instructions_percent(self) -> float:
-        """Instructions of decoding, planned against default."""
-        return 100 * (self.planned_instructions / self.default_instructions - 1)
 
 
 def savings(group: str, trace: DatasetEntry, unit: str | None) -> Iterator[Saving]:
@@ -184,47 +174,36 @@ def _default_costs(default: Encoding) -> tuple[float, float, float]:
 
 def rendered(rows: Sequence[Saving], left_out: Sequence[str], command: str) -> str:
     """Return the page. `command`: the one that measured."""
-    of: defaultdict[tuple[str, str, str], list[Saving]] = defaultdict(list)
-    for row in rows:
-        of[row.group, row.weights, row.delay].append(row)
-    groups: list[dict[str, Any]] = [
-        {
-            "name": group,
-            "number": len(of[group, _ALL_COSTS, FREE]),
-            "savings": {name: [_savings_of(of[group, name, delay]) for delay in (FREE, HELD)] for name in WEIGHTS},
-        }
-        for group in dict.fromkeys(row.group for row in rows)
+
+    def percent(cost: str) -> pl.Expr:
+        return 100 * (pl.col(f"planned_{cost}") / pl.col(f"default_{cost}") - 1)
+
+    costs = {"bits": percent("wire_bps"), "instructions": percent("instructions")}
+    spread = [
+        figure.alias(f"{name}_{of}")
+        for name, cost in costs.items()
+        for of, figure in (("mean", cost.mean()), ("low", cost.min()), ("high", cost.max()))
     ]
+    kilobytes = (pl.col("planned_kilobytes") - pl.col("default_kilobytes")).mean().alias("kilobytes")
+    table = frame(rows, Saving)
+    of_group = table.group_by("group", "weights", "delay").agg(*spread, kilobytes, pl.len().alias("number"))
+    savings = {(row.group, row.weights, row.delay): row for row in as_rows(of_group)}
+    groups = list(dict.fromkeys(row.group for row in rows))
     chosen = Counter((row.chosen.partition(",")[0], row.weights, row.delay) for row in rows)
     return page.render(
         "planning_results",
-        default={"rate_hz": DEFAULT_STREAM_RATE_HZ, "snr_db": DEFAULT_SNR_DB},
-        hand_speed_mm_s=HAND_SPEED_MM_S,
-        weights=list(WEIGHTS),
+        globals(),
+        rate_hz=DEFAULT_STREAM_RATE_HZ,
+        snr_db=DEFAULT_SNR_DB,
         message={
-            name: _compared([group["savings"][_ALL_COSTS][place]["bits"]["mean"] for group in groups])
-            for place, name in enumerate(("free", "held"))
+            delay: _compared([savings[group, ALL_COSTS, delay].bits_mean for group in groups]) for delay in (FREE, HELD)
         },
         groups=groups,
-        codecs=[
-            (codec_name, [chosen[codec_name, *key] for key in product(WEIGHTS, (FREE, HELD))])
-            for codec_name in sorted({name for name, _, _ in chosen})
-        ],
+        savings=savings,
+        codecs={name: [chosen[name, *key] for key in product(WEIGHTS, (FREE, HELD))] for name, *_ in sorted(chosen)},
         left_out=left_out,
         command=command,
     )
-
-
-def _savings_of(rows: Sequence[Saving]) -> dict[str, Any]:
-    return {
-        "bits": _spread([row.bits_percent for row in rows]),
-        "instructions": _spread([row.instructions_percent for row in rows]),
-        "kilobytes": fmean(row.planned_kilobytes - row.default_kilobytes for row in rows),
-    }
-
-
-def _spread(values: Sequence[float]) -> dict[str, float]:
-    return {"mean": fmean(values), "low": min(values), "high": max(values)}
 
 
 def _compared(percents: Sequence[float]) -> str:
@@ -236,21 +215,23 @@ def _compared(percents: Sequence[float]) -> str:
     return f"{near} to {far} % {'fewer' if high <= 0 else 'more'}"
 
 
+def _planned(group: str, trace: DatasetEntry, unit: str | None) -> tuple[str, list[Saving], str]:
+    """Return the name of a trace, and its savings, or why it cannot be planned."""
+    try:
+        return trace.name, list(savings(group, trace, unit)), ""
+    except InputError as error:
+        return trace.name, [], str(error)
+
+
 @page.study
-@click.argument("folders", nargs=-1, required=True, type=click.Path(file_okay=False, exists=True, path_type=Path))
+@click.argument("folders", nargs=-1, required=True, type=page.EXISTING)
 @click.option("--unit", type=click.Choice(list(textures.INPUT_UNITS)), help="Give the unit of files that state none.")
 def main(folders: tuple[Path, ...], out: Path, unit: str | None) -> None:
     """Plan all recordings of FOLDERS, and write the savings into planning_results.md."""
     found = [(folder.name, trace) for folder in folders for trace in entries(folder)]
-    rows: list[Saving] = []
-    left_out: list[str] = []
-    with progress.bar("planning") as update:
-        for place, (group, trace) in enumerate(found):
-            update(place / len(found), trace.name)
-            try:
-                rows += savings(group, trace, unit)
-            except InputError as error:
-                left_out.append(str(error))
+    planned = page.collected("planning", (_planned(*each, unit) for each in found), len(found), lambda each: each[0])
+    rows = [saving for _, savings, _ in planned for saving in savings]
+    left_out = [reason for _, _, reason in planned if reason]
     if not rows:
         raise click.ClickException("none of the recordings can be planned: " + "; ".join(left_out))
     given = "" if unit is None else f" --unit {unit}"

@@ -3,33 +3,32 @@
 import math
 import shlex
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from statistics import fmean
-from typing import TypeVar
 
 import numpy as np
+import polars as pl
 
 from studies import page
-from vibrocast import codec, progress, textures
+from vibrocast import codec, textures
 from vibrocast.codec import DEFAULT_CODEC
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, encode_live
-from vibrocast.codec.rate_control import RateTarget, added_bytes
+from vibrocast.codec.rate_control import DEFAULT_RATE_BUFFER_S, RateTarget, added_bytes
 from vibrocast.codec.source import REFRESH_S
 from vibrocast.evaluation.curves import Curve, Panel, curves
+from vibrocast.evaluation.tables import as_rows, frame, grouped
 from vibrocast.textures import dataset
 
 RATES_BPS = (500, 1000, 2000, 4000, 8000, 20_000)
 MAIN_RATES_BPS = (1000, 2000, 4000, 8000)
-RATE_BUFFERS_S = (codec.rate_control.DEFAULT_RATE_BUFFER_S, 0.25, 1.0)
+LARGER_RATE_BUFFERS_S = (0.25, 1.0)
 REFRESHES_S = (0.25, 0.5, 1.0, 2.0, math.inf)
 MIN_SECONDS = 6.0
 """Recordings are repeated up to so long, so that there are many runs of 2 s in each."""
 _LIMIT_PERCENT = 1.0
-
-Key = TypeVar("Key")
+_DEVIATION = pl.col("furthest_percent").abs().fill_null(0.0)
 
 
 @dataclass(frozen=True)
@@ -70,57 +69,61 @@ class RefreshCost:
 @page.FOLDER
 def main(folder: Path, out: Path) -> None:
     """Measure rate control on a folder of recordings; write page and charts."""
-    recordings = {trace.name: _repeated(dataset.load(trace)) for trace in dataset.entries(folder)}
-    names = [name for name, known in codec.CODECS.items() if known.controls_rate]
-    cells: list[tuple[str, str, int, float | None]] = [
-        *product(recordings, names, RATES_BPS, (None,)),
-        *product(recordings, (DEFAULT_CODEC,), MAIN_RATES_BPS, RATE_BUFFERS_S[1:]),
+    recordings = [_repeated(dataset.load(trace)) for trace in dataset.entries(folder)]
+    codecs = [name for name, known in codec.CODECS.items() if known.controls_rate]
+    cells = [
+        *product(recordings, codecs, RATES_BPS, (DEFAULT_RATE_BUFFER_S,)),
+        *product(recordings, (DEFAULT_CODEC,), MAIN_RATES_BPS, LARGER_RATE_BUFFERS_S),
     ]
-    refresh_cells = list(product(RATES_BPS, REFRESHES_S))
-    held: list[Held] = []
-    refreshes: list[RefreshCost] = []
-    with progress.bar("measuring") as update:
-        for recording, name, rate_bps, rate_buffer_s in cells:
-            held.append(measure(recordings[recording], recording, name, rate_bps, rate_buffer_s))
-            update(len(held) / (len(cells) + len(refresh_cells)), f"{recording}, {name}, {rate_bps} bit/s")
-        for rate_bps, refresh_s in refresh_cells:
-            refreshes.append(measure_refreshes(list(recordings.values()), rate_bps, refresh_s))
-            update((len(held) + len(refreshes)) / (len(cells) + len(refresh_cells)), "refreshes")
-    write(out, held, refreshes, dataset.printable(folder.name))
+    rows = (measure(*cell) for cell in cells)
+    held = page.collected(
+        "rates", rows, len(cells), lambda row: f"{row.recording}, {row.codec}, {row.bits_per_second} bit/s"
+    )
+    refreshes = page.collected(
+        "refreshes",
+        (measure_refreshes(recordings, *cell) for cell in product(RATES_BPS, REFRESHES_S)),
+        len(RATES_BPS) * len(REFRESHES_S),
+        lambda row: f"{row.bits_per_second} bit/s",
+    )
+    done = frame(held, Held).filter(pl.col("rejected") == "")
+    results = page.results_folder(out)
+    plot_codecs(results / "rate_control_codecs.png", done.filter(rate_buffer_s=DEFAULT_RATE_BUFFER_S))
+    plot_rate_buffers(
+        results / "rate_control_buffers.png",
+        done.filter(pl.col("bits_per_second").is_in(MAIN_RATES_BPS), codec=DEFAULT_CODEC),
+    )
+    tables = (("rate_control.csv", held, Held), ("rate_control_refreshes.csv", refreshes, RefreshCost))
+    page.publish(out, "rate_control", rendered(held, refreshes, dataset.printable(folder.name)), tables)
 
 
 def _repeated(recording: textures.Recording) -> textures.Recording:
     resampled = textures.resample(recording, DEFAULT_STREAM_RATE_HZ)
     times = math.ceil(MIN_SECONDS / resampled.seconds)
     samples = np.tile(resampled.samples, (times, 1))
-    return textures.Recording(samples, resampled.rate_hz, resampled.unit, resampled.name)
+    return textures.Recording(samples, resampled.rate_hz, resampled.unit, recording.name)
 
 
-def measure(
-    recording: textures.Recording, name: str, codec_name: str, rate_bps: int, rate_buffer_s: float | None
-) -> Held:
-    """Code a recording at a constant rate for each channel, frames included; `rate_buffer_s`: None = the default."""
-    target = RateTarget(constant_rate_bps=rate_bps * recording.channels, rate_buffer_s=rate_buffer_s)
-    size_s = RATE_BUFFERS_S[0] if rate_buffer_s is None else rate_buffer_s
+def measure(recording: textures.Recording, codec_name: str, rate_bps: int, rate_buffer_s: float) -> Held:
+    """Code a recording at a constant rate for each channel, frames included."""
+    given_s = None if rate_buffer_s == DEFAULT_RATE_BUFFER_S else rate_buffer_s
+    target = RateTarget(constant_rate_bps=rate_bps * recording.channels, rate_buffer_s=given_s)
     try:
         _, outcome = encode_live(recording, target, codec_name=codec_name, highpass_hz=None)
     except codec.CodecError as error:
-        return Held(name, codec_name, rate_bps, size_s, rejected=str(error))
-    low_db, high_db = outcome.snr_range_db
+        return Held(recording.name, codec_name, rate_bps, rate_buffer_s, rejected=str(error))
     return Held(
-        name,
+        recording.name,
         codec_name,
         rate_bps,
-        size_s,
-        packet_ms=1000 * outcome.packet_s,
-        sent_bps=outcome.sent_bps,
-        packets_bps=outcome.packets_bps,
-        furthest_percent=None if outcome.furthest is None else 100 * outcome.furthest,
-        padding_percent=100 * outcome.padding,
-        snr_db=outcome.snr_db,
-        snr_deviation_db=outcome.snr_deviation_db,
-        snr_low_db=low_db,
-        snr_high_db=high_db,
+        rate_buffer_s,
+        1000 * outcome.packet_s,
+        outcome.sent_bps,
+        outcome.packets_bps,
+        None if outcome.furthest is None else 100 * outcome.furthest,
+        100 * outcome.padding,
+        outcome.snr_db,
+        outcome.snr_deviation_db,
+        *outcome.snr_range_db,
     )
 
 
@@ -136,133 +139,76 @@ def measure_refreshes(recordings: Sequence[textures.Recording], rate_bps: int, r
         policy = codec.ConstantRate(total_bps, added_bytes)
         coded = codec.encode_rate_controlled(source, {}, policy, codec.Framing(framing.packet_samples, packets))
         ratios_db.append(codec.snr_db(recording.samples, coded.decode()))
-    return RefreshCost(rate_bps, refresh_s, fmean(ratio for ratio in ratios_db if ratio is not None))
-
-
-def write(out: Path, held: Sequence[Held], refreshes: Sequence[RefreshCost], data: str) -> None:
-    """Write OUT/rate_control.md, and OUT/results/rate_control*.csv and *.png. Raises OSError."""
-    folder = page.results_folder(out)
-    done = [row for row in held if not row.rejected]
-    default = [row for row in done if row.rate_buffer_s == RATE_BUFFERS_S[0]]
-    plot_codecs(folder / "rate_control_codecs.png", default)
-    by_rate_buffer = [row for row in done if row.codec == DEFAULT_CODEC and row.bits_per_second in MAIN_RATES_BPS]
-    plot_rate_buffers(folder / "rate_control_buffers.png", by_rate_buffer)
-    tables = (("rate_control.csv", held, Held), ("rate_control_refreshes.csv", refreshes, RefreshCost))
-    page.publish(out, "rate_control", rendered(held, refreshes, data), tables)
+    return RefreshCost(rate_bps, refresh_s, float(np.mean([ratio for ratio in ratios_db if ratio is not None])))
 
 
 def rendered(held: Sequence[Held], refreshes: Sequence[RefreshCost], data: str) -> str:
     """Return the page. `data`: the name of the recordings' folder."""
-    default = [row for row in held if not row.rejected and row.rate_buffer_s == RATE_BUFFERS_S[0]]
+    default = frame(held, Held).filter(rate_buffer_s=DEFAULT_RATE_BUFFER_S)
+    done = default.filter(pl.col("rejected") == "")
+    cell = pl.col("codec", "bits_per_second")
+    means = done.group_by(cell).agg(
+        pl.len().alias("kept"),
+        pl.col("packet_ms", "padding_percent").mean(),
+        added_percent=100 * (pl.col("sent_bps") / pl.col("packets_bps") - 1).mean(),
+    )
+    cells = default.group_by(cell, maintain_order=True).len().join(means, on=["codec", "bits_per_second"], how="left")
+    silent = done.group_by(cell).agg(pl.col("snr_db").max()).filter(pl.col("snr_db") <= 0)
     return page.render(
         "rate_control",
+        globals(),
         data=data,
         recordings=len({row.recording for row in held}),
-        rate_hz=DEFAULT_STREAM_RATE_HZ,
-        min_seconds=MIN_SECONDS,
         command=shlex.join(["python", "-m", "studies.rate_control", *sys.argv[1:]]),
-        furthest=max((row for row in default if row.furthest_percent is not None), key=_deviation),
-        codec=DEFAULT_CODEC,
-        rates_bps=RATES_BPS,
-        codecs={name: [_cell(held, name, rate) for rate in RATES_BPS] for name in _codecs(held)},
+        furthest=as_rows(done.filter(pl.col("furthest_percent").is_not_null()).sort(_DEVIATION, descending=True))[0],
+        codecs=grouped(as_rows(cells), lambda row: row.codec),
         examples={row.codec: row for row in held if row.rejected}.values(),
-        silent=_silent(default),
-        refreshes_s=REFRESHES_S,
+        silent=dict(silent.select(cell).sort(cell).iter_rows()),
         infinity=math.inf,
-        refreshes={rate: [row for row in refreshes if row.bits_per_second == rate] for rate in RATES_BPS},
         refresh_s=REFRESH_S,
+        refreshes=grouped(refreshes, lambda row: row.bits_per_second),
     )
 
 
-def _deviation(row: Held) -> float:
-    return abs(row.furthest_percent or 0.0)
-
-
-def _codecs(held: Sequence[Held]) -> list[str]:
-    return list(dict.fromkeys(row.codec for row in held))
-
-
-def _cell(held: Sequence[Held], name: str, rate_bps: int) -> dict[str, float]:
-    """Return means over the recordings of a codec at a rate, and how many recordings it rejects."""
-    cell = name, rate_bps, RATE_BUFFERS_S[0]
-    rows = [row for row in held if (row.codec, row.bits_per_second, row.rate_buffer_s) == cell]
-    done = [row for row in rows if not row.rejected]
-    if not done:
-        return {"kept": 0}
-    return {
-        "kept": len(done),
-        "rejected": len(rows) - len(done),
-        "packet_ms": fmean(row.packet_ms for row in done),
-        "added_percent": fmean(100 * (row.sent_bps / row.packets_bps - 1) for row in done),
-        "padding_percent": fmean(row.padding_percent for row in done),
-    }
-
-
-def _silent(rows: Sequence[Held]) -> dict[str, int]:
-    """Return which codecs send nothing but padding, each with the highest rate at which it does."""
-    silent = {(row.codec, row.bits_per_second) for row in rows}
-    silent -= {(row.codec, row.bits_per_second) for row in rows if row.snr_db > 0}
-    return dict(sorted(silent))
-
-
-def plot_codecs(path: Path, rows: Sequence[Held]) -> None:
+def plot_codecs(path: Path, rows: pl.DataFrame) -> None:
     """Draw worst deviation, mean SNR and its mean deviation over the rates, a line for each codec. Raises OSError."""
-    recordings = len({row.recording for row in rows})
-    panels: Mapping[str, Callable[[Sequence[Held]], float]] = {
-        "worst over 2 s, %": lambda some: max(abs(row.furthest_percent or 0.0) for row in some),
-        "mean SNR, dB": lambda some: fmean(row.snr_db for row in some),
-        "deviation of SNR, dB": lambda some: fmean(row.snr_deviation_db for row in some),
+    panels = {
+        "worst over 2 s, %": _DEVIATION.max(),
+        "mean SNR, dB": pl.col("snr_db").mean(),
+        "deviation of SNR, dB": pl.col("snr_deviation_db").mean(),
     }
-    codecs = _grouped(rows, lambda row: row.codec)
-    whole = {
-        codec: {
-            rate: some
-            for rate, some in _grouped(own, lambda row: float(row.bits_per_second)).items()
-            if len(some) == recordings
-        }
-        for codec, own in codecs.items()
-    }
-    _plot(path, whole, panels, "bit/s, frames included", (_LIMIT_PERCENT,))
+    on_all = rows.filter(pl.len().over("codec", "bits_per_second") == rows["recording"].n_unique())
+    _plot(path, on_all, ("codec", "bits_per_second"), panels, "bit/s, frames included", (_LIMIT_PERCENT,))
 
 
-def plot_rate_buffers(path: Path, rows: Sequence[Held]) -> None:
+def plot_rate_buffers(path: Path, rows: pl.DataFrame) -> None:
     """Draw mean deviations of SNR and rate over the rate buffer's size, a line for each rate. Raises OSError."""
-    panels: Mapping[str, Callable[[Sequence[Held]], float]] = {
-        "deviation of SNR, dB": lambda some: fmean(row.snr_deviation_db for row in some),
-        "worst over 2 s, %": lambda some: fmean(abs(row.furthest_percent or 0.0) for row in some),
-    }
-    rates = _grouped(sorted(rows, key=lambda row: row.bits_per_second), lambda row: row.bits_per_second)
-    lines = {f"{rate} bit/s": _grouped(own, lambda row: row.rate_buffer_s) for rate, own in rates.items()}
-    _plot(path, lines, panels, "rate buffer, s")
+    panels = {"deviation of SNR, dB": pl.col("snr_deviation_db").mean(), "worst over 2 s, %": _DEVIATION.mean()}
+    named = rows.sort("bits_per_second").with_columns(rate=pl.format("{} bit/s", "bits_per_second"))
+    _plot(path, named, ("rate", "rate_buffer_s"), panels, "rate buffer, s")
 
 
 def _plot(
     path: Path,
-    lines: Mapping[str, Mapping[float, Sequence[Held]]],
-    values: Mapping[str, Callable[[Sequence[Held]], float]],
+    rows: pl.DataFrame,
+    by: tuple[str, str],
+    values: Mapping[str, pl.Expr],
     x_label: str,
     levels: Sequence[float] = (),
 ) -> None:
-    """Draw a panel for each of the values, with a line over the groups of rows. `levels`: of the first."""
+    """Draw a panel for each of the values. `by`: columns of lines' names and of x. `levels`: of the first panel."""
+    name, x = by
+    table = rows.group_by(name, x, maintain_order=True).agg(**values)
+
+    def lines(title: str) -> Iterator[Curve]:
+        for (line,), own in table.group_by(name, maintain_order=True):
+            yield Curve(str(line), *own.sort(x).select(pl.col(x).cast(float), title).to_dict(as_series=False).values())
+
     panels = [
-        Panel(
-            title,
-            x_label,
-            "",
-            [Curve(name, sorted(line), [value(line[x]) for x in sorted(line)]) for name, line in lines.items() if line],
-            log_x=True,
-            lines=levels if not place else (),
-        )
-        for place, (title, value) in enumerate(values.items())
+        Panel(title, x_label, "", list(lines(title)), log_x=True, lines=() if place else levels)
+        for place, title in enumerate(values)
     ]
     curves(path, panels, across=1)
-
-
-def _grouped(rows: Iterable[Held], key: Callable[[Held], Key]) -> dict[Key, list[Held]]:
-    groups: dict[Key, list[Held]] = {}
-    for row in rows:
-        groups.setdefault(key(row), []).append(row)
-    return groups
 
 
 if __name__ == "__main__":

@@ -6,21 +6,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from studies import page
-from vibrocast import codec, extras
+from studies import page, worst_case
+from studies.emulated_core import CORES, RISC_V, Core, EmulatedCore, codec_of, compile_core
+from vibrocast import codec
 from vibrocast.device_protocol.coded_stream import StreamHeader, pack_file
 from vibrocast.device_protocol.model_image import ModelImage, sha256
 from vibrocast.evaluation import points
 from vibrocast.firmware.build import ROOT, only, size
 from vibrocast.firmware.native_core import BuildError
-
-try:
-    from unicorn import riscv_const
-
-    from studies import worst_case
-    from studies.emulated_core import CORES, Core, EmulatedCore, compile_core
-except ModuleNotFoundError as error:
-    raise SystemExit(str(extras.explained(error) or error)) from error
 
 DECODERS = ("slp", "parametric", "dct", "mdct", "eva-16")
 """Codecs, and the smallest family of models of those that need one."""
@@ -33,19 +26,7 @@ _STREAM, _ARRAY, _PACKET, _MODEL, _FILE, _SAMPLES = (
 _PACKET_SAMPLES_AT, _NEEDED_AT = 88, 96  # of a vc_stream, where a pointer has 4 bytes
 _FUNCTIONS = ("vc_stream_open", "vc_stream_next", "vc_stream_poll", "vc_array_read")
 
-
-PROCESSORS = (
-    CORES["M0+"],
-    CORES["M4F"],
-    CORES["M33"],
-    Core(
-        "RV32IMC",
-        160e6,
-        ("-target", "riscv32-freestanding", "-mcpu=generic_rv32+m+c", "-ffreestanding", "-fno-builtin", "-g0"),
-        riscv_const.UC_CPU_RISCV32_SIFIVE_E31,
-        arm=False,
-    ),
-)
+PROCESSORS = CORES["M0+"], CORES["M4F"], CORES["M33"], RISC_V
 """With the clocks of an RP2040, an STM32F405, an RP2350 and an ESP32-C3."""
 COUNTED = CORES["M4F"]
 """The processor whose cycles have a model; of the others, instructions are counted."""
@@ -116,8 +97,7 @@ def hostile_stream(folder: Path, decoder: str) -> tuple[bytes, bytes | None]:
     costs = [row for row in rows if (row.decoder, row.channels) == (decoder, 1)]
     block = max(costs, key=lambda cost: cost.hostile_cycles).block
     _, hostile = worst_case.costliest(worst_case.emulated(folder), decoder, block, 1, 0)
-    _, model = worst_case.codec_of(decoder)
-    image = None
+    model, image = worst_case.finest_model(decoder), None
     if model is not None and hostile.tables is not None:
         image = replace(ModelImage.unpack(model.image), payload=hostile.tables, number=0, signature=b"").pack()
     return file_of(hostile, image), image
@@ -128,16 +108,11 @@ def measure(folder: Path) -> Iterator[Cost]:
     for decoder in DECODERS:
         file, image = hostile_stream(folder, decoder)
         for processor in PROCESSORS:
-            program = compile_decoder(folder / f"{decoder}-{processor.title}.elf", processor, file_codec(decoder))
+            program = compile_decoder(folder / f"{decoder}-{processor.title}.elf", processor, codec_of(decoder))
             core = EmulatedCore(program, processor)
             ram, per_sample = run(core, processor, file, image)
             load = 100 * per_sample * worst_case.RATE_HZ / processor.clock_hz
             yield Cost(processor.title, decoder, core.flash_bytes, ram, core.stack_bytes, per_sample, load)
-
-
-def file_codec(decoder: str) -> str:
-    """Return the codec of a decoder: its own name, or that of its models' family."""
-    return worst_case.codec_of(decoder)[0]
 
 
 @page.study
@@ -146,9 +121,7 @@ def main(out: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:
         costs = list(measure(Path(folder)))
     controllers = {name: size(name) for name in CONTROLLERS}
-    text = page.render(
-        "small_parts", costs=costs, processors=PROCESSORS, counted=COUNTED, decoders=DECODERS, controllers=controllers
-    )
+    text = page.render("small_parts", globals(), costs=costs, controllers=controllers)
     page.publish(out, "small_parts", text, [(TABLE, costs, Cost)])
 
 

@@ -1,15 +1,14 @@
 """Repeats the texture paper's figures, like for like: `python -m studies.texture_paper`."""
 
-import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
-from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from scipy.fft import dct as fast_dct
 
@@ -22,6 +21,7 @@ from vibrocast.codec.threshold import read_threshold, threshold_amplitude
 from vibrocast.evaluation.charts import WIDTH_IN
 from vibrocast.evaluation.curves import Curve, Panel, curves
 from vibrocast.evaluation.pictures import figure_file
+from vibrocast.evaluation.tables import grouped
 from vibrocast.textures import dataset
 from vibrocast.textures.generate import rough_profile
 
@@ -191,15 +191,11 @@ def huffman_bits(values: codec.Signal) -> int:
 
 def measure_all(profiles: Mapping[str, textures.Profile]) -> list[Result]:
     """Measure every profile: each count of levels, and each threshold cut alone."""
-
-    def trials() -> Iterator[tuple[str, codec.Setting, float | None]]:
-        for name in profiles:
-            for quantiser, levels in itertools.product(QUANTISERS, LEVELS):
-                yield name, {"quantiser": quantiser, "levels": levels}, None
-            for b0_db in B0_DB:
-                yield name, {"levels": SIXTEEN_BITS}, b0_db
-
-    return [measure(name, code(profiles[name], setting, b0_db), setting, b0_db) for name, setting, b0_db in trials()]
+    settings: list[tuple[codec.Setting, float | None]] = [({"levels": SIXTEEN_BITS}, b0_db) for b0_db in B0_DB]
+    settings[:0] = [
+        ({"quantiser": quantiser, "levels": levels}, None) for quantiser, levels in product(QUANTISERS, LEVELS)
+    ]
+    return [measure(name, code(profiles[name], *each), *each) for name, each in product(profiles, settings)]
 
 
 def spectra(profiles: Mapping[str, textures.Profile]) -> list[Line]:
@@ -207,26 +203,19 @@ def spectra(profiles: Mapping[str, textures.Profile]) -> list[Line]:
     lines = []
     for name, profile in profiles.items():
         at = published(name)
-        versions = [
-            code(profile, {"quantiser": "linear", "levels": at.levels}),
-            code(profile, {"quantiser": "log", "levels": at.levels}),
-            code(profile, {"levels": SIXTEEN_BITS}, at.b0_db),
-        ]
-        frequency_hz = versions[0].frequency_hz
-        threshold_um = threshold_amplitude(read_threshold(), frequency_hz, "um")
-        columns = [frequency_hz, threshold_um, versions[0].original_um[0], *(each.coded_um[0] for each in versions)]
-        lines += [Line(name, *map(float, row)) for row in zip(*columns, strict=True)]
+        linear = code(profile, {"quantiser": "linear", "levels": at.levels})
+        log = code(profile, {"quantiser": "log", "levels": at.levels})
+        cut = code(profile, {"levels": SIXTEEN_BITS}, at.b0_db)
+        threshold_um = threshold_amplitude(read_threshold(), linear.frequency_hz, "um")
+        versions_um = [linear.original_um[0], *(each.coded_um[0] for each in (linear, log, cut))]
+        columns = zip(linear.frequency_hz, threshold_um, *versions_um, strict=True)
+        lines += [Line(name, *map(float, row)) for row in columns]
     return lines
 
 
 def medians(recordings: Sequence[textures.Recording]) -> list[Median]:
-    """Return the figures of recordings: of each quantiser at several levels, and of linear levels in other blocks.
-
-    Without recordings there are none.
-    """
-    if not recordings:
-        return []
-    trials = [*itertools.product(QUANTISERS, (DEFAULT_BLOCK,), RECORDING_LEVELS)]
+    """Return the figures of recordings: of each quantiser at several levels, and of linear levels in other blocks."""
+    trials = [*product(QUANTISERS, (DEFAULT_BLOCK,), RECORDING_LEVELS)]
     trials += [("linear", block, 14) for block in RECORDING_BLOCKS if block != DEFAULT_BLOCK]
     return [Median(*trial, *_medians(recordings, *trial)) for trial in trials]
 
@@ -234,16 +223,16 @@ def medians(recordings: Sequence[textures.Recording]) -> list[Median]:
 def _medians(recordings: Sequence[textures.Recording], quantiser: str, block: str, levels: int) -> Iterator[float]:
     """Yield the medians at one setting, in the order of `Median`."""
     setting: codec.Setting = {"quantiser": quantiser, "block": block, "levels": levels}
-    streams = [
+    by_huffman, by_range = (
         [
             codec.encode(each.samples, round(each.rate_hz), {**setting, "entropy": entropy}, codec="dct", unit="m/s^2")
             for each in recordings
         ]
         for entropy in ("huffman", "range")
-    ]
-    for coded in streams:
-        yield float(np.median([stream.bits_per_second / stream.header.rate_hz for stream in coded]))
-    decoded = zip(recordings, streams[0], strict=True)
+    )
+    for streams in (by_huffman, by_range):
+        yield float(np.median([stream.bits_per_second / stream.header.rate_hz for stream in streams]))
+    decoded = zip(recordings, by_huffman, strict=True)
     yield float(np.median([codec.snr_db(each.samples, stream.decode()) or 0.0 for each, stream in decoded]))
 
 
@@ -252,7 +241,7 @@ def falls(results: Iterable[Result]) -> dict[int, float]:
     ordered = sorted(results, key=lambda result: result.levels)
     return {
         after.levels: before.snr_db - after.snr_db
-        for before, after in itertools.pairwise(ordered)
+        for before, after in pairwise(ordered)
         if after.snr_db < before.snr_db
     }
 
@@ -266,37 +255,24 @@ def b0_of_share(results: Sequence[Result], zeros_percent: float) -> float:
 def markdown(results: Sequence[Result], recordings: Sequence[Median]) -> str:
     """Return the page; without `recordings` it says nothing of them."""
     names = list(dict.fromkeys(result.surface for result in results))
-    uncut = {(row.surface, row.quantiser, row.levels): row for row in results if row.b0_db is None}
-    cut = {(row.surface, row.b0_db): row for row in results if row.b0_db is not None}
-    falling = {curve: falls(_curve(results, *curve)) for curve in itertools.product(names, PAPER_QUANTISERS)}
     materials = [name for name in names if name in PUBLISHED]
+    uncut = {(row.surface, row.quantiser, row.levels): row for row in results if row.b0_db is None}
+    cuts = {name: [row for row in results if row.surface == name and row.b0_db is not None] for name in names}
+    falling = {curve: falls(_curve(results, *curve)) for curve in product(names, PAPER_QUANTISERS)}
     return page.render(
         "texture_paper",
-        hand_speed_mm_s=HAND_SPEED_MM_S,
-        stretches=STRETCHES,
-        stretch_mm=STRETCH_MM,
+        globals(),
         surfaces=names,
         materials=materials,
         published=published,
-        paper_quantisers=PAPER_QUANTISERS,
-        quantisers=QUANTISERS,
-        max_levels=max(LEVELS),
         paper={levels: paper_percent(levels) for levels in PAPER_LEVELS},
         uncut=uncut,
-        cut=cut,
-        cuts_db=B0_DB,
+        cut={(name, row.b0_db): row for name, rows in cuts.items() for row in rows},
         gains_db=[uncut[name, "log-nearest", 6].snr_db - uncut[name, "log", 6].snr_db for name in materials],
-        at_levels={(row.quantiser, row.levels): row for row in recordings if row.block == DEFAULT_BLOCK},
-        recording_levels=RECORDING_LEVELS if recordings else (),
-        in_blocks=sorted(
-            (row for row in recordings if (row.quantiser, row.levels) == ("linear", 14)), key=lambda row: int(row.block)
-        ),
+        medians={(row.quantiser, row.block, row.levels): row for row in recordings},
         falling=falling,
         rises=not any(falling[name, "linear"] for name in materials),
-        b0_of_share={
-            name: b0_of_share([row for key, row in cut.items() if key[0] == name], PUBLISHED[name].zeros_percent)
-            for name in materials
-        },
+        b0_of_share={name: b0_of_share(cuts[name], PUBLISHED[name].zeros_percent) for name in materials},
     )
 
 
@@ -304,14 +280,13 @@ def draw_levels(path: Path, results: Sequence[Result]) -> None:
     """Draw SNR over the number of levels: a row for generated and one for measured surfaces; ringed where it falls."""
     names = list(dict.fromkeys(result.surface for result in results))
     panels = []
-    for generated, quantiser in itertools.product((True, False), PAPER_QUANTISERS):
+    for generated, quantiser in product((True, False), PAPER_QUANTISERS):
         drawn = []
         for name in names:
-            curve = _curve(results, name, quantiser)
-            falling = falls(curve)
-            ringed = [row.levels in falling for row in curve]
             if (name in PUBLISHED) == generated:
-                drawn.append(Curve(name, [row.levels for row in curve], [row.snr_db for row in curve], ringed))
+                rows = _curve(results, name, quantiser)
+                ringed = [row.levels in falls(rows) for row in rows]
+                drawn.append(Curve(name, [row.levels for row in rows], [row.snr_db for row in rows], ringed))
         if drawn:
             title = f"{quantiser} levels, {'generated' if generated else 'measured'} surfaces"
             panels.append(Panel(title, "number of levels L", "SNR, dB", drawn))
@@ -320,33 +295,28 @@ def draw_levels(path: Path, results: Sequence[Result]) -> None:
 
 def draw_spectra(path: Path, lines: Sequence[Line]) -> None:
     """Draw a row of panels for each surface: its spectrum, and that of each version, with the threshold."""
-    names = list(dict.fromkeys(line.surface for line in lines))
-    with figure_file(path, WIDTH_IN, 0.4 + PANEL_IN * len(names)) as figure:
-        grid = figure.subplots(len(names), 4, squeeze=False, sharex=True, sharey=True)
-        for row, name in zip(grid, names, strict=True):
-            _draw_spectrum(row, published(name), [line for line in lines if line.surface == name])
+    surfaces = grouped(lines, lambda line: line.surface)
+    with figure_file(path, WIDTH_IN, 0.4 + PANEL_IN * len(surfaces)) as figure:
+        grid = figure.subplots(len(surfaces), 4, squeeze=False, sharex=True, sharey=True)
+        for row, (name, own) in zip(grid, surfaces.items(), strict=True):
+            at = published(name)
+            for axes, version, title, b0_db in (
+                (row[0], "original_um", f"{name}\noriginal", 0.0),
+                (row[1], "linear_um", f"{at.levels} linear levels", 0.0),
+                (row[2], "log_um", f"{at.levels} log levels", 0.0),
+                (row[3], "cut_um", f"cut at {at.b0_db:+g} dB", at.b0_db),
+            ):
+                frequency_hz = [line.frequency_hz for line in own]
+                threshold_um = [line.threshold_um * 10 ** (b0_db / 20) for line in own]
+                magnitudes_um = np.clip([abs(getattr(line, version)) for line in own], *AMPLITUDES_UM)
+                axes.plot(frequency_hz, threshold_um, color="#d55e00", linestyle="--", linewidth=1)
+                axes.plot(frequency_hz, magnitudes_um, ".", color="#0072b2", markersize=2.5, clip_on=False)
+                axes.set_yscale("log")
+                axes.set_ylim(*AMPLITUDES_UM)
+                axes.set_title(title, loc="left")
+            row[0].set_ylabel("amplitude, um")
         for axes in grid[-1]:
             axes.set_xlabel("frequency, Hz")
-
-
-def _draw_spectrum(row: Sequence[Axes], at: Published, lines: Sequence[Line]) -> None:
-    """Draw the panels of one surface."""
-    frequency_hz = [line.frequency_hz for line in lines]
-    panels = [
-        (f"{lines[0].surface}\noriginal", [line.original_um for line in lines], 0.0),
-        (f"{at.levels} linear levels", [line.linear_um for line in lines], 0.0),
-        (f"{at.levels} log levels", [line.log_um for line in lines], 0.0),
-        (f"cut at {at.b0_db:+g} dB", [line.cut_um for line in lines], at.b0_db),
-    ]
-    for axes, (title, amplitudes_um, b0_db) in zip(row, panels, strict=True):
-        threshold_um = [line.threshold_um * 10 ** (b0_db / 20) for line in lines]
-        magnitudes_um = np.clip(np.abs(amplitudes_um), *AMPLITUDES_UM)
-        axes.plot(frequency_hz, threshold_um, color="#d55e00", linestyle="--", linewidth=1)
-        axes.plot(frequency_hz, magnitudes_um, ".", color="#0072b2", markersize=2.5, clip_on=False)
-        axes.set_yscale("log")
-        axes.set_ylim(*AMPLITUDES_UM)
-        axes.set_title(title, loc="left")
-    row[0].set_ylabel("amplitude, um")
 
 
 def _curve(results: Iterable[Result], surface: str, quantiser: str) -> list[Result]:
@@ -355,36 +325,26 @@ def _curve(results: Iterable[Result], surface: str, quantiser: str) -> list[Resu
 
 
 @page.study
-@click.option(
-    "--profiles",
-    "folder",
-    type=click.Path(exists=True, file_okay=False, path_type=Path),
-    help="Add measured height profiles, the CSV files of this folder.",
-)
-@click.option(
-    "--recordings",
-    "recordings_folder",
-    type=click.Path(exists=True, file_okay=False, path_type=Path),
-    help="Code these recordings of acceleration, too.",
-)
-def main(out: Path, folder: Path | None, recordings_folder: Path | None) -> None:
+@click.option("--profiles", type=page.EXISTING, help="Add measured height profiles, the CSV files of this folder.")
+@click.option("--recordings", type=page.EXISTING, help="Code these recordings of acceleration, too.")
+def main(out: Path, profiles: Path | None, recordings: Path | None) -> None:
     """Compare the texture paper's figures with those of the codec dct, coded as in the paper."""
-    tables = page.results_folder(out)
-    profiles = generated_profiles()
-    for path in sorted(folder.glob("*.csv")) if folder else ():
-        profiles[path.stem] = textures.load_profile(path)
-    recordings = [dataset.load(entry) for entry in dataset.entries(recordings_folder)] if recordings_folder else []
-    results, lines, of_recordings = measure_all(profiles), spectra(profiles), medians(recordings)
-    draw_levels(tables / "texture_paper.png", results)
-    draw_spectra(tables / "texture_paper_spectra.png", lines)
-    kinds: dict[str, tuple[Sequence[Any], type[Any]]] = {
-        "texture_paper": (results, Result),
-        "texture_paper_spectra": (lines, Line),
-    }
-    if of_recordings:
-        kinds["texture_paper_recordings"] = of_recordings, Median
-    rows = [(f"{name}.csv", [page.rounded(each, ".4f") for each in some], kind) for name, (some, kind) in kinds.items()]
-    page.publish(out, "texture_paper", markdown(results, of_recordings), rows)
+    measured = {path.stem: textures.load_profile(path) for path in sorted(profiles.glob("*.csv"))} if profiles else {}
+    surfaces = {**generated_profiles(), **measured}
+    results, lines = measure_all(surfaces), spectra(surfaces)
+    tables: list[tuple[str, Sequence[Any], type[Any]]] = [
+        ("texture_paper.csv", results, Result),
+        ("texture_paper_spectra.csv", lines, Line),
+    ]
+    of_recordings: list[Median] = []
+    if recordings:
+        of_recordings = medians([dataset.load(entry) for entry in dataset.entries(recordings)])
+        tables.append(("texture_paper_recordings.csv", of_recordings, Median))
+    folder = page.results_folder(out)
+    draw_levels(folder / "texture_paper.png", results)
+    draw_spectra(folder / "texture_paper_spectra.png", lines)
+    rounded = [(file, [page.rounded(row, ".4f") for row in rows], kind) for file, rows, kind in tables]
+    page.publish(out, "texture_paper", markdown(results, of_recordings), rounded)
 
 
 if __name__ == "__main__":

@@ -10,22 +10,27 @@ import numpy as np
 import unicorn
 
 from studies import page
-from vibrocast import codec, extras, models, progress
+from studies.emulated_core import (
+    CORES,
+    DECODE_IN_BLOCKS,
+    DECODERS,
+    Costs,
+    EmulatedCore,
+    codec_of,
+    compile_core,
+    decode_in_blocks,
+    functions_of,
+    members_of,
+)
+from vibrocast import codec
 from vibrocast.codec import Framing, Setting, Stream
 from vibrocast.codec.core import decoding_cycles
 from vibrocast.codec.eva_image import EvaImage
 from vibrocast.device_protocol.coded_stream import StreamHeader
 from vibrocast.device_protocol.encoding import pack_varint
-from vibrocast.device_protocol.messages import (
-    Configure,
-    ErrorCode,
-    Start,
-    Status,
-    Stop,
-    StreamData,
-)
+from vibrocast.device_protocol.messages import Configure, ErrorCode, Start, Status, Stop, StreamData
 from vibrocast.device_protocol.model_image import ModelImage
-from vibrocast.evaluation import points, trained
+from vibrocast.evaluation import points
 from vibrocast.firmware.build import build
 from vibrocast.firmware.elf import Elf
 from vibrocast.harness.boards.stm32f405 import Stm32F405
@@ -34,20 +39,6 @@ from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.models import Model
 from vibrocast.simulated_device.memory_link import MemoryLink
 
-try:
-    from studies.emulated_core import CORES, Costs, EmulatedCore, compile_core, decode_in_blocks
-except ModuleNotFoundError as error:
-    raise SystemExit(str(extras.explained(error) or error)) from error
-
-DECODERS = (
-    "mdct",
-    "dct",
-    "slp",
-    "parametric",
-    "eva-16",
-    "eva-128",
-)
-"""Codecs, and families of models that ship."""
 BOARD = "stm32f405"
 CHANNELS = (1, 2)
 RATE_HZ = 2800
@@ -61,7 +52,6 @@ STOPS = 6
 COSTS = "worst_case_costs.csv"
 TURNS = "worst_case_turns.csv"
 _CORE = CORES["M4F"]
-_FUNCTIONS = ("decoder_size", "decoder_init", "decoder_packet_samples", "feed", "poll")
 _PACKETS = 3
 _NOISE_SAMPLES = 4096
 _MOST_PACKET_BYTES = 2000  # the board takes no longer ones
@@ -82,8 +72,6 @@ _SETTINGS: dict[str, list[Setting]] = {
     "eva": [{}],
 }
 """Where the search begins, with full-scale noise: settings for many decisions in each sample."""
-
-Packets = list[bytes]
 
 
 @dataclass(frozen=True)
@@ -132,41 +120,29 @@ class Hostile:
     packets: list[bytes]
 
 
-def codec_of(decoder: str) -> tuple[str, Model | None]:
-    """Return the codec's name, and the model of a family that spends most bits."""
-    if decoder in codec.CODECS:
-        return decoder, None
-    model = models.members(decoder)[-1]
-    return trained.codec_name(model), model
+def finest_model(decoder: str) -> Model | None:
+    """Return the model of a family that spends most bits; None for a codec's own name."""
+    return next(reversed(members_of(decoder)), None)
 
 
 def emulated(folder: Path) -> EmulatedCore:
     """Return a processor with all decoders, which are compiled in `folder`. Raises BuildError."""
-    functions = [f"vc_{name}_{function}" for name in _SETTINGS for function in _FUNCTIONS]
+    functions = functions_of(_SETTINGS, DECODE_IN_BLOCKS)
     program = compile_core(folder / "decoders.elf", _CORE, functions, {"VC_MAX_CHANNELS": max(CHANNELS)})
     return EmulatedCore(program, _CORE)
 
 
 def measure(processor: EmulatedCore, decoder: str, block: str, channels: int, tries: int) -> tuple[Cost, Hostile]:
     """Return the cost of a decoder, and the most expensive stream that was found."""
-    noise_cycles, stated_cycles = noise(processor, decoder, block, channels)
+    of_noise = noise(processor, decoder, block, channels)
     most, hostile = costliest(processor, decoder, block, channels, tries)
-    cost = Cost(
-        decoder,
-        block,
-        channels,
-        noise_cycles,
-        stated_cycles,
-        round(most.sample_cycles),
-        most.feed_cycles,
-        most.block_cycles,
-    )
-    return cost, hostile
+    of_hostile = round(most.sample_cycles), most.feed_cycles, most.block_cycles
+    return Cost(decoder, block, channels, *of_noise, *of_hostile), hostile
 
 
 def noise(processor: EmulatedCore, decoder: str, block: str, channels: int) -> tuple[int, int]:
     """Return the cycles that a sample of noise takes, and the firmware's figure for it."""
-    name, model = codec_of(decoder)
+    name, model = codec_of(decoder), finest_model(decoder)
     known = codec.CODECS[name]
     signal = np.random.default_rng(0).uniform(-1, 1, (_NOISE_SAMPLES, channels))
     setting = known.block_setting(block)
@@ -183,20 +159,13 @@ def noise(processor: EmulatedCore, decoder: str, block: str, channels: int) -> t
 
 def costliest(processor: EmulatedCore, decoder: str, block: str, channels: int, tries: int) -> tuple[Costs, Hostile]:
     """Return the most of each cost that came up, and the packets that took most cycles for a sample."""
-    name, model = codec_of(decoder)
+    name, model = codec_of(decoder), finest_model(decoder)
     known, random = codec.CODECS[name], np.random.default_rng(channels)
     signal = 0.99 * random.choice([-1.0, 1.0], (_PACKETS * max(128, int(block or 1)), channels))
     begun: list[tuple[Costs, Hostile]] = []
     for setting, packet_samples, refresh_packets in product(_SETTINGS[name], (1, 128), (1, 0)):
-        stream = codec.encode(
-            signal,
-            RATE_HZ,
-            {**setting, **known.block_setting(block)},
-            codec=name,
-            live=True,
-            model=model,
-            framing=Framing(packet_samples, refresh_packets),
-        )
+        framing, whole = Framing(packet_samples, refresh_packets), {**setting, **known.block_setting(block)}
+        stream = codec.encode(signal, RATE_HZ, whole, codec=name, live=True, model=model, framing=framing)
         most_bytes = min(_MOST_PACKET_BYTES, _BYTES_PER_SAMPLE * stream.packet_samples)
         for tables in hostile_tables(name, model):
             for packets in filled(list(stream.packets[:_PACKETS]), most_bytes, random):
@@ -268,7 +237,7 @@ class Board:
         self._hostile, self._turn, self._sent, self._dropped_us = hostile, turn, 0, 0.0
         drop = Elf(build(BOARD)).symbols["drop"] & ~1  # of the DAC's driver; the next code goes to rest
         self._device.processor.unicorn.hook_add(unicorn.UC_HOOK_CODE, self._drop, None, drop, drop)
-        _, model = codec_of(turn.decoder)
+        model = finest_model(turn.decoder)
         image_hash = b""
         if model is not None:
             assert hostile.tables is not None, "models have tables"
@@ -338,8 +307,7 @@ def measured_costs(tries: int) -> Iterator[tuple[Cost, Hostile]]:
     with tempfile.TemporaryDirectory() as folder:
         processor = emulated(Path(folder))
         for decoder, channels in product(DECODERS, CHANNELS):
-            name, _ = codec_of(decoder)
-            for block in codec.CODECS[name].blocks or ("",):
+            for block in codec.CODECS[codec_of(decoder)].blocks or ("",):
                 yield measure(processor, decoder, block, channels, tries)
 
 
@@ -364,10 +332,8 @@ def rendered(costs: Sequence[Cost], turns: Sequence[Turn]) -> str:
     loads = [100 * each * turn.rate_hz / _CORE.clock_hz for each, turn in zip(cycles, turns, strict=True)]
     return page.render(
         "worst_case",
-        board=BOARD,
+        globals(),
         clock_mhz=_CORE.clock_hz / 1e6,
-        noise_db=NOISE_DB,
-        tries=TRIES,
         costs=costs,
         turns=list(zip(turns, loads, strict=True)),
         accepted=accepted,
@@ -388,15 +354,8 @@ def main(out: Path, from_tables: bool) -> None:
         stored = points.read_rows(results / COSTS, Cost), points.read_rows(results / TURNS, Turn)
         page.write(out, "worst_case", rendered(*stored), redrawn=True)
         return
-    with progress.bar("streams") as update:
-        found = []
-        for cost, hostile in measured_costs(TRIES):
-            found.append((cost, hostile))
-            update(None, cost.decoder)
-        turns = []
-        for turn in measured_turns(found, STOPS):
-            turns.append(turn)
-            update(None, f"{turn.decoder} on a board")
+    found = page.collected("streams", measured_costs(TRIES), None, lambda one: one[0].decoder)
+    turns = page.collected("streams", measured_turns(found, STOPS), None, lambda turn: f"{turn.decoder} on a board")
     costs = [cost for cost, _ in found]
     page.publish(out, "worst_case", rendered(costs, turns), ((COSTS, costs, Cost), (TURNS, turns, Turn)))
 

@@ -216,7 +216,7 @@ def test_cycles_are_those_of_the_reference_manual(instructions: str, cycles: int
 
 def test_the_shipped_figures_are_what_is_counted(programs: Programs) -> None:
     """To a twentieth, as compilers differ; and the loads that are wanted are met by instructions."""
-    loads = points.read_rows(firmware._LOADS, firmware.Load)
+    loads = firmware.stored(firmware.Load)
     rows = [row for row in loads if (row.core, row.kernels) == ("M4F", "DSP instructions")]
     stream, _ = firmware.coded("mdct", "rough", firmware.SECONDS)
     run = emulated_core.decode(programs["M4F", 0], M4F, stream)

@@ -80,7 +80,7 @@ class Case:
 
 
 CASES = (
-    Case("speed", {"speed": 9}, ("--samples", "20000", "--repeats", "1")),
+    Case("speed", {"speed": 9}, constants={"SAMPLES": 20_000, "REPEATS": 1}),
     Case(
         "rate_control",
         {"rate_control_refreshes": 4},
@@ -105,18 +105,16 @@ CASES = (
     Case(
         "okamoto_study",
         {"simulated_study": 51, "simulated_study_sensitivity": 6 * 3},
-        ("--studies", "2"),
-        {"PARTICIPANTS": 6, "INTEGRATIONS_S": (0.01,)},
-        "simulated_study",
-        ("simulated_study.svg", "simulated_study_sensitivity.svg"),
+        constants={"STUDIES": 2, "PARTICIPANTS": 6, "INTEGRATIONS_S": (0.01,)},
+        page="simulated_study",
+        charts=("simulated_study.svg", "simulated_study_sensitivity.svg"),
     ),
     Case("planning", {"planning": 6}, ("FOLDER",), page="planning_results"),
     pytest.param(
         Case(
             "latency",
             {"latency": 10 + 6},
-            ("--device", "sim"),
-            {"RUNS": 1, "find_min_latency": lambda *_: MinLatency(None, ())},
+            constants={"ADDRESSES": ("sim",), "RUNS": 1, "find_min_latency": lambda *_: MinLatency(None, ())},
         ),
         marks=needs_terminals,
     ),
@@ -124,8 +122,7 @@ CASES = (
         Case(
             "many_controllers",
             {"many_controllers": 1, "many_live_streams": 2},
-            ("--controllers", "1", "--seconds", "0.3"),
-            {"LIVE_STREAMS": (1, 2)},
+            constants={"CONTROLLERS": (1,), "SECONDS": 0.3, "LIVE_STREAMS": (1, 2)},
         ),
         marks=needs_terminals,
     ),
