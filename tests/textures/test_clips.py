@@ -2,7 +2,7 @@
 
 import json
 import tracemalloc
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +65,22 @@ def note(start: float, length: float, gain: float, **modulations: list[tuple[flo
         for name, points in modulations.items()
     }
     return {"m_startingPoint": start, "m_length": length, "m_gain": gain, "m_hapticEffect": keyframes or {"m_type": 0}}
+
+
+def hjif(kind: str, *effects: Json, library: Sequence[Json] = (), timescale: int = 1000, **keys: Any) -> Json:
+    """Return an HJIF clip with one band; `keys`: of the band, the channel and the perception."""
+    limits = {"lower_frequency_limit": 0, "upper_frequency_limit": 1000}
+    band = {"band_type": kind, **limits, **keys, "effects": list(effects)}
+    channel = {"id": 0, "gain": 1.0, **keys, "bands": [band]}
+    perception = {"id": 0, "perception_modality": "Vibrotactile", **keys, "effect_library": list(library)}
+    return {"version": "2023", "timescale": timescale, "perceptions": [perception | {"channels": [channel]}]}
+
+
+def effect(position: int, *keyframes: tuple[int, float | None, float | None], **keys: Any) -> Json:
+    """Return an effect with keyframes of position, amplitude and frequency, each of which may be missing."""
+    names = ("relative_position", "amplitude_modulation", "frequency_modulation")
+    listed = [{name: value for name, value in zip(names, each, strict=True) if value is not None} for each in keyframes]
+    return {"effect_type": "Basis", "position": position, "keyframes": listed, **keys}
 
 
 HUM = event("HapticContinuous", 0.1, 0.5, HapticIntensity=1, HapticSharpness=0.5)
@@ -182,6 +198,105 @@ def test_an_emphasis_of_a_haptic_clip_ducks_the_rest(loaded: Callable[..., Recor
     np.testing.assert_allclose(np.abs(square - plain / 2)[during & (times_s < 0.0199)], 0.3, atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("base_signal", "quarters"),
+    [
+        ("Sine", (0, 1, 0, -1)),
+        ("Square", (1, 1, -1, -1)),
+        ("Triangle", (0, 1, 0, -1)),
+        ("SawToothUp", (0, 0.5, -1, -0.5)),
+        ("SawToothDown", (0, -0.5, 1, 0.5)),
+    ],
+)
+def test_base_signals_of_hjif(base_signal: str, quarters: tuple[float, ...], loaded: Callable[..., Recording]) -> None:
+    wave = effect(100, (0, 0.5, 100), (100, 0.5, 100), base_signal=base_signal)
+    samples = loaded(".hjif", hjif("VectorialWave", wave)).samples[800::20, 0]
+    np.testing.assert_allclose(samples, 0.5 * np.tile(quarters, 10), atol=1e-9)
+
+
+def test_a_wave_of_hjif_follows_its_keyframes_at_any_timescale(loaded: Callable[..., Recording]) -> None:
+    keyframes = [(0, 0.2, None), (200, 1.0, 60), (400, None, 160), (600, 0.6, None)]
+    plain = loaded(".hjif", hjif("VectorialWave", effect(100, *keyframes)))
+    amplitudes, frequencies_hz = course(plain, 0.2, 0.35, 0.4, 0.6)
+    np.testing.assert_allclose(amplitudes, [0.6, 0.95, 0.9, 0.7], atol=0.02)
+    np.testing.assert_allclose(frequencies_hz, [60, 85, 110, 160], rtol=0.03)
+    fine = [(8 * position, amplitude, frequency) for position, amplitude, frequency in keyframes]
+    scaled = loaded(".hjif", hjif("VectorialWave", effect(800, *fine), timescale=8000))
+    np.testing.assert_allclose(scaled.samples, plain.samples, atol=1e-9)
+    shifted = loaded(".hjif", hjif("VectorialWave", effect(0, (0, None, 100), (50, None, 100), phase=np.pi / 2)))
+    np.testing.assert_allclose(shifted.samples[:, 0], np.cos(2 * np.pi * 100 * np.arange(400) / RATE_HZ), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("curve_type", "passed", "between"),
+    [
+        ("Linear", slice(None), 0.35),
+        ("Cubic", slice(None), 0.35),
+        ("Unknown", slice(None), 0.35),
+        ("Akima", slice(None), None),
+        ("Bezier", slice(None, None, 2), None),
+        ("Bspline", slice(None, None, 4), None),
+    ],
+)
+def test_curves_of_hjif_pass_their_points(
+    curve_type: str, passed: slice, between: float | None, loaded: Callable[..., Recording]
+) -> None:
+    positions, amplitudes = [10, 50, 100, 160, 220], [0.0, 0.7, -0.4, 0.5, 0.1]
+    keyframes = [(position, amplitude, None) for position, amplitude in zip(positions, amplitudes, strict=True)]
+    content = hjif("Curve", effect(30, *keyframes), curve_type=curve_type)
+    samples = loaded(".hjif", content).samples[:, 0]
+    assert not np.any(samples[:320]) and len(samples) == 2000
+    at_points = np.append(samples, 0.1)[[8 * (30 + position) for position in positions]]
+    np.testing.assert_allclose(at_points[passed], amplitudes[passed], atol=1e-9)
+    if between is not None:
+        assert samples[8 * 60] == pytest.approx(between)
+    assert np.abs(np.diff(samples)).max() < 0.02  # it has no step
+    two = loaded(".hjif", hjif("Curve", effect(0, (0, 0, None), (40, 0.8, None)), curve_type=curve_type)).samples
+    assert two[160, 0] == pytest.approx(0.4)
+
+
+def test_references_of_hjif_play_the_library(loaded: Callable[..., Recording]) -> None:
+    own = effect(7, (0, 0.8, 150), (60, 0, 150), id=3)
+    content = hjif("VectorialWave", effect(20, id=3), effect(120, id=3), effect(200, id=9), library=[own])
+    for each in content["perceptions"][0]["channels"][0]["bands"][0]["effects"]:
+        each["effect_type"] = "Reference"
+    recording = loaded(".hjif", content)
+    plain = loaded(".hjif", hjif("VectorialWave", own | {"position": 20}, own | {"position": 120}))
+    np.testing.assert_allclose(recording.samples, plain.samples, atol=1e-12)
+    assert recording.notes[-1] == "left out: Reference without an effect"
+
+
+def test_channels_of_hjif_are_scaled_and_transients_add_up(loaded: Callable[..., Recording]) -> None:
+    tap = effect(10, (5, 0.5, 300))
+    sine = np.sin(4 * np.pi * np.arange(176) / 176)
+    plain = loaded(".hjif", hjif("Transient", tap, tap, gain=0.5, perception_unit_exponent=-1)).samples
+    np.testing.assert_allclose(plain[120:, 0], 0.05 * sine, atol=1e-9)
+    content = hjif("Transient", tap, gain=4, sample_count=12000, frequency_sampling=8000)
+    content["perceptions"][0]["tracks"] = content["perceptions"][0].pop("channels")
+    content["perceptions"] += hjif("Transient", tap, perception_modality="Stiffness")["perceptions"]
+    content["perceptions"] += hjif("Transient", tap, perception_modality="Pressure")["perceptions"]
+    recording = loaded(".hjif", content)
+    assert (recording.channels, recording.seconds) == (2, 1.5)
+    np.testing.assert_allclose(recording.samples[120:296, 0], np.clip(2 * sine, -1, 1), atol=1e-9)
+    np.testing.assert_allclose(recording.samples[120:296, 1], 0.5 * sine, atol=1e-9)
+    assert recording.notes[1:] == (
+        "a transient = 2 cycles in 22 ms, whatever its frequency",
+        "left out: Stiffness (over position)",
+    )
+
+
+def test_a_wavelet_band_is_rejected_with_a_remedy(loaded: Callable[..., Recording]) -> None:
+    with pytest.raises(TextureError, match=r"clip\.hjif: a wavelet band: no patent rights .*; load the WAV file"):
+        loaded(".hjif", hjif("WaveletWave", {"position": 0, "wavelet_stream": "AAAA"}, block_length=128))
+
+
+def test_references_cannot_multiply_without_end(loaded: Callable[..., Recording]) -> None:
+    own = effect(0, *[(position, 1, None) for position in range(15_000)], id=1)
+    content = hjif("Transient", *[{"effect_type": "Reference", "id": 1}] * 5000, library=[own])
+    with pytest.raises(TextureError, match="more than 20000 parts"):
+        loaded(".hjif", content)
+
+
 def test_an_emphasis_ends_where_the_next_one_begins(loaded: Callable[..., Recording]) -> None:
     points = [point(0, 0), point(0.1, 0, 1, 0), point(0.105, 0, 0.5, 1), point(0.11, 0)]
     samples = loaded(".haptic", haptic(points, [])).samples[:, 0]
@@ -240,6 +355,14 @@ def test_notes_name_what_is_left_out_of_haps(loaded: Callable[..., Recording]) -
         (".haps", haps([note(-1, 1, 1)]), ">= 0.0"),
         (".haps", haps([note(0, 1, 1, amplitude=[(1, 1), (0, 1)])]), "the times of its amplitudes fall"),
         (".haps", haps([note(0, 1, -1)]), ">= 0.0"),
+        (".hjif", hjif("Curve"), "without a vibration"),
+        (".hjif", hjif("Music"), "Invalid enum value 'Music'"),
+        (".hjif", hjif("Transient", effect(-1, (0, 1, 90))), ">= 0"),
+        (".hjif", hjif("Transient", effect(0, (0, 2, 90))), "<= 1.0"),
+        (".hjif", hjif("Curve", effect(0, (2, 1, None), (1, 1, None))), "the times of its keyframes fall"),
+        (".hjif", hjif("Curve", effect(0, (2, 1, None)), timescale=0), ">= 1"),
+        (".hjif", hjif("Curve", effect(700_000, (2, 1, None), (3, 1, None))), "a clip of 700 s with 1 parts"),
+        (".hjif", {"perceptions": [{"channels": [{}] * 17}]}, "length <= 16"),
     ],
 )
 def test_other_clips_that_cannot_be_rendered(

@@ -4,11 +4,16 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from vibrocast.textures.arrays import parsing
-from vibrocast.textures.clips import ahap, haps, haptic
+from vibrocast.textures.clips import ahap, haps, haptic, hjif
 from vibrocast.textures.clips.synthesis import RATE_HZ, Clip, rendered
 from vibrocast.textures.recording import Contents, TextureError, unusable
 
-READERS: Mapping[str, Callable[[bytes], Clip]] = {".ahap": ahap.read, ".haptic": haptic.read, ".haps": haps.read}
+READERS: Mapping[str, Callable[[bytes], Clip]] = {
+    ".ahap": ahap.read,
+    ".haptic": haptic.read,
+    ".haps": haps.read,
+    ".hjif": hjif.read,
+}
 """The reader of each suffix. It may raise any error for a file of another kind."""
 SUFFIXES = tuple(READERS)
 MAX_BYTES = 5_000_000

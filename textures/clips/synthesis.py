@@ -35,10 +35,14 @@ class Part:
 
 @dataclass(frozen=True)
 class Channel:
-    """The parts of a channel by band. The sum of the bands is limited to -1 to 1 after each, then scaled by `gain`."""
+    """The parts of a channel by band, and its least duration.
+
+    The sum is limited to -1 to 1 after each band, then multiplied by `gain` and limited again.
+    """
 
     bands: Sequence[Sequence[Part]]
     gain: float = 1.0
+    least_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -56,9 +60,11 @@ def rendered(clip: Clip, rate_hz: float, path: Path) -> Contents:
             path, f"a clip, and {rate_hz:g} Hz", f"give {MIN_RATE_HZ:g} to {MAX_RATE_HZ:g} Hz, or nothing", "rate_hz"
         )
     parts = [part for channel in clip.channels for band in channel.bands for part in band]
-    end_s = max((part.end_s for part in parts), default=0.0)
-    if end_s <= 0:
+    if not any(part.end_s > 0 for part in parts):
         raise unusable(path, "a clip without a vibration", "give another file")
+    if min(part.start_s for part in parts) < 0:
+        raise unusable(path, "a part begins before the clip", "correct its time")
+    end_s = max(*(part.end_s for part in parts), *(channel.least_s for channel in clip.channels))
     sum_s = sum(part.end_s - part.start_s for part in parts)
     if end_s > MAX_SECONDS or sum_s > MAX_SUM_SECONDS or len(parts) > MAX_PARTS:
         raise unusable(
@@ -75,9 +81,10 @@ def rendered(clip: Clip, rate_hz: float, path: Path) -> Contents:
             for part in band:
                 first, end = _first_sample(part.start_s, rate_hz), _first_sample(part.end_s, rate_hz)
                 if first < end:
-                    column[first:end] += part.values(np.arange(first, end) / rate_hz - part.start_s)
+                    since_start: Signal = np.arange(first, end) - np.float64(part.start_s * rate_hz)
+                    column[first:end] += part.values(since_start / rate_hz)
             np.clip(column, -1, 1, out=column)
-        column *= channel.gain
+        np.clip(column * channel.gain, -1, 1, out=column)
     return Contents(signal, rate_hz, "drive", notes=(f"rendered at {rate_hz:g} Hz", *clip.notes))
 
 
