@@ -1,6 +1,7 @@
 """Tests of haptic clips: what each format describes becomes that signal, and no file does harm."""
 
 import json
+import re
 import tracemalloc
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -12,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import hilbert
 
+from tests.textures.hmpg_writer import hmpg, packet, unit
 from vibrocast.textures import Recording, TextureError, clips, dataset, load
 from vibrocast.textures.clips import synthesis
 
@@ -283,6 +285,66 @@ def test_channels_of_hjif_are_scaled_and_transients_add_up(loaded: Callable[...,
         "a transient = 2 cycles in 22 ms, whatever its frequency",
         "left out: Stiffness (over position)",
     )
+
+
+@pytest.mark.parametrize("unit_ticks", [40, 128, 5000])
+def test_hmpg_has_the_content_of_hjif(unit_ticks: int, loaded: Callable[..., Recording]) -> None:
+    own = effect(0, (0, 0.8, 150), (60, 0, 120), id=3, base_signal="Triangle", phase=1.0)
+    references = [{"effect_type": "Reference", "position": position, "id": 3} for position in (20, 300)]
+    long = effect(100, (0, 0.2, None), (150, 1.0, 60), (170, None, 160), (300, 0.6, None), base_signal="Square")
+    document = hjif("VectorialWave", *references, long, library=[own], gain=0.8)
+    waves = document["perceptions"][0]
+    curve = effect(30, (0, 0.1, None), (40, 0.7, None), (90, -0.4, None))
+    waves["channels"] += hjif("Curve", curve, curve_type="Bezier")["perceptions"][0]["channels"]
+    taps = hjif("Transient", effect(7, (5, 0.5, 300), (220, -0.9, 90)), perception_unit_exponent=-1)
+    document["perceptions"] += taps["perceptions"]
+    document["perceptions"] += hjif("Transient", perception_modality="Stiffness")["perceptions"]
+    exact, coded = loaded(".hjif", document), loaded(".hmpg", hmpg(document, unit_ticks))
+    assert coded.notes == exact.notes
+    assert coded.samples.shape == exact.samples.shape == (len(exact.samples), 3)
+    np.testing.assert_allclose(coded.samples, exact.samples, atol=1 / 255)
+
+
+def test_a_wavelet_band_of_hmpg_is_rejected(loaded: Callable[..., Recording]) -> None:
+    with pytest.raises(TextureError, match="no patent rights"):
+        loaded(".hmpg", hmpg(hjif("WaveletWave", effect(0)), 128))
+
+
+def test_hmpg_that_is_cut_off_is_rejected_or_ends_early(loaded: Callable[..., Recording]) -> None:
+    whole = (EXAMPLES[0].parent / "saw.hmpg").read_bytes()
+    longest = load(EXAMPLES[0].parent / "saw.hmpg").seconds
+    for length in range(len(whole)):
+        try:
+            assert loaded(".hmpg", whole[:length]).seconds <= longest
+        except TextureError as error:
+            assert re.search(r"cut off|without a vibration", str(error))
+
+
+EMPTY = hmpg(hjif("Transient"), 128)
+HOSTILE_HMPG = {
+    "more than 20000 effects": EMPTY + 7 * unit(1, 0, packet(5, [(33, 0), (16, 2900), *[(60, 0)] * 2900])),
+    "(0, 9, 0), and none before it": EMPTY + unit(1, 0, packet(5, [(1, 0), (8, 0), (16, 9), (8, 0), (16, 1)])),
+    "5 is the number of none of Transient": EMPTY + unit(0, 0, packet(4, [(40, 0), (3, 5), (48, 0)])),
+    "begins before the clip": EMPTY + unit(1, 0, packet(5, [(33, 0), (16, 1), (18, 0), (25, -130), (17, 1), (40, 1)])),
+    "it is cut off": EMPTY + unit(1, 0, packet(5, [(33, 0), (16, 1)])),
+    "a composite effect": EMPTY + unit(0, 0, packet(6, [(8, 0), (16, 1), (64, 0), (16, 0), (16, 1)])),
+    "a clip of 1.68e+04 s": EMPTY
+    + unit(3, (1 << 24) - 1)
+    + unit(1, 0, packet(5, [(33, 0), (16, 1), (18, 0), (25, 0), (17, 1), (40, 1 << 32)])),
+}
+"""HMPG files that cannot be rendered, each by words of its error."""
+
+
+@pytest.mark.parametrize("words", HOSTILE_HMPG)
+def test_hostile_hmpg_is_rejected(words: str, loaded: Callable[..., Recording]) -> None:
+    with pytest.raises(TextureError, match=r"clip\.hmpg: ") as caught:
+        loaded(".hmpg", HOSTILE_HMPG[words])
+    assert words in str(caught.value)
+
+
+def test_the_example_of_hmpg_is_that_of_hjif() -> None:
+    folder = EXAMPLES[0].parent
+    assert (folder / "saw.hmpg").read_bytes() == hmpg(json.loads((folder / "saw.hjif").read_text()), 128)
 
 
 def test_a_wavelet_band_is_rejected_with_a_remedy(loaded: Callable[..., Recording]) -> None:

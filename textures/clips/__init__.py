@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from vibrocast.textures.arrays import parsing
-from vibrocast.textures.clips import ahap, haps, haptic, hjif
+from vibrocast.textures.clips import ahap, haps, haptic, hjif, hmpg
 from vibrocast.textures.clips.synthesis import RATE_HZ, Clip, rendered
 from vibrocast.textures.recording import Contents, TextureError, unusable
 
@@ -13,6 +13,7 @@ READERS: Mapping[str, Callable[[bytes], Clip]] = {
     ".haptic": haptic.read,
     ".haps": haps.read,
     ".hjif": hjif.read,
+    ".hmpg": hmpg.read,
 }
 """The reader of each suffix. It may raise any error for a file of another kind."""
 SUFFIXES = tuple(READERS)
