@@ -21,7 +21,7 @@ install: .venv/installed
 
 .venv/installed-for-tests: $(SOURCES)
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable '.[audio,bench,docs,firmware,formats,keys,study,test,train]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable '.[audio,bench,docs,firmware,formats,keys,lab,study,test,train]'
 	touch $@ .venv/installed
 
 play: install
@@ -59,7 +59,7 @@ lock:
 	set -e; \
 	head=$$(grep '^#' $(LOCK)); \
 	uv pip compile --quiet --universal --generate-hashes --no-emit-index-url --no-header --python-version 3.11 \
-	    --extra audio --extra bench --extra firmware --extra formats --extra keys --extra study --extra test --extra docs --output-file $(LOCK) pyproject.toml; \
+	    --extra audio --extra bench --extra firmware --extra formats --extra keys --extra lab --extra study --extra test --extra docs --output-file $(LOCK) pyproject.toml; \
 	printf '%s\n' "$$head" | cat - $(LOCK) > $(LOCK).new; \
 	mv $(LOCK).new $(LOCK)
 

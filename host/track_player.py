@@ -101,7 +101,7 @@ class Remote:
             commands.put(command)
 
 
-Kind = Literal["track", "position", "paused", "resumed", "gain", "loop", "failed", "ended"]
+Kind = Literal["track", "pass", "position", "paused", "resumed", "gain", "loop", "failed", "ended"]
 
 
 @dataclass(frozen=True)
@@ -109,8 +109,8 @@ class Event:
     """What a player tells.
 
     Attributes:
-        kind: "track": one has begun; "position": it goes on; "paused", "resumed", "gain", "loop": a command was carried
-            out; "failed": a track cannot be played; "ended": nothing more is played.
+        kind: "track": one has begun; "pass": it begins again, by itself; "position": it goes on; "failed": it cannot be
+            played; "ended": nothing more is played. The others say that a command was carried out.
         track: The name of the track.
         number: Its number in the list, from 1.
         tracks: How many there are.
@@ -241,7 +241,7 @@ class TrackPlayer:
         self._place, self._position_s = 0, 0.0
         self._track: Track | None = None
         self._now: player.Progress | None = None
-        self._begun = False
+        self._begun, self._passes = False, 0
         self._paused = False
         self._pool = ThreadPoolExecutor(2, "tracks")  # one opens tracks while the other computes levels
         self._ended = False
@@ -258,7 +258,8 @@ class TrackPlayer:
         start_s, failed_in_turn = 0.0, 0
         try:
             while place is not None:
-                self._place, self._position_s, self._now, self._begun = place, start_s, None, False
+                self._place, self._position_s, self._now = place, start_s, None
+                self._begun, self._passes = False, 0
                 try:
                     yield from self._play_steps(self._opened(place), start_s)
                     failed_in_turn, place, start_s = 0, self._following(), 0.0
@@ -393,6 +394,10 @@ class TrackPlayer:
         if not self._begun:
             self._begun = True
             self._tell(self._event("track"))
+        if self._track is not None and (passes := int(now.position_s // self._track.seconds)) > self._passes:
+            self._passes = passes
+            if self._settings.loops != 1:
+                self._tell(self._event("pass"))
         if self._levels is None and self._track is not None and self._position_s > _SETTLED_S:
             # Work beside the player only where a full buffer bridges it.
             track = self._track
@@ -512,6 +517,11 @@ class BackgroundPlayer:
         self._error: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="player", daemon=True)
         self._thread.start()
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether nothing more is played."""
+        return not self._thread.is_alive()
 
     def wait(self) -> None:
         """Wait for the end. Raises what ended the player."""

@@ -147,5 +147,7 @@ def test_the_table_agrees_with_the_project() -> None:
             if own:
                 pending += groups[own]
             else:
-                brought.setdefault({"mat-io": "matio", "pyelftools": "elftools"}.get(name, name), set()).add(extra)
+                brought.setdefault(
+                    {"mat-io": "matio", "pyelftools": "elftools", "python-osc": "pythonosc"}.get(name, name), set()
+                ).add(extra)
     assert {module: set(named) for module, named in extras.EXTRAS.items()} == brought

@@ -25,6 +25,8 @@ EXTRAS = {
     "pebble": ("bench", "train"),
     "polars": ("bench",),
     "pytest": ("bench",),
+    "pylsl": ("lab",),
+    "pythonosc": ("lab",),
     "pyxdf": ("formats",),
     "rosbags": ("formats",),
     "starlette": ("study",),

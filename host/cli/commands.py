@@ -53,6 +53,7 @@ CORE = (
     Subcommand("codecs", "Compress", f"{CLI}.codecs:codecs", "List the codecs and their parameters."),
     Subcommand("play", "Play", f"{CLI}.play:play", "Play recordings, .vct files, folders and .m3u lists of them."),
     Subcommand("live", "Play", f"{CLI}.live:live", "Stream a generated texture or standard input to a controller."),
+    Subcommand("serve", "Play", f"{CLI}.serve:serve", "Play the files of a folder as OSC messages say.", "lab"),
     Subcommand("render", "Play", f"{CLI}.render:render", "Write the drive signal of a recording as a WAV file."),
     Subcommand(
         "devices",

@@ -169,6 +169,8 @@ device_option = _device_option("address", given_once(checked_address))
 bench_device_option = _device_option("chosen", given_once(chosen_controller))
 devices_option = _device_option("chosen", chosen_controllers, "repeat it for several")
 
+lsl_option = click.option("--lsl", "has_markers", is_flag=True, help="Send markers to the Lab Streaming Layer.")
+
 model_option = click.option(
     "--model",
     callback=chosen_model,

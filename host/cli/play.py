@@ -33,6 +33,7 @@ from vibrocast.host.cli.options import (
     grouped,
     hand_speed_option,
     judge,
+    lsl_option,
     model_option,
     own_actuator,
     rate_hz_option,
@@ -43,6 +44,7 @@ from vibrocast.host.cli.sections import CODING, CONTROLLER, OUTPUT, PLAYBACK, Se
 from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
 from vibrocast.host.cli.steps import encoded_profile, files_of, reject_coding_options, show
 from vibrocast.host.controller import ControllerError
+from vibrocast.host.lab_network import Markers
 from vibrocast.host.playback import Playback
 from vibrocast.host.player import RECONNECT_S
 from vibrocast.host.report import Provenance, UnfinishedReport, write_json
@@ -77,6 +79,7 @@ class PlayOptions:
     actuator_name: str | None
     hand: float | Path | None
     control_path: Path | None
+    has_markers: bool
     report_path: Path | None
     plot_path: Path | None
 
@@ -132,6 +135,7 @@ class PlayOptions:
             metavar="SOCKET",
             help="Take commands from a Unix socket, one a line.",
         ),
+        lsl_option,
         click.option(
             "--hand",
             callback=chosen_hand,
@@ -211,20 +215,25 @@ def play_over_time(
         sessions, failures = stack.enter_context(opened_sessions)
         path = run.options.control_path
         control = stack.enter_context(contextlib.closing(Control(path, remote))) if path else None
+        markers = Markers(tracks[0].name) if run.options.has_markers else None
         stack.enter_context(keys(remote))
         played = play_list(
             sessions,
             tracks,
             opening,
             remote=remote,
-            tell=telling(run.latest, stack.enter_context(progress.bar("playing")), control),
+            tell=telling(run.latest, stack.enter_context(progress.bar("playing")), control, markers),
             provenance=run.provenance,
         )
     return {name: (played | failures)[name] for name in run.names}
 
 
-def telling(latest: dict[str, Event], update: progress.Update, control: Control | None) -> Callable[[str, Event], None]:
+def telling(
+    latest: dict[str, Event], update: progress.Update, control: Control | None, markers: Markers | None
+) -> Callable[[str, Event], None]:
     """Return what shows where players are, tells the clients of a socket, and notes it for a report.
+
+    The markers are those of the first player alone.
 
     A track that cannot be played gets a line. With several controllers it shows the one that told last, the least
     buffer, and the losses of all.
@@ -236,6 +245,8 @@ def telling(latest: dict[str, Event], update: progress.Update, control: Control 
         latest[name] = event
         if control is not None:
             control.tell(event)
+        if markers is not None and name == next(iter(latest)):
+            markers.tell(event)
         if event.error is not None and event.tracks > 1:
             reason = explained(event.error, options).format_message()
             place = "" if event.track in reason else f"{event.track}: "

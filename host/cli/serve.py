@@ -1,0 +1,58 @@
+"""The subcommand `serve`: plays the files of a folder as messages of Open Sound Control say."""
+
+from pathlib import Path
+
+import click
+
+from vibrocast.errors import InputError
+from vibrocast.host.cli.option_types import INPUT, Number
+from vibrocast.host.cli.options import (
+    RecordingOptions,
+    device_option,
+    grouped,
+    lsl_option,
+    rate_hz_option,
+    unit_option,
+)
+from vibrocast.host.cli.sections import CONTROLLER, SectionedCommand, section
+from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
+
+
+@click.command(cls=SectionedCommand)
+@click.argument("folder", type=INPUT)
+@section(INPUT_SECTION, grouped("recording", RecordingOptions, rate_hz_option, unit_option))
+@section(CONTROLLER, device_option)
+@click.option("--osc", "listen_at", required=True, metavar="[HOST:]PORT", help="Listen there. Default host: 127.0.0.1.")
+@click.option(
+    "--timeout",
+    "timeout_s",
+    type=Number("S", 0),
+    default=30.0,
+    show_default=True,
+    help="Stop what plays where no message came for so long; 0: never.",
+)
+@lsl_option
+def serve(
+    folder: Path, address: str, listen_at: str, timeout_s: float, has_markers: bool, recording: RecordingOptions
+) -> None:
+    """Play the files of a folder as OSC messages say.
+
+    /play NAME plays a file, by its name in the folder; /play NAME LOOPS plays it so often, 0 without end. /gain_db DB
+    sets the level. /pause, /resume and /stop do as they say, and /alive keeps a long texture alive. The client gets
+    /track NAME, /ended NAME and /error TEXT.
+    """
+    from vibrocast.host.lab_network import Markers, OscServer
+    from vibrocast.host.session import connect
+    from vibrocast.host.tracks import TrackOptions
+
+    host, _, port = listen_at.rpartition(":")
+    if not port.isdecimal():
+        raise InputError(
+            f"--osc {listen_at}: no port; give a number such as 9000, or 0.0.0.0:9000 for the whole network"
+        )
+    with connect(address) as session:
+        tell = Markers(session.address).tell if has_markers else None
+        options = TrackOptions(facts=recording.facts())
+        server = OscServer(session, folder, (host or "127.0.0.1", int(port)), options, timeout_s=timeout_s, tell=tell)
+        click.echo(f"listening at {host or '127.0.0.1'}:{server.port}; Ctrl-C ends")
+        server.serve()
