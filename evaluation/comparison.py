@@ -32,7 +32,7 @@ from vibrocast.evaluation.kinds import TraceKind
 from vibrocast.evaluation.peers import measured_codecs, named
 from vibrocast.evaluation.points import IMPORTED, MEASURED, Failure, Point, Timing, by_codec_and_trace
 from vibrocast.evaluation.speed import BITS_PER_SAMPLE, RATES, Speed
-from vibrocast.evaluation.tables import as_rows, columns, frame, grouped
+from vibrocast.evaluation.tables import as_rows, by, columns, frame
 
 FIT = "(fit)"
 """Stands for a trace where a row is of the fit to all of them."""
@@ -334,13 +334,14 @@ def cost_points(measurements: Measurements, scale: Scale, names: Sequence[str]) 
         ]
     columns = {"bits_per_sample": pl.Float64, "codec": pl.String, "source": pl.String, "quality": pl.Float64}
     table = _table(found, {**columns, "cost": pl.String, "value": pl.Float64, "flash_bytes": pl.Int64})
-    groups = grouped(as_rows(table), lambda row: (row.bits_per_sample, row.cost))
+    keys = ("bits_per_sample", "cost")
     fronts = {
-        key: best_of((row.value, row.quality) for row in rows if row.source != IMPORTED) for key, rows in groups.items()
+        key: best_of(own.select("value", "quality").rows())
+        for key, own in by(table.filter(pl.col("source") != IMPORTED), *keys)
     }
     on_front = [
-        row.source != IMPORTED and (row.value, row.quality) in fronts[row.bits_per_sample, row.cost]
-        for row in as_rows(table)
+        source != IMPORTED and tuple(place) in fronts[rate, cost]
+        for source, rate, cost, *place in table.select("source", *keys, "value", "quality").rows()
     ]
     return table.with_columns(on_front=pl.Series(on_front, dtype=pl.Boolean))
 

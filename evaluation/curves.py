@@ -6,18 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from vibrocast.evaluation.labels import Label, write_beside
-from vibrocast.evaluation.pictures import figure_file
+from vibrocast.evaluation.pictures import AXES, SMALL_POINTS, figure_file
 
 DASHES: tuple[tuple[str, str], ...] = (
     ("-", "o"), ("--", "s"), (":", "^"), ("-.", "D"), ("-", "v"),
     ("--", "x"), (":", "P"), ("-.", "*"), ("-", "+"), ("--", "h"),
 )  # fmt: skip
 _WIDTH_IN, _PANEL_IN = 7.2, 2.6
-_LABEL_DISTANCE = 0.07  # of an axis' height, for each line
 _LABEL_CHARACTERS = {1: 40, 2: 20}
 """By how many panels are next to each other."""
 _SAME_HEIGHT = 0.004
@@ -50,7 +50,7 @@ def curves(path: Path, panels: Sequence[Panel], across: int = 2) -> None:
     """Draw panels of curves, `across` next to each other; marked points are ringed. Raises OSError."""
     across = min(across, len(panels))
     down = -(-len(panels) // across)
-    with figure_file(path, _WIDTH_IN, _PANEL_IN * down) as figure:
+    with rc_context(AXES), figure_file(path, _WIDTH_IN, _PANEL_IN * down) as figure:
         places = figure.subplots(down, across, squeeze=False).ravel()
         for panel, axes in zip(panels, places, strict=False):
             _draw_panel(axes, panel, _LABEL_CHARACTERS[across])
@@ -76,9 +76,7 @@ def _draw_panel(axes: Axes, panel: Panel, label_characters: int) -> None:
             axes.plot(*zip(*ringed, strict=True), "o", markersize=8, markerfacecolor="none", color="black", linewidth=0)
     for level in panel.lines:
         axes.axhline(level, color="0.4", linestyle=(0, (1, 2)), linewidth=1)
-    axes.set_title(panel.title, loc="left")
-    axes.set(xlabel=panel.x_label, ylabel=panel.y_label)
-    axes.grid(color="0.92")
+    axes.set(title=panel.title, xlabel=panel.x_label, ylabel=panel.y_label)
     if not any(y < 0 for curve in panel.curves for y in curve.y):
         axes.set_ylim(bottom=max(0.0, axes.get_ylim()[0]))
     if panel.log_x:
@@ -100,17 +98,13 @@ def _apart(ticks: Sequence[float]) -> list[float]:
 
 
 def _name_ends(axes: Axes, ends: Sequence[tuple[float, float, str]], label_characters: int) -> None:
-    """Name curves right of the axes, at the heights of their last points, moved apart where they would collide.
-
-    Curves that end in the same point share a label.
-    """
+    """Name curves right of the axes; those that end in the same point share a label."""
     low, high = axes.get_ylim()
     together: dict[tuple[int, float], list[tuple[float, str]]] = {}
     for x, y, name in ends:
         together.setdefault((round((y - low) / (high - low) / _SAME_HEIGHT), x), []).append((y, name))
-    labels, levels = [], []
-    for (_, x), some in sorted(together.items()):
+    labels = []
+    for (_, x), some in together.items():
         text = textwrap.fill(", ".join(name for _, name in some), label_characters, break_on_hyphens=False)
-        labels.append(Label((x, some[0][0]), text, {}, {"color": "0.75", "linewidth": 0.6}))
-        levels.append((some[0][0] - low) / (high - low))
-    write_beside(axes, 1.03, labels, levels, [_LABEL_DISTANCE * (label.text.count("\n") + 1) for label in labels])
+        labels.append(Label(x, some[0][0], text, points=SMALL_POINTS))
+    write_beside(axes, labels)

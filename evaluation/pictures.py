@@ -17,6 +17,16 @@ BLUE, SKY, PURPLE, ORANGE = "#00558c", "#2f86cc", "#8e3fa8", "#d55e00"
 BROWN, GREEN, AMBER = "#7f3b08", "#00856a", "#a87400"
 POINTS, SMALL_POINTS = 9.0, 7.5
 """Sizes of letters: of titles, axes and labels, and of labels in grey."""
+AXES: Any = {
+    "axes.axisbelow": True,
+    "axes.grid": True,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlelocation": "left",
+    "grid.color": PALE,
+    "text.parse_math": False,
+}
+"""Settings of matplotlib for panels of curves and marks."""
 _PAGE_POINTS = 8
 _DPI = 120
 

@@ -11,12 +11,12 @@ import polars as pl
 
 from vibrocast import pages
 from vibrocast.errors import InputError
-from vibrocast.evaluation import bd_rate, charts, comparison, learned_page, speed
+from vibrocast.evaluation import bd_rate, charts, comparison, speed
 from vibrocast.evaluation.bd_rate import PSNR, SCALES, SNR, SPQI, ST_SIM_2800, ST_SIM_8000, Scale
-from vibrocast.evaluation.comparison import LEARNED_SCALES, PAPER_SCALES, TABLES, TIMES, Measurements
+from vibrocast.evaluation.comparison import LEARNED_SCALES, PAPER_SCALES, REFERENCE, TABLES, TIMES, Measurements
 from vibrocast.evaluation.peers import measured_codecs, named, peers
-from vibrocast.evaluation.points import IMPORTED, MEASURED, PROGRAM, read_row, read_rows, write_rows
-from vibrocast.evaluation.tables import as_rows, by_codec, grouped, write_table
+from vibrocast.evaluation.points import IMPORTED, MEASURED, PROGRAM, Failure, read_row, read_rows, write_rows
+from vibrocast.evaluation.tables import by, frame, write_table
 from vibrocast.pages import listed
 
 NOTE = "note.md"
@@ -74,50 +74,45 @@ def write_results(
     out: Path,
     measurements: Measurements,
     description: Description,
-    held_out: Sequence[HeldOut] = (),
     progress: Callable[[float], object] = lambda part: None,
     redrawn: bool = False,
 ) -> None:
     """Write OUT/results.md and, in OUT/results, its charts and tables, each with its data as CSV, and the description.
 
     Imported points count where no codec of that name was measured, on the recordings that were. `progress` is called
-    with the part done, from 0 to 1. `redrawn`: the page there is of these figures. Raises OSError where a file cannot
-    be written.
+    with the part done, from 0 to 1. `redrawn`: the page there is of these figures. Raises InputError for a HELD_OUT of
+    other form, OSError where a file cannot be written.
     """
     folder = out / "results"
     folder.mkdir(parents=True, exist_ok=True)
+    held_out = read_rows(folder / HELD_OUT, HeldOut) if (folder / HELD_OUT).exists() else []
     write_rows(folder / "description.csv", [description], Description)
-    means = _bd_rates(folder, measurements)
+    rates = comparison.trace_bd_rates(measurements)
+    write_table(folder / "bd_rate_traces.csv", rates)
+    every = _written(folder / "bd_rate.csv", comparison.mean_bd_rates(rates, measurements.kind_of))
+    means = every.filter(anchor=measurements.anchor, kind="")
     progress(0.4)
-    reached = _written(folder / f"at_{comparison.NEEDED_SNR_DB:g}_db.csv", comparison.at_needed_snr, measurements)
-    costs = _written(folder / "curve_costs.csv", comparison.curve_costs, measurements)
-    parts: dict[str, Callable[[], Any]] = {
-        "learned": partial(learned_page.section, folder, measurements),
-        "recommendations": partial(_written, folder / "advice.csv", comparison.recommendations, measurements),
-        "charts": partial(_charts, folder, measurements, means, reached),
-    }
-    values: dict[str, Any] = {}
-    for place, (name, make) in enumerate(parts.items(), 1):
-        values[name] = make()
-        progress(0.4 + 0.6 * place / len(parts))
+    reached = _written(folder / f"at_{comparison.NEEDED_SNR_DB:g}_db.csv", comparison.at_needed_snr(measurements))
+    costs = _written(folder / "curve_costs.csv", comparison.curve_costs(measurements))
+    learned = _learned(folder, measurements)
+    progress(0.6)
+    recommendations = _written(folder / "advice.csv", comparison.recommendations(measurements))
+    drawn = _charts(folder, measurements, means, reached)
+    progress(1)
     page = pages.render(
         TEMPLATE,
         **_head(folder, measurements),
-        **values,
         **_message(measurements, means, reached, costs, held_out),
+        learned=learned,
+        recommendations=recommendations.to_dicts(),
+        charts=drawn,
         bd_rates=_anchor_table(measurements, means),
-        costs=[row for row in costs if row.source != IMPORTED],
+        costs=costs.filter(pl.col("source") != IMPORTED).to_dicts(),
         description=description,
         measurements=measurements,
         name=charts.name,
     )
     pages.write_figures(out / "results.md", page, redrawn)
-
-
-def read_held_out(folder: Path) -> list[HeldOut]:
-    """Return the rows of HELD_OUT, none without that file. Raises InputError, OSError."""
-    path = folder / HELD_OUT
-    return read_rows(path, HeldOut) if path.exists() else []
 
 
 def _head(folder: Path, measurements: Measurements) -> dict[str, Any]:
@@ -131,7 +126,7 @@ def _head(folder: Path, measurements: Measurements) -> dict[str, Any]:
         for source in (MEASURED, PROGRAM, IMPORTED)
     }
     imported = [named(codec) for codec in by_source[IMPORTED]]
-    failures = grouped(measurements.failures, lambda failure: (failure.codec, failure.reason))
+    failures = by(frame(measurements.failures, Failure), "codec", "reason")
     return {
         "samples": measurements.drawn.unique("trace", keep="last")["samples"].sum(),
         "rates_hz": sorted(measurements.drawn["rate_hz"].drop_nulls().unique()),
@@ -140,7 +135,7 @@ def _head(folder: Path, measurements: Measurements) -> dict[str, Any]:
         "programs": by_source[PROGRAM],
         "imported": imported,
         "note": note.read_text(encoding="utf-8").strip() if (note := folder / NOTE).exists() else "",
-        "failures": [(*kind, some) for kind, some in failures.items()],
+        "failures": [(*kind, some.to_dicts()) for kind, some in failures],
         "embedded": EMBEDDED if (folder / EMBEDDED).exists() else "",
         "max_listed_failures": MAX_LISTED_FAILURES,
         "scales": SHOWN_SCALES,
@@ -151,28 +146,27 @@ def _head(folder: Path, measurements: Measurements) -> dict[str, Any]:
 
 def _message(
     measurements: Measurements,
-    means: Sequence[Any],
-    reached: Sequence[Any],
-    costs: Sequence[Any],
+    means: pl.DataFrame,
+    reached: pl.DataFrame,
+    costs: pl.DataFrame,
     held_out: Sequence[HeldOut],
 ) -> dict[str, Any]:
     """Return the values of the page's first lines: the anchor compared with known peers, and where it loses."""
-    anchor = measurements.anchor
-    own = next((row for row in reached if row.codec == anchor), None)
-    groups = charts.best_of_groups(by_codec(reached), lambda rows: -rows[0].bits_per_sample)
-    in_colour = {codec for codec in groups if not charts.is_grey(codec)}
-    shown = [row for row in reached if row.codec in in_colour or row.codec in HEADLINE]
+    anchor, rows = measurements.anchor, reached.to_dicts()
+    in_colour = {
+        codec for codec in charts.best_of_groups(reached, -pl.first("bits_per_sample")) if not charts.is_grey(codec)
+    }
+    shown = [row for row in rows if row["codec"] in in_colour or row["codec"] in HEADLINE]
     of_anchor = [row for row in held_out if (row.codec, row.measure) == (anchor, SNR.name)]
     by_group = {charts.group_of(row.peer.lower().replace("-", "")): row for row in of_anchor}
-    decoding: dict[str, Any] = {}
-    for cost in costs:
-        decoding.setdefault(cost.codec, cost)
+    groups = {row["codec"]: charts.group_of(row["codec"]) for row in shown}
+    decoding = {row["codec"]: row for row in costs.unique("codec", keep="first").to_dicts()}
     return {
         "anchor": anchor,
-        "own": own,
+        "own": next((row for row in rows if row["codec"] == anchor), None),
         "headline": shown,
-        "best_peer": next((row for row in reached if row.codec in peers() and anchor not in peers()), None),
-        "held_out": {row.codec: by_group[group] for row in shown if (group := charts.group_of(row.codec)) in by_group},
+        "best_peer": next((row for row in rows if row["codec"] in peers() and anchor not in peers()), None),
+        "held_out": {codec: by_group[group] for codec, group in groups.items() if group in by_group},
         "kept_apart": [row for row in held_out if (row.codec, row.peer) == (anchor, ALL_PEERS)],
         "decoding": decoding,
         "losses": _losses(anchor, means, reached, decoding),
@@ -181,41 +175,39 @@ def _message(
 
 
 def _losses(
-    anchor: str, means: Sequence[Any], reached: Sequence[Any], costs: Mapping[str, Any]
+    anchor: str, means: pl.DataFrame, reached: pl.DataFrame, costs: Mapping[str, Any]
 ) -> list[tuple[str, list[tuple[str, str]]]]:
     """Return in which figure, and to which codecs, the anchor loses: the best of each group, each with its figure."""
     found = []
     for scale in RATE_SCALES:
-        ahead = sorted((row for row in means if row.quality == scale.field and row.mean < 0), key=lambda row: row.mean)
-        found.append((f"bits at equal {scale.name}", [(row.codec, f"{row.mean:+.1f} %") for row in ahead]))
-    usable = {row.codec: row for row in reached if row.source != IMPORTED}
-    if anchor not in usable:
-        return [(words, ahead) for words, ahead in found if ahead]
+        ahead = means.filter((pl.col("quality") == scale.field) & (pl.col("mean") < 0)).sort(
+            "mean", maintain_order=True
+        )
+        words = [(codec, f"{mean:+.1f} %") for codec, mean in ahead.select("codec", "mean").rows()]
+        found.append((f"bits at equal {scale.name}", words))
+    usable = {row["codec"]: row for row in reached.filter(pl.col("source") != IMPORTED).to_dicts()}
     columns: Sequence[tuple[str, Mapping[str, Any], str, Callable[[float], str]]] = (
         ("encoding time", costs, "encode_s_per_megasample", lambda value: f"{value:.3g} s"),
         ("decoding time", costs, "decode_s_per_megasample", lambda value: f"{value:.3g} s"),
         ("decoder and model", costs, "flash_bytes", lambda value: pages.size(int(value))),
         ("delay", usable, "delay_high_ms", lambda value: f"{value:.3g} ms"),
     )
-    for words, rows, column, form in columns:
-        values = {codec: value for codec in usable if (value := getattr(rows[codec], column)) is not None}
+    for title, rows, column, form in columns:
+        values = {codec: value for codec in usable if (value := rows[codec][column]) is not None}
         if anchor in values:
-            ranked = sorted(
-                (codec for codec in values if values[codec] < values[anchor]), key=lambda codec: values[codec]
-            )
+            ranked = sorted((codec for codec in values if values[codec] < values[anchor]), key=values.__getitem__)
             first = {charts.group_of(codec): codec for codec in reversed(ranked)}
-            ahead = [codec for codec in ranked if codec in first.values()]
-            found.append((f"{words} ({form(values[anchor])})", [(codec, form(values[codec])) for codec in ahead]))
-    return [(words, ahead) for words, ahead in found if ahead]
+            words = [(codec, form(values[codec])) for codec in ranked if codec in first.values()]
+            found.append((f"{title} ({form(values[anchor])})", words))
+    return [(title, words) for title, words in found if words]
 
 
-def _written(path: Path, make: Callable[[Measurements], pl.DataFrame], measurements: Measurements) -> list[Any]:
-    table = make(measurements)
+def _written(path: Path, table: pl.DataFrame) -> pl.DataFrame:
     write_table(path, table)
-    return as_rows(table)
+    return table
 
 
-def _charts(folder: Path, measurements: Measurements, means: Sequence[Any], reached: Sequence[Any]) -> dict[str, Any]:
+def _charts(folder: Path, measurements: Measurements, means: pl.DataFrame, reached: pl.DataFrame) -> dict[str, Any]:
     anchor = measurements.anchor
     rate_hz = measurements.rate_hz
     curves = {scale: comparison.mean_curves(measurements, scale) for scale in (*RATE_SCALES, ST_SIM_8000)}
@@ -223,7 +215,7 @@ def _charts(folder: Path, measurements: Measurements, means: Sequence[Any], reac
     every, pair = tuple(measurements.curves), tuple(measurements.paper_pair)
 
     def over_rate(scale: Scale) -> charts.Chart:
-        title = _title(scale, anchor, [row for row in means if row.quality == scale.field])
+        title = _title(scale, anchor, means.filter(quality=scale.field))
         chart = charts.Chart(f"quality_against_rate_{scale.field}", title, curves[scale], every)
         return chart.write(folder, partial(charts.plot_quality_against_rate, scale=scale, rate_hz=rate_hz))
 
@@ -251,20 +243,20 @@ def _charts(folder: Path, measurements: Measurements, means: Sequence[Any], reac
     }
 
 
-def _title(scale: Scale, anchor: str, compared: Sequence[Any]) -> str:
-    fewer = sum(row.mean > 0 for row in compared)
+def _title(scale: Scale, anchor: str, compared: pl.DataFrame) -> str:
+    fewer = (compared["mean"] > 0).sum()
     if not fewer:
         return f"{scale.label} against bits per sample"
     return f"At equal {scale.name}, {anchor} needs fewer bits than {fewer} of {len(compared)} other curves"
 
 
 def _first_look(
-    folder: Path, anchor: str, curves: pl.DataFrame, reached: Sequence[Any], rate_hz: float | None
+    folder: Path, anchor: str, curves: pl.DataFrame, reached: pl.DataFrame, rate_hz: float | None
 ) -> dict[str, str] | None:
     """Draw the anchor and known peers for a first look; return the chart's title, None without any such peer."""
     shown = [codec for codec in charts.main_curves(curves) if charts.group_of(codec) != charts.MAIN[0]]
     path = folder / "comparison.svg"
-    percents = [-row.anchor_percent for row in reached if row.codec in shown and row.anchor_percent is not None]
+    percents = (-reached.filter(pl.col("codec").is_in(shown))["anchor_percent"].drop_nulls()).to_list()
     if anchor != charts.MAIN[0] or len(percents) < len(shown) or not shown:
         path.unlink(missing_ok=True)
         return None
@@ -274,20 +266,42 @@ def _first_look(
     return {"title": title, "stem": path.stem}
 
 
-def _bd_rates(folder: Path, measurements: Measurements) -> list[Any]:
-    """Write the BD-rates of all anchors; return the mean ones relative to the first, over all recordings."""
-    rates = comparison.trace_bd_rates(measurements)
-    means = comparison.mean_bd_rates(rates, measurements.kind_of)
-    write_table(folder / "bd_rate_traces.csv", rates)
-    write_table(folder / "bd_rate.csv", means)
-    return as_rows(means.filter(anchor=measurements.anchor, kind=""))
+def _learned(folder: Path, measurements: Measurements) -> dict[str, Any]:
+    """Return the values of the section on trained models: their bits by kind of texture, and what quality costs.
+
+    Empty without trained models.
+    """
+    learned, kinds = measurements.learned, ["", *sorted(set(measurements.kind_of.values()))]
+    if not learned:
+        return {}
+    costs = _written(folder / "prices.csv", comparison.marginal_costs(measurements))
+    write_table(folder / "learned_bd_rate.csv", comparison.rival_bd_rates(measurements))
+    pairs = [(SNR, measurements.anchor, codec) for codec in learned]
+    means = comparison.mean_bd_rates(comparison.pair_bd_rates(measurements, pairs), measurements.kind_of)
+    found = {(row["codec"], row["kind"]): row for row in means.to_dicts()}
+    anchor = REFERENCE if REFERENCE in measurements.anchors else measurements.anchor
+    shown = [*learned, *(other for other in measurements.anchors if other != anchor)]
+    pairs = [(scale, anchor, codec) for codec in shown for scale in LEARNED_SCALES]
+    title = f"Bits of trained models relative to {anchor}: a mark is a recording"
+    rates = comparison.pair_bd_rates(measurements, pairs)
+    chart = charts.Chart("learned_bd_rate_traces", title, rates, tuple(shown))
+    return {
+        "kind_names": [kind or "all" for kind in kinds],
+        "kinds": [
+            (found[codec, ""], [found.get((codec, kind)) for kind in kinds])
+            for codec in learned
+            if (codec, "") in found
+        ],
+        "chart": chart.write(folder, partial(charts.plot_bd_rates, scales=LEARNED_SCALES, kinds=measurements.kind_of)),
+        "marginal_costs": costs.filter(pl.col("gained_db").is_null() | (pl.col("gained_db") > 0)).to_dicts(),
+    }
 
 
-def _anchor_table(measurements: Measurements, means: Sequence[Any]) -> dict[str, Any]:
+def _anchor_table(measurements: Measurements, means: pl.DataFrame) -> dict[str, Any]:
     """Return the mean BD-rates of each codec by quality, and the codecs that have none."""
-    ranked = sorted(means, key=lambda row: (row.quality != SNR.field, row.mean))
-    rows = [{row.quality: row for row in some} for some in by_codec(ranked).values()]
-    with_rates = {measurements.anchor, *(row.codec for row in means)}
+    ranked = means.sort(pl.col("quality") != SNR.field, "mean", maintain_order=True)
+    rows = [{row["quality"]: row for row in own.to_dicts()} for _, own in by(ranked, "codec")]
+    with_rates = {measurements.anchor, *means["codec"]}
     return {"codecs": rows, "missing": [codec for codec in measurements.curves if codec not in with_rates]}
 
 
@@ -299,7 +313,7 @@ def main(out: Path) -> None:
     try:
         description = read_row(folder / "description.csv", Description)
         tables: dict[str, Any] = {name: read_rows(folder / f"{name}.csv", kind) for name, kind in TABLES.items()}
-        write_results(out, Measurements(**tables), description, read_held_out(folder), redrawn=True)
+        write_results(out, Measurements(**tables), description, redrawn=True)
     except OSError as error:
         raise click.ClickException(f"{error.filename}: {error.strerror}; give the --out of a benchmark") from error
     except InputError as error:

@@ -1,17 +1,15 @@
 """Tables of polars: made of rows of dataclasses, taken apart into rows and groups of rows, written as CSV."""
 
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, get_type_hints
 
 import polars as pl
 
 from vibrocast.evaluation.points import Record, Row
 
-Item = TypeVar("Item")
-Key = TypeVar("Key", bound=Hashable)
 _COLUMN_TYPES: Mapping[Any, Any] = {
     str: pl.String,
     int: pl.Int64,
@@ -38,17 +36,9 @@ def as_rows(table: pl.DataFrame) -> list[Any]:
     return [SimpleNamespace(**row) for row in table.iter_rows(named=True)]
 
 
-def grouped(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
-    """Return items by their key, in their order."""
-    groups: dict[Key, list[Item]] = {}
-    for item in items:
-        groups.setdefault(key(item), []).append(item)
-    return groups
-
-
-def by_codec(rows: Iterable[Any]) -> dict[str, list[Any]]:
-    """Return rows by their codec, in their order."""
-    return grouped(rows, lambda row: str(row.codec))
+def by(table: pl.DataFrame, *names: str) -> Iterator[tuple[tuple[Any, ...], pl.DataFrame]]:
+    """Return the values of columns, with the part of a table that has them, in the order of the table."""
+    return iter(table.group_by(*names, maintain_order=True))
 
 
 def write_table(path: Path, table: pl.DataFrame) -> None:

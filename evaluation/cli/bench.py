@@ -203,7 +203,6 @@ def bench(
         imported = read_imported(peers)
         check_imported(peers, found.entries, {entry.name for entry in entries}, own.load)
     results = bench.results_folder(out)
-    held_out = results_page.read_held_out(results)
     write_rows(results / "skipped.csv", found.skipped, dataset.Skipped)
     settings = sum(len(each.settings) for each in chosen)
     tell(
@@ -223,7 +222,7 @@ def bench(
     machine = f"{cpu_name()}; single cells on {cells_on}"
     description = results_page.Description(dataset.printable(data), machine, command_run())
     with progress.bar("drawing") as update:
-        results_page.write_results(out, measurements, description, held_out, update)
+        results_page.write_results(out, measurements, description, update)
     show(measurements)
     show_remarks(chosen, measurements, own)
     tell(
