@@ -85,7 +85,7 @@ def write_results(
     """
     folder = out / "results"
     folder.mkdir(parents=True, exist_ok=True)
-    held_out = read_rows(folder / HELD_OUT, HeldOut) if (folder / HELD_OUT).exists() else []
+    held_out = read_held_out(folder)
     write_rows(folder / "description.csv", [description], Description)
     rates = comparison.trace_bd_rates(measurements)
     write_table(folder / "bd_rate_traces.csv", rates)
@@ -113,6 +113,12 @@ def write_results(
         name=charts.name,
     )
     pages.write_figures(out / "results.md", page, redrawn)
+
+
+def read_held_out(folder: Path) -> list[HeldOut]:
+    """Return the rows of HELD_OUT, none without that file. Raises InputError, OSError."""
+    path = folder / HELD_OUT
+    return read_rows(path, HeldOut) if path.exists() else []
 
 
 def _head(folder: Path, measurements: Measurements) -> dict[str, Any]:

@@ -1,15 +1,17 @@
 """Tables of polars: made of rows of dataclasses, taken apart into rows and groups of rows, written as CSV."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from dataclasses import fields
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, get_type_hints
+from typing import Any, TypeVar, get_type_hints
 
 import polars as pl
 
 from vibrocast.evaluation.points import Record, Row
 
+Item = TypeVar("Item")
+Key = TypeVar("Key", bound=Hashable)
 _COLUMN_TYPES: Mapping[Any, Any] = {
     str: pl.String,
     int: pl.Int64,
@@ -39,6 +41,14 @@ def as_rows(table: pl.DataFrame) -> list[Any]:
 def by(table: pl.DataFrame, *names: str) -> Iterator[tuple[tuple[Any, ...], pl.DataFrame]]:
     """Return the values of columns, with the part of a table that has them, in the order of the table."""
     return iter(table.group_by(*names, maintain_order=True))
+
+
+def grouped(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
+    """Return objects that are no table by their key, in their order."""
+    groups: dict[Key, list[Item]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
+    return groups
 
 
 def write_table(path: Path, table: pl.DataFrame) -> None:
