@@ -209,6 +209,8 @@ class CoreEncoder:
 class CoreDecoder:
     """Decoder of a codec of the core, which calls its functions vc_NAME_...; see codec.interface.Decoder."""
 
+    hosts_only = False
+
     def __init__(self, name: str, configuration: bytes, channels: int, *tables: Any) -> None:
         """Make a decoder from the codec's bytes in the stream header; `tables`: further arguments of its init function.
 

@@ -37,6 +37,7 @@ from vibrocast.codec.interface import (
     Model,
     Parameter,
     RateControl,
+    RatePoints,
     Setting,
     Signal,
     SignalFormat,
@@ -410,6 +411,7 @@ class WholeDecoder:
     """
 
     delay_samples = 0
+    hosts_only = True
 
     def __init__(self, configuration: bytes, channels: int) -> None:
         """Make a decoder from the codec's bytes in the stream header. Raises CodecError when they are not valid."""
@@ -462,8 +464,8 @@ RATE_POINT_LEVELS = (4, 5, 6, 8, 10, 12, 14, 20, 28, 40, 56, 80, 112, 160, 224, 
 RATE_POINT_B0_DB = (24.0, 18.0, 12.0, 8.0, 4.0, 0.0, -4.0, -8.0, -12.0, -18.0, -24.0)
 
 
-def _level_rate_point_set(**fixed: str) -> tuple[Setting, ...]:
-    return tuple({**fixed, "levels": levels} for levels in RATE_POINT_LEVELS)
+def _level_rate_points(**fixed: str) -> RatePoints:
+    return RatePoints(tuple({**fixed, "levels": levels} for levels in RATE_POINT_LEVELS), "threshold" in fixed)
 
 
 CODEC = Codec(
@@ -495,6 +497,7 @@ CODEC = Codec(
             "samples in a block; whole = one transform of a file, for hosts only",
             "512",
             choices=(*map(str, BLOCKS), WHOLE),
+            is_block=True,
         ),
         "limit_hz": Parameter(
             "highest frequency kept; 0 = 400 Hz for heights over time or in whole transforms, else no limit", 0.0, low=0
@@ -505,20 +508,17 @@ CODEC = Codec(
         "dc": Parameter("whether to keep the mean of each block", "keep", choices=("keep", "drop")),
     },
     rate_point_sets={
-        "dct-linear": _level_rate_point_set(),
-        "dct-log": _level_rate_point_set(quantiser="log"),
-        "dct-linear-range": _level_rate_point_set(entropy="range"),
-        "dct-log-range": _level_rate_point_set(quantiser="log", entropy="range"),
-        "dct-threshold": tuple({"levels": MAX_LEVELS, "threshold": "on", "b0_db": b0} for b0 in RATE_POINT_B0_DB),
-        "dct-linear-threshold": _level_rate_point_set(threshold="on"),
-        "dct-log-threshold": _level_rate_point_set(quantiser="log", threshold="on"),
+        "dct-linear": _level_rate_points(),
+        "dct-log": _level_rate_points(quantiser="log"),
+        "dct-linear-range": _level_rate_points(entropy="range"),
+        "dct-log-range": _level_rate_points(quantiser="log", entropy="range"),
+        "dct-threshold": RatePoints(
+            tuple({"levels": MAX_LEVELS, "threshold": "on", "b0_db": b0} for b0 in RATE_POINT_B0_DB), is_physical=True
+        ),
+        "dct-linear-threshold": _level_rate_points(threshold="on"),
+        "dct-log-threshold": _level_rate_points(quantiser="log", threshold="on"),
     },
-    physical_rate_point_sets=frozenset({"dct-threshold", "dct-linear-threshold", "dct-log-threshold"}),
     make_encoder=make_encoder,
     make_decoder=make_decoder,
     controls_rate=True,
-    only_hosts_decode=is_whole,
-    block_parameter="block",
-    # The range coder took fewer bits than the Huffman code on every texture (docs/benchmarks/results.md).
-    planned_setting={"entropy": "range"},
 )

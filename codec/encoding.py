@@ -390,8 +390,8 @@ def _no_model(chosen: Codec) -> models.ModelError:
 
 def brings_built_in_tables(model: models.Model) -> bool:
     """Return whether a model's tables equal its codec's built-in ones. Raises CodecError for an unknown codec."""
-    built_in_tables = codec_by_identifier(model.codec_identifier).built_in_tables
-    return built_in_tables is not None and model.tables == built_in_tables()
+    tables = codec_by_identifier(model.codec_identifier).tables
+    return tables is not None and tables.built_in is not None and model.tables == tables.built_in()
 
 
 def _tell_of_part(progress: Progress, begun: float, share: float, done: float) -> None:

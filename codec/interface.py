@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
@@ -40,7 +40,8 @@ class Parameter:
     """One parameter of a codec: its meaning, its default, its allowed values.
 
     A value is one of the words in `choices`; or any text, if `text`; or a number from `low` to `high`, a whole one if
-    `whole`. With `per_channel` it may also be a tuple of such numbers, one for each channel.
+    `whole`. With `per_channel` it may also be a tuple of such numbers, one for each channel. `is_block`: whether it is
+    the length of a block in samples.
     """
 
     meaning: str
@@ -51,6 +52,7 @@ class Parameter:
     choices: tuple[str, ...] = ()
     text: bool = False
     per_channel: bool = False
+    is_block: bool = False
 
     def checked(self, name: str, value: Value) -> Value:
         """Return the value, converted if it is a number in text.
@@ -269,6 +271,10 @@ class Decoder(Protocol):
     def delay_samples(self) -> int:
         """Samples per channel by which the decoded signal lags the encoder's input."""
 
+    @property
+    def hosts_only(self) -> bool:
+        """Whether no controller decodes such a stream."""
+
     def decode(self, packet: bytes) -> Decoded:
         """Decode the next packet; return int16 samples (packet_samples, channels), 32768 = full scale.
 
@@ -295,6 +301,49 @@ class LearnedTransform:
 
 
 @dataclass(frozen=True)
+class ModelTables:
+    """How a codec decodes with the tables of a model, the payload of its image. All but `built_in` raise CodecError.
+
+    `check`: raises it for a payload that decoders reject. `built_in`: returns the built-in tables; None = a model is
+    needed. `with_runtime`: returns a payload that one of RUNTIMES decodes. `runtime_of`: returns which of RUNTIMES
+    decodes a payload. `learned_transform`: describes the transform of a payload.
+    """
+
+    check: Callable[[bytes], None]
+    built_in: Callable[[], bytes] | None = None
+    with_runtime: Callable[[bytes, str], bytes] | None = None
+    runtime_of: Callable[[bytes], str] = lambda payload: "core"
+    learned_transform: Callable[[bytes], LearnedTransform | None] = lambda payload: None
+
+
+@dataclass(frozen=True)
+class Steps:
+    """How a search varies the steps of a codec's quantiser, and `rd_weight` too, if there is one.
+
+    `parameter`: to which the steps of a channel are proportional, relative to its RMS value. `range`: returns the
+    smallest and the largest for a format. `estimate`: called with samples in their unit, the format, the complete
+    setting and the model. Returns an estimate of coding them, where the search can begin; None = the codec has none.
+    """
+
+    parameter: str
+    range: Callable[[SignalFormat], tuple[float, float]]
+    estimate: Callable[[Signal, SignalFormat, Setting, Model | None], Estimate] | None = None
+
+
+@dataclass(frozen=True)
+class RatePoints:
+    """A curve of settings, the coarsest first; defaults complete them.
+
+    `is_physical`: whether it needs a signal in a physical unit. `is_variant`: whether a benchmark measures it only
+    where it names it.
+    """
+
+    settings: tuple[Setting, ...]
+    is_physical: bool = False
+    is_variant: bool = False
+
+
+@dataclass(frozen=True)
 class Codec:
     """A codec: its name, its parameters, and how to make encoders and decoders.
 
@@ -305,76 +354,53 @@ class Codec:
         identifier: The number in stream headers.
         summary: One line for `vibrocast codecs`.
         parameters: The parameters of a setting by name.
-        rate_point_sets: Named curves of settings ("rate points"), the coarsest first; defaults fill a rate point. A
-            search for an SNR or a rate uses the first curve, and goes between its points where a fraction varies.
+        rate_point_sets: Curves by name. A search for an SNR or a rate uses the first one, and goes between its points
+            where a fraction varies.
         make_encoder: Called with the complete setting, the format, the framing, the model and the rate control. The
             rate control chooses the quality of each packet; None: all packets have that of the setting.
         make_decoder: Called with the configuration, the number of channels and the tables; None: built-in tables.
-        resolve: Called with the samples of a file in their unit, the format, the model, and the words in the complete
-            setting. Returns the parameters that are "auto" among these; None where no signal decides on them.
-        check_tables: Raises CodecError for the payload of a model image that decoders reject; None where no model
-            brings tables.
-        built_in_tables: Returns the built-in tables, where a model may replace them.
-        with_runtime: Returns a payload that one of RUNTIMES decodes. Raises CodecError; None where there is no
-            choice.
-        runtime_of: Returns which of RUNTIMES decodes a payload. Raises CodecError; None where there is no choice.
+        resolve: Called with the samples of a file in their unit, or None for a live stream of the least delay; the
+            format, the model, and the words in the complete setting. Returns the parameters that are "auto" among
+            these; None where no signal decides on them.
+        tables: What a model brings; None where no model brings tables.
+        steps: The steps of the quantiser; None = a search uses rate points.
         repack: Called with the configuration, the number of channels, the tables, the packets and the most samples of
             a packet. Returns the configuration and the packets of the same signal with such packets. Raises CodecError,
             and StreamError for a malformed packet; None where the layout does not allow it.
-        learned_transform: Describes the transform of a model; None where there is none.
-        physical_rate_point_sets: The curves that need a signal in a physical unit.
-        named_rate_point_sets: The curves that a benchmark measures only where it names them.
-        needs_model: Whether there are no built-in tables.
         controls_rate: Whether encoders take a rate control.
         keeps_waveform: Whether decoded samples come near the input, so that an SNR can be a target.
-        step_parameter: The parameter to which the quantiser's steps of a channel are proportional, relative to its
-            RMS value; None where steps do not differ by channel.
-        step_range: Returns the smallest and the largest step of a search for a format. The search then varies
-            `rd_weight` too, if there is one. None: the search uses rate points.
-        estimate: Called with samples in their unit, the format, the complete setting and the model. Returns an estimate
-            of coding them, by the step, where a search for a step can begin; None where the codec has none.
         forget: Drops what encoders keep of a signal for their next trial with it; called before each new signal.
-        only_hosts_decode: Called with a configuration. Returns whether no controller decodes such a stream.
-        block_parameter: The parameter that is the length of a block in samples; None where there is one length only.
-        shape_parameter: The parameter that shapes the steps over frequency (codec/shaping.py); None without one.
-        live_setting: Called with the rate in Hz. Returns what a live stream has in place of defaults, for the least
-            delay.
-        planned_setting: Parameters whose best value is known, so that the planner does not vary them.
     """
 
     name: str
     identifier: int
     summary: str
     parameters: Mapping[str, Parameter]
-    rate_point_sets: Mapping[str, tuple[Setting, ...]]
+    rate_point_sets: Mapping[str, RatePoints]
     make_encoder: Callable[[Setting, SignalFormat, Framing, Model | None, RateControl | None], Encoder]
     make_decoder: Callable[[bytes, int, bytes | None], Decoder]
-    resolve: Callable[[Signal, SignalFormat, Model | None, Setting], Setting] | None = None
-    check_tables: Callable[[bytes], None] | None = None
-    built_in_tables: Callable[[], bytes] | None = None
-    with_runtime: Callable[[bytes, str], bytes] | None = None
-    runtime_of: Callable[[bytes], str] | None = None
+    resolve: Callable[[Signal | None, SignalFormat, Model | None, Setting], Setting] | None = None
+    tables: ModelTables | None = None
+    steps: Steps | None = None
     repack: Callable[[bytes, int, bytes | None, Sequence[bytes], int], tuple[bytes, list[bytes]]] | None = None
-    learned_transform: Callable[[bytes], LearnedTransform] | None = None
-    physical_rate_point_sets: frozenset[str] = frozenset()
-    named_rate_point_sets: frozenset[str] = frozenset()
-    needs_model: bool = False
     controls_rate: bool = False
     keeps_waveform: bool = True
-    step_parameter: str | None = None
-    step_range: Callable[[SignalFormat], tuple[float, float]] | None = None
-    estimate: Callable[[Signal, SignalFormat, Setting, Model | None], Estimate] | None = None
     forget: Callable[[], None] = lambda: None
-    only_hosts_decode: Callable[[bytes], bool] = lambda configuration: False
-    block_parameter: str | None = None
-    shape_parameter: str | None = None
-    live_setting: Callable[[int], Setting] = lambda rate_hz: {}
-    planned_setting: Setting = field(default_factory=dict)
 
     @property
-    def takes_model(self) -> bool:
-        """Whether a model may bring the tables."""
-        return self.check_tables is not None
+    def needs_model(self) -> bool:
+        """Whether there are no built-in tables."""
+        return self.tables is not None and self.tables.built_in is None
+
+    @property
+    def rate_points(self) -> tuple[Setting, ...]:
+        """The settings of the first curve."""
+        return next(iter(self.rate_point_sets.values())).settings
+
+    @property
+    def block_parameter(self) -> str | None:
+        """The parameter that is the length of a block in samples; None where there is one length only."""
+        return next((name for name, parameter in self.parameters.items() if parameter.is_block), None)
 
     @property
     def blocks(self) -> tuple[str, ...]:
@@ -385,7 +411,7 @@ class Codec:
     @property
     def one_rate_a_model(self) -> bool:
         """Whether each model is one rate point: a model is needed, and there is one setting."""
-        return self.needs_model and len(next(iter(self.rate_point_sets.values()))) == 1
+        return self.needs_model and len(self.rate_points) == 1
 
     def block_setting(self, block: str | None) -> Setting:
         """Return the part of a setting that chooses one of `blocks`; None leaves the choice open."""
@@ -399,8 +425,7 @@ class Codec:
 
     def leaves_open(self, setting: Setting) -> bool:
         """Return whether a setting leaves out a parameter that the first curve of rate points varies."""
-        rate_point_set = next(iter(self.rate_point_sets.values()))
-        return any(name not in setting for rate_point in rate_point_set for name in rate_point)
+        return any(name not in setting for rate_point in self.rate_points for name in rate_point)
 
     def complete(self, setting: Setting) -> Setting:
         """Return a setting, checked, with the defaults of the parameters that it leaves out.
@@ -410,6 +435,18 @@ class Codec:
         """
         defaults = {name: parameter.default for name, parameter in self.parameters.items()}
         return {**defaults, **self.checked(setting)}
+
+    def live(self, setting: Setting, signal_format: SignalFormat, model: Model | None) -> Setting:
+        """Return a setting, completed for a live stream of the least delay. Raises CodecError as `complete`."""
+        complete = self.complete(setting)
+        if self.resolve is None or AUTO not in complete.values():
+            return complete
+        return chosen(complete, self.resolve(None, signal_format, model, complete))
+
+
+def chosen(setting: Setting, choice: Setting) -> Setting:
+    """Return a setting with a choice in place of what is "auto"."""
+    return {name: choice[name] if value == AUTO else value for name, value in setting.items()}
 
 
 def reject_rate_control(name: str, rate_control: RateControl | None) -> None:

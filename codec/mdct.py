@@ -26,11 +26,14 @@ from vibrocast.codec.interface import (
     Estimate,
     Framing,
     Model,
+    ModelTables,
     Parameter,
     RateControl,
+    RatePoints,
     Setting,
     Signal,
     SignalFormat,
+    Steps,
     number,
     numbers,
     word,
@@ -277,13 +280,15 @@ def check_tables(tables: bytes) -> None:
     _tables_arguments(tables)
 
 
-def resolve(samples: Signal, signal_format: SignalFormat, model: Model | None, words: Setting) -> Setting:
+def resolve(samples: Signal | None, signal_format: SignalFormat, model: Model | None, words: Setting) -> Setting:
     """Choose the hop and the rotation of a file by the built-in tables; see codec.interface.Codec.
 
     The hop has the least squared error + lambda * bits, as in the encoder's search, by an estimate at half the RMS
     value. On the development recordings, an estimate chooses as well as coding with each hop does. Rotations that save
-    bits by estimate are coded, at a step of the RMS value.
+    bits by estimate are coded, at a step of the RMS value. A live stream of the least delay has half of its usual hop.
     """
+    if samples is None:
+        return {"hop": str(hop_samples(signal_format.rate_hz) // 2), "rotation": NONE}
     normalised = samples[:_RESOLVING_SAMPLES] / np.array(signal_format.gains)
     steps = np.array(signal_format.rms)
 
@@ -488,6 +493,9 @@ def repack(
     return configuration, written
 
 
+_RATE_POINT_STEPS = tuple(2 ** (exponent / 2) for exponent in range(4, -14, -1))
+"""From 2 dB of SNR to 42 dB, roughly."""
+
 CODEC = Codec(
     name=NAME,
     identifier=IDENTIFIER,
@@ -501,6 +509,7 @@ CODEC = Codec(
             "samples from block to block; auto = by rate for live streams, by signal for files",
             AUTO,
             choices=(AUTO, *map(str, HOPS)),
+            is_block=True,
         ),
         "rotation": Parameter(
             "mixes the channels: auto = by signal for files, none for live streams; or a section in hexadecimal",
@@ -516,22 +525,16 @@ CODEC = Codec(
             text=True,
         ),
     },
-    # From 2 dB of SNR to 42 dB, roughly. The second set has the delay of a live stream at 2800 Hz.
+    # The second set has the delay of a live stream at 2800 Hz.
     rate_point_sets={
-        NAME: tuple({"step": 2 ** (exponent / 2)} for exponent in range(4, -14, -1)),
-        f"{NAME}-live": tuple({"step": 2 ** (exponent / 2), "hop": "32"} for exponent in range(4, -14, -1)),
+        NAME: RatePoints(tuple({"step": step} for step in _RATE_POINT_STEPS)),
+        f"{NAME}-live": RatePoints(tuple({"step": step, "hop": "32"} for step in _RATE_POINT_STEPS)),
     },
     make_encoder=make_encoder,
     make_decoder=MdctDecoder,
     resolve=resolve,
-    check_tables=check_tables,
-    built_in_tables=built_in_tables,
+    tables=ModelTables(check_tables, built_in_tables),
+    steps=Steps("step", lambda signal_format: (MIN_STEP, MAX_STEP / min(signal_format.rms)), estimate),
     repack=repack,
     controls_rate=True,
-    step_parameter="step",
-    step_range=lambda signal_format: (MIN_STEP, MAX_STEP / min(signal_format.rms)),
-    estimate=estimate,
-    block_parameter="hop",
-    shape_parameter="shape",
-    live_setting=lambda rate_hz: {"hop": str(hop_samples(rate_hz) // 2)},
 )

@@ -15,6 +15,7 @@ from vibrocast.codec.interface import (
     Model,
     Parameter,
     RateControl,
+    RatePoints,
     Setting,
     Signal,
     SignalFormat,
@@ -337,7 +338,7 @@ CODEC = Codec(
     parameters={
         "bands": Parameter("width of the bands of the spectral envelope", "half octave", choices=BANDS),
         "step_db": Parameter("step of all levels, in dB", "3", choices=LEVEL_STEPS_DB),
-        "hop": Parameter("samples in a block", "64", choices=tuple(map(str, HOPS))),
+        "hop": Parameter("samples in a block", "64", choices=tuple(map(str, HOPS)), is_block=True),
         "frame": Parameter("blocks from one envelope to the next", "8", choices=_POWERS),
         "interval": Parameter("blocks for each level over time, at most a frame", "2", choices=_POWERS),
         "harmonics": Parameter(
@@ -346,16 +347,17 @@ CODEC = Codec(
     },
     # From 35 bit/s to 400 bit/s at 2800 Hz, roughly.
     rate_point_sets={
-        NAME: (
-            _rate_point("octave", "6", 32, 32, 0),
-            _rate_point("half octave", "6", 16, 8, 4),
-            _rate_point("half octave", "3", 16, 4, 8),
-            _rate_point("half octave", "3", 8, 2, 8),
-            _rate_point("third octave", "3", 8, 1, 8),
+        NAME: RatePoints(
+            (
+                _rate_point("octave", "6", 32, 32, 0),
+                _rate_point("half octave", "6", 16, 8, 4),
+                _rate_point("half octave", "3", 16, 4, 8),
+                _rate_point("half octave", "3", 8, 2, 8),
+                _rate_point("third octave", "3", 8, 1, 8),
+            )
         )
     },
     make_encoder=make_encoder,
     make_decoder=make_decoder,
     keeps_waveform=False,
-    block_parameter="hop",
 )

@@ -16,6 +16,7 @@ from vibrocast.codec.interface import (
     Model,
     Parameter,
     RateControl,
+    RatePoints,
     Setting,
     Signal,
     SignalFormat,
@@ -157,7 +158,7 @@ def adapted(plugin: BlockCodec) -> Codec:
         identifier=IDENTIFIER,
         summary=plugin.summary,
         parameters={"quality": quality},
-        rate_point_sets={name: tuple({"quality": quality} for quality in qualities)},
+        rate_point_sets={name: RatePoints(tuple({"quality": quality} for quality in qualities))},
         make_encoder=make_encoder,
         make_decoder=make_decoder,
     )
@@ -205,6 +206,7 @@ class PluginDecoder:
     """Decoder of another package's codec; see codec.interface.Decoder."""
 
     delay_samples = 0
+    hosts_only = False
 
     def __init__(self, plugin: BlockCodec, configuration: bytes, channels: int) -> None:
         """Make a decoder from the codec's bytes in the stream header. Raises CodecError when they are not valid."""

@@ -94,8 +94,8 @@ def decoder(
     """
     codec = codec_by_identifier(identifier, configuration)
     check_model(codec, tables is not None)
-    if runtime is not None and tables is not None and codec.with_runtime is not None:
-        tables = codec.with_runtime(tables, runtime)
+    if runtime is not None and tables is not None and codec.tables is not None and codec.tables.with_runtime:
+        tables = codec.tables.with_runtime(tables, runtime)
     return codec.make_decoder(configuration, channels, tables)
 
 
@@ -103,13 +103,13 @@ def check_tables(identifier: int, tables: bytes) -> None:
     """Raise CodecError for the payload of a model image that a codec's decoders reject."""
     codec = codec_by_identifier(identifier)
     check_model(codec, given=True)
-    assert codec.check_tables is not None, f"{codec.name} takes a model"
-    codec.check_tables(tables)
+    assert codec.tables is not None, f"{codec.name} takes a model"
+    codec.tables.check(tables)
 
 
 def check_model(codec: Codec, given: bool) -> None:
     """Raise CodecError where a codec takes no model and one is given, or needs one."""
-    if given and not codec.takes_model:
+    if given and codec.tables is None:
         raise CodecError(f"the codec {codec.name} takes no model image; leave it out")
     if codec.needs_model and not given:
         raise CodecError(f"the codec {codec.name} needs a model; give one of its model images")

@@ -24,6 +24,7 @@ from vibrocast.codec.interface import (
     Model,
     Parameter,
     RateControl,
+    RatePoints,
     Setting,
     Signal,
     SignalFormat,
@@ -289,7 +290,7 @@ CODEC = Codec(
     summary="closed-loop sparse linear prediction, DCT of the residual with perceptual steps, range coding",
     parameters={
         "quality": Parameter("quality level; 0 is the coarsest", 16, low=0, high=LEVELS - 1, whole=True),
-        "frame": Parameter("samples per frame", "64", choices=tuple(map(str, FRAMES))),
+        "frame": Parameter("samples per frame", "64", choices=tuple(map(str, FRAMES)), is_block=True),
         "order": Parameter("order of the predictor; 0 = no prediction", 8, low=0, high=MAX_ORDER, whole=True),
         "shaping": Parameter("how far the error follows the detection threshold; 0 = white error", 0.1, low=0, high=1),
         "contexts": Parameter(
@@ -302,13 +303,11 @@ CODEC = Codec(
         ),
     },
     rate_point_sets={
-        name: tuple({"quality": quality, **given} for quality in range(LEVELS))
+        name: RatePoints(tuple({"quality": quality, **given} for quality in range(LEVELS)), is_variant=name != NAME)
         for name, given in {NAME: {}, **VARIANTS}.items()
     },
-    named_rate_point_sets=frozenset(VARIANTS),
     make_encoder=make_encoder,
     make_decoder=make_decoder,
     controls_rate=True,
     forget=_predictors.cache_clear,
-    block_parameter="frame",
 )

@@ -21,6 +21,7 @@ from vibrocast.codec.interface import (
     Setting,
     Signal,
     SignalFormat,
+    chosen,
     number,
     parts,
     peak_of,
@@ -174,6 +175,7 @@ class Source:
             raise CodecError("the signal holds NaN or infinity; repair the recording first")
         known = codec_by_name(codec)
         check_model(known, model is not None)
+        known.forget()
         if framing is None:
             framing = live_framing(rate_hz) if live else file_framing(known, len(samples), rate_hz, samples.shape[1])
         gains = tuple(gain_for(peak_of(channel)) for channel in samples.T)
@@ -235,7 +237,7 @@ class Source:
 
     def _clips(self, coded: Stream) -> bool:
         """Return whether the peak of a stream that only hosts decode reaches full scale, which can be raised."""
-        if not self.codec.only_hosts_decode(coded.header.configuration) or 2 * max(coded.header.gains) > MAX_GAIN:
+        if not coded.decoder().hosts_only or 2 * max(coded.header.gains) > MAX_GAIN:
             return False
         decoded = coded.decode_integers()
         return max(int(decoded.max()), -int(decoded.min())) >= 32_767
@@ -272,9 +274,9 @@ class Source:
         Leaves out those that the codec rejects. If it rejects all, returns all: the first one then raises the error.
         Raises CodecError for an invalid part.
         """
-        given, rate_point_set = self.codec.checked(given), next(iter(self.codec.rate_point_sets.values()))
+        given = self.codec.checked(given)
         rate_points: list[Setting] = []
-        for rate_point in ({**rate_point, **given} for rate_point in rate_point_set):
+        for rate_point in ({**rate_point, **given} for rate_point in self.codec.rate_points):
             if rate_point not in rate_points:
                 rate_points.append(rate_point)
         return [rate_point for rate_point in rate_points if self._takes(rate_point)] or rate_points
@@ -295,15 +297,19 @@ class Source:
             return setting
         words = tuple(sorted((name, value) for name, value in setting.items() if isinstance(value, str)))
         choice = (self.whole or self)._choice(words)
-        return {name: choice[name] if value == AUTO else value for name, value in setting.items()}
+        return chosen(setting, choice)
 
     def estimate(self, given: Setting) -> Estimate | None:
         """Return an estimate of coding with a part of the setting, by the step; None where the codec has none."""
-        if self.codec.estimate is None:
+        estimate_part = None if self.codec.steps is None else self.codec.steps.estimate
+        if estimate_part is None:
             return None
         setting, count = self.resolved(given), len(self.samples)
         estimates = [
-            (len(self.samples[part]) / count, self.codec.estimate(self.samples[part], self.format, setting, self.model))
+            (
+                len(self.samples[part]) / count,
+                estimate_part(self.samples[part], self.format, setting, self.model),
+            )
             for part in parts(count)
         ]
 

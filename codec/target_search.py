@@ -199,7 +199,7 @@ def encode_to_rate(source: Source, bits_per_second: float, setting: Setting | No
 
 def _search(source: Source, target: _Target, setting: Setting) -> _Trial:
     """Return the trial that a target prefers, over the quantiser's steps or, if there are none, over rate points."""
-    if source.codec.step_range and source.codec.step_parameter not in setting:
+    if source.codec.steps is not None and source.codec.steps.parameter not in setting:
         search = _StepSearch(source, target, source.codec.checked(setting))
         found = search.found()
         return search.balanced(found) if isinstance(target, _SnrTarget) and source.format.channels > 1 else found
@@ -214,9 +214,9 @@ class _StepSearch:
 
     def __init__(self, source: Source, target: _Target, given: Setting) -> None:
         codec = source.codec
-        assert codec.step_parameter and codec.step_range, "its steps can be searched"
-        self._source, self._target, self._given, self._name = source, target, given, codec.step_parameter
-        self._range = codec.step_range(source.format)
+        assert codec.steps is not None, "its steps can be searched"
+        self._source, self._target, self._given, self._name = source, target, given, codec.steps.parameter
+        self._range = codec.steps.range(source.format)
         self._places = tuple(round(_STEPS_PER_OCTAVE * math.log2(limit)) for limit in self._range)
         searches_weight = "rd_weight" in codec.parameters and "rd_weight" not in given
         self._rd_weights: Sequence[float | None] = _RD_WEIGHTS if searches_weight else (None,)

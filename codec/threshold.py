@@ -34,7 +34,8 @@ _SITE = "detection_threshold_"
 NODES = (0.0, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0)
 """The frequencies of a shape, in parts of half the rate. Between them it is linear over frequency."""
 MAX_OCTAVES = 2.7
-FLAT = "flat"
+SHAPE, FLAT = "shape", "flat"
+"""The parameter, of codecs that have shapes, and its value for none."""
 DEFAULT_TOUCH = 0.25
 """The strength of the shape for signals in a physical unit; docs/explanation/decisions/touch.md says why."""
 _MOST_OVER_250_HZ_DB = 10.0
@@ -322,14 +323,14 @@ def shape_setting(
     given; a shape in it stands before the default. Raises CodecError as `touch_shape`, where both a strength
     and a shape are given, and for a strength above 0 of a codec without shapes.
     """
-    has_shapes = codec.shape_parameter is not None
-    given = has_shapes and codec.shape_parameter in (setting or {})
+    has_shapes = SHAPE in codec.parameters
+    given = has_shapes and SHAPE in (setting or {})
     if touch is None:
         touch = DEFAULT_TOUCH if has_shapes and not given and unit in PHYSICAL_UNITS else 0.0
     elif given:
         raise CodecError("a strength of touch and a shape are both given; give one of them")
-    if touch == 0 or codec.shape_parameter is None:
+    if touch == 0 or not has_shapes:
         if touch != 0:
             raise CodecError(f"{codec.name} cannot shape its error for touch; choose mdct, or a touch of 0")
         return {}
-    return {codec.shape_parameter: shape_text(touch_shape(touch, rate_hz, unit))}
+    return {SHAPE: shape_text(touch_shape(touch, rate_hz, unit))}

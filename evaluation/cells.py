@@ -167,16 +167,11 @@ def methods(
     set of rate points.
     """
     of_codecs = [
-        Method(
-            rate_point_set,
-            settings,
-            known.name,
-            rate_point_set in known.physical_rate_point_sets and rate_point_set not in names,
-        )
+        Method(rate_point_set, points.settings, known.name, points.is_physical and rate_point_set not in names)
         for known in measured_codecs().values()
         if not known.needs_model
-        for rate_point_set, settings in known.rate_point_sets.items()
-        if rate_point_set not in known.named_rate_point_sets or rate_point_set in names
+        for rate_point_set, points in known.rate_point_sets.items()
+        if not points.is_variant or rate_point_set in names
     ]
     taken = {*measured_codecs(), *(method.name for method in of_codecs)}
     every = [*of_codecs, *families(models)]

@@ -20,6 +20,7 @@ from vibrocast.codec.interface import (
     Model,
     Parameter,
     RateControl,
+    RatePoints,
     Setting,
     Signal,
     SignalFormat,
@@ -152,6 +153,8 @@ class LibavEncoder:
 class LibavDecoder:
     """Decoder of all these codecs; see codec.interface.Decoder. It takes what the encoder has just made."""
 
+    hosts_only = False
+
     def __init__(self, library: Library, configuration: bytes, channels: int) -> None:
         """Make a decoder from the encoder's configuration. Raises CodecError if libav is missing."""
         self._library = library
@@ -277,7 +280,8 @@ def _codec(
     def make_decoder(configuration: bytes, channels: int, tables: bytes | None) -> LibavDecoder:
         return LibavDecoder(library, configuration, channels)
 
-    return Codec(name, identifier, summary, parameters, {name: rate_point_set}, make_encoder, make_decoder)
+    rate_point_sets = {name: RatePoints(rate_point_set)}
+    return Codec(name, identifier, summary, parameters, rate_point_sets, make_encoder, make_decoder)
 
 
 CODECS = (

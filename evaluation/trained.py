@@ -41,7 +41,7 @@ def rate_point_set(model: Model) -> list[Setting]:
     Of a model that no encoder takes the first, so that the reason stands among the failures.
     """
     known = codec.CODECS[codec_name(model)]
-    every = next(iter(known.rate_point_sets.values()))
+    every = known.rate_points
     different: dict[bytes, Setting] = {}
     for setting in every:
         with suppress(CodecError):
@@ -52,13 +52,13 @@ def rate_point_set(model: Model) -> list[Setting]:
 
 def runtimes(model: Model) -> tuple[str, ...]:
     """Return which of codec.RUNTIMES can decode with a model; "" where there is no choice."""
-    switched = codec.CODECS[codec_name(model)].with_runtime
-    if switched is None:
+    tables = codec.CODECS[codec_name(model)].tables
+    if tables is None or tables.with_runtime is None:
         return ("",)
     found = []
     for runtime in codec.RUNTIMES:
         with suppress(CodecError):
-            switched(model.tables, runtime)
+            tables.with_runtime(model.tables, runtime)
             found.append(runtime)
     return tuple(found)
 
@@ -76,5 +76,5 @@ def flash_bytes(model: Model) -> int:
 
 
 def _learned_transform(model: Model) -> LearnedTransform | None:
-    describe = codec.CODECS[codec_name(model)].learned_transform
-    return None if describe is None else describe(model.tables)
+    tables = codec.CODECS[codec_name(model)].tables
+    return None if tables is None else tables.learned_transform(model.tables)

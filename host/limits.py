@@ -98,12 +98,12 @@ def carried(stream: Stream) -> Stream:
     The error of that is CARRIED_STEP / sqrt(12) of the RMS value. Raises CodecError, StreamError.
     """
     header, chosen = stream.header, codec.codec_by_name(codec.DEFAULT_CODEC)
-    assert chosen.step_parameter is not None, "the default codec has steps"
+    assert chosen.steps is not None, "the default codec has steps"
     decoded = textures.Recording(stream.decode(), header.rate_hz, "um" if header.spatial else header.unit, "decoded")
     return encode_recording(
         decoded,
         header.rate_hz,
-        setting={chosen.step_parameter: CARRIED_STEP},
+        setting={chosen.steps.parameter: CARRIED_STEP},
         live=True,
         unit=header.unit,
         highpass_hz=None,
@@ -113,8 +113,7 @@ def carried(stream: Stream) -> Stream:
 
 def playable(stream: Stream) -> Stream:
     """Return a stream that controllers decode: itself, or `carried`, where only hosts decode it. Raises as that."""
-    chosen = codec.codec_by_identifier(stream.header.codec_identifier, stream.header.configuration)
-    return carried(stream) if chosen.only_hosts_decode(stream.header.configuration) else stream
+    return carried(stream) if stream.decoder().hosts_only else stream
 
 
 def _shorter_packets(stream: Stream, chosen: codec.Codec) -> str:
@@ -157,7 +156,7 @@ def _lighter(controller: Controller, header: StreamHeader, limit: int) -> Iterat
     signal_format = codec.SignalFormat(header.rate_hz, header.unit, header.gains, once)
 
     def cycles_per_s(chosen: codec.Codec, model: models.Model | None) -> int:
-        setting, framing = chosen.complete(chosen.live_setting(header.rate_hz)), codec.live_framing(header.rate_hz)
+        setting, framing = chosen.live({}, signal_format, model), codec.live_framing(header.rate_hz)
         encoder = chosen.make_encoder(setting, signal_format, framing, model, None)
         tables = None if model is None else model.tables
         return header.rate_hz * decoding_cycles(chosen.identifier, encoder.configuration, header.channels, tables)

@@ -153,8 +153,10 @@ class LiveStream:
         self._codec, self._model = chosen_codec(coding.codec_name, coding.model), coding.model
         given = coding.setting or {}
         shape = codec.shape_setting(self._codec, coding.touch, signal_format.rate_hz, signal_format.unit, given)
-        defaults = {} if policy else self._codec.live_setting(signal_format.rate_hz)
-        self.setting = self._codec.complete({**defaults, **shape, **given})
+        setting = {**shape, **given}
+        self.setting = (
+            self._codec.complete(setting) if policy else self._codec.live(setting, signal_format, self._model)
+        )
         self._target_bps = policy.bits_per_second if policy else None
         # To how many samples it is rounded up, an encoder says.
         encoder = self._make_encoder(codec.Framing(self._packet_samples(coding.packet_samples, coding.max_packet_s), 1))

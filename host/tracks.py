@@ -229,6 +229,7 @@ def _cut(recording: textures.Recording, options: TrackOptions) -> textures.Recor
 
 def _recoded(recording: textures.Recording) -> GrowingStream:
     """Return what was decoded, coded again with an error far below the first one's. Raises CodecError."""
-    step = codec.codec_by_name(codec.DEFAULT_CODEC).step_parameter
-    assert step is not None, "the default codec has steps"
-    return begin_encoding(recording, round(recording.rate_hz), setting={step: CARRIED_STEP}, highpass_hz=None, touch=0)
+    steps = codec.codec_by_name(codec.DEFAULT_CODEC).steps
+    assert steps is not None, "the default codec has steps"
+    setting = {steps.parameter: CARRIED_STEP}
+    return begin_encoding(recording, round(recording.rate_hz), setting=setting, highpass_hz=None, touch=0)

@@ -10,7 +10,7 @@ from vibrocast.codec import Codec, CodecError, Framing, Setting, Signal, Source,
 from vibrocast.codec.encoding import Encoding, families
 from vibrocast.codec.rate_control import DEFAULT_RATE_BUFFER_S, RateTarget, added_bytes
 from vibrocast.codec.source import LIVE_REFRESH_S
-from vibrocast.codec.threshold import DEFAULT_TOUCH, FLAT, read_threshold
+from vibrocast.codec.threshold import DEFAULT_TOUCH, FLAT, SHAPE, read_threshold
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT, StreamHeader
 from vibrocast.errors import InputError, located
 from vibrocast.firmware.native_core import library
@@ -33,6 +33,9 @@ from vibrocast.textures import Profile, Recording
 PACKET_BLOCKS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
 DEFAULT_BLOCK_SAMPLES = 32
 """Of codecs with one block length; their packets are rounded up to whole blocks of their own."""
+_PLANNED = {"entropy": "range"}
+"""Parameters, of codecs that have them, whose best value is known: the range coder took fewer bits than the Huffman
+code on every texture (docs/benchmarks/results.md)."""
 MAX_PACKET_S = LIVE_REFRESH_S
 MEASURED_SAMPLES = 1 << 14
 """Samples of all channels on which candidates are compared: those of most energy in a longer texture."""
@@ -80,8 +83,9 @@ class CodingOption:
     @property
     def given(self) -> Setting:
         """The part of the setting that the option fixes; a strength of touch replaces the shape of the steps."""
-        flat = {self._known.shape_parameter: FLAT} if self._known.shape_parameter else {}
-        return {**self._known.planned_setting, **self._known.block_setting(self.block), **flat}
+        known = {**_PLANNED, SHAPE: FLAT}
+        given = {name: value for name, value in known.items() if name in self._known.parameters}
+        return {**given, **self._known.block_setting(self.block)}
 
     @property
     def _known(self) -> Codec:
@@ -231,7 +235,7 @@ class Evaluator:
                 continue
             shipped = [members[0].family for members in families(each)]
             names = shipped if each.needs_model else [None, *shipped]
-            shapes = each.shape_parameter is not None and not self.over_position
+            shapes = SHAPE in each.parameters and not self.over_position
             touches = (0.0, *(_TOUCHES.get(self._measure, ()) if shapes else ()))
             found += [
                 CodingOption(name, family, block, touch)

@@ -38,7 +38,8 @@ class PythonDecoders:
 
     def _check_tables(self, context: Any, identifier: int, tables: Any, length: int, rejection: Any) -> int:
         try:
-            if codec.codec_by_identifier(identifier).with_runtime is None:
+            known = codec.codec_by_identifier(identifier).tables
+            if known is None or known.with_runtime is None:
                 return int(self._library.VC_NOT_BY_CALLBACKS)
             codec.check_tables(identifier, bytes(self._ffi.buffer(tables, length)))
         except CodecError as error:
@@ -52,9 +53,11 @@ class PythonDecoders:
                 raise CodecError(
                     f"no controller decodes {known.name}, a codec that is only compared with; choose another"
                 )
-            if tables is not None and self._runtime is not None and known.with_runtime is not None:
-                tables = known.with_runtime(tables, self._runtime)
-            runtime = known.runtime_of(tables) if tables is not None and known.runtime_of is not None else "core"
+            runtime = "core"
+            if tables is not None and known.tables is not None:
+                if self._runtime is not None and known.tables.with_runtime is not None:
+                    tables = known.tables.with_runtime(tables, self._runtime)
+                runtime = known.tables.runtime_of(tables)
             if self._library.vc_codec_is_in_c(coding.codec) and runtime == "core":
                 return int(self._library.VC_NOT_BY_CALLBACKS)
             decoder = self._make(coding)

@@ -279,7 +279,7 @@ def _start(emulated_core: EmulatedCore, coded: Stream, tables: bytes | None) -> 
     """Start a decoder of a stream; return the samples of its packets. Raises ValueError."""
     name = coded.codec_name
     arguments = [_RAM, _CONFIGURATION, len(coded.header.configuration), coded.header.channels]
-    if codec.CODECS[name].takes_model:
+    if codec.CODECS[name].tables is not None:
         arguments += [_TABLES, len(tables)] if tables else [0, 0]
     emulated_core.write(_CONFIGURATION, coded.header.configuration)
     emulated_core.write(_TABLES, tables or b"")

@@ -173,7 +173,7 @@ def coded(decoder: str, kind: str, seconds: float) -> tuple[Stream, float]:
         source = codec.Source.of(signal, RATE_HZ, name, live=True, model=model)
         stream = codec.encode_to_snr(source, TARGET_DB)
     else:
-        finest = next(iter(codec.CODECS[name].rate_point_sets.values()))[-1]
+        finest = codec.CODECS[name].rate_points[-1]
         stream = codec.encode(signal, RATE_HZ, finest, codec=name, live=True)
     snr_db = codec.snr_db(signal, stream.decode())
     assert snr_db is not None, "textures are not silent"
@@ -244,7 +244,7 @@ def _qualities(
                 source = codec.Source.of(signal, RATE_HZ, name, live=True, model=members[0] if members else None)
                 yield kind, codec.encode_to_snr(source, snr_db, given)
         else:
-            for rate_point in next(iter(codec.CODECS[name].rate_point_sets.values())):
+            for rate_point in codec.CODECS[name].rate_points:
                 yield kind, codec.encode(signal, RATE_HZ, {**rate_point, **given}, codec=name, live=True)
 
 

@@ -43,8 +43,8 @@ class Sensitivity:
 def readings() -> dict[str, str]:
     """Return the settings that make each reading, as text: REFERENCE as it ships first."""
     return {
-        name: cells.setting_text({key: value for key, value in settings[0].items() if key != "quality"})
-        for name, settings in codec.CODECS[REFERENCE].rate_point_sets.items()
+        name: cells.setting_text({key: value for key, value in points.settings[0].items() if key != "quality"})
+        for name, points in codec.CODECS[REFERENCE].rate_point_sets.items()
     }
 
 

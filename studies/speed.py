@@ -80,7 +80,7 @@ def _searched(name: str, parameter: str, signal: Signal) -> list[Row]:
 
     rate_bps = codec.encode_to_snr(source(), SNR_DB).bits_per_second
     beginning = Source.of(signal[: 10 * RATE_HZ], RATE_HZ, name)
-    points = next(iter(codec.codec_by_name(name).rate_point_sets.values()))
+    points = codec.codec_by_name(name).rate_points
     rates = {point[parameter]: beginning.encode(point).bits_per_second for point in points}
     nearest = min(rates, key=lambda value: abs(np.log(rates[value] / rate_bps)))
     given = _row(name, GIVEN, signal, lambda: source().encode({parameter: nearest}))

@@ -224,11 +224,7 @@ def methods(names: Collection[str] | None, models: Sequence[Model]) -> tuple[Met
     A name is that of a family, or of a codec, which includes its families; None means all. Raises InputError for other
     names, and where no method is left.
     """
-    of_codecs = [
-        Method(name, next(iter(codec.rate_point_sets.values())), name)
-        for name, codec in CODECS.items()
-        if not codec.needs_model
-    ]
+    of_codecs = [Method(name, codec.rate_points, name) for name, codec in CODECS.items() if not codec.needs_model]
     every = [*of_codecs, *families(models)]
     known = {name for method in every for name in (method.name, str(method.coder))}
     if names is not None and not (names and set(names) <= known):

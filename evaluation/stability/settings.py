@@ -95,9 +95,9 @@ def _rate_points(scope: Scope) -> Iterator[Trial]:
         if not method.models:
             known = codec.CODECS[method.name]
             rate_point_sets = {
-                name: [RatePoint(method.name, setting) for setting in own]
+                name: [RatePoint(method.name, setting) for setting in own.settings]
                 for name, own in known.rate_point_sets.items()
-                if name not in known.named_rate_point_sets
+                if not own.is_variant
             }
         for name, points in rate_point_sets.items():
             if len(points) > 1:

@@ -107,7 +107,7 @@ def coded(
 ) -> Stream | None:
     """Return a signal coded by a middle setting, or the next coarser one whose packets are small enough, if any is."""
     chosen = codec.codec_by_name(codec_name)
-    rate_point_set = next(iter(chosen.rate_point_sets.values()))
+    rate_point_set = chosen.rate_points
     for setting in reversed(rate_point_set[: len(rate_point_set) // 2 + 1]):
         encoding = encode_recording(
             make_signal(rate_hz, channels, unit, peak, seconds),
@@ -157,8 +157,8 @@ def model(codec_name: str | None = None) -> models.Model:
     """Return a learned model of a codec, or of any; integers decode it, which give the same bits everywhere."""
     shipped = models.find(MODEL) if codec_name is None else default_model(codec.codec_by_name(codec_name))
     image = ModelImage.unpack(shipped.image)
-    with_runtime = codec.codec_by_identifier(image.codec_identifier).with_runtime
-    payload = with_runtime(image.payload, "core") if with_runtime else image.payload
+    tables = codec.codec_by_identifier(image.codec_identifier).tables
+    payload = tables.with_runtime(image.payload, "core") if tables and tables.with_runtime else image.payload
     return replace(shipped, image=replace(image, name="conformance", payload=payload).pack())
 
 

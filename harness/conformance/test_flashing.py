@@ -63,8 +63,8 @@ def unsigned_image(hello: HelloResponse) -> ModelImage:
     learned = ModelImage.unpack(model().image)
     for number, name in hello.codecs:
         known = codec.BUILT_IN.get(name)
-        if known is not None and known.built_in_tables is not None:
-            return ModelImage(number, "conformance", "1", hello.hardware, known.built_in_tables())
+        if known is not None and known.tables is not None and known.tables.built_in is not None:
+            return ModelImage(number, "conformance", "1", hello.hardware, known.tables.built_in())
         if number == learned.codec_identifier:
             return replace(learned, hardware=hello.hardware)
     pytest.skip("no model image is known for any codec of the controller")
@@ -355,7 +355,7 @@ def test_image_is_tested_and_kept(probe: Probe, slot: int, image: ModelImage) ->
 def test_stream_plays_with_the_image_that_it_names(probe: Probe, slot: int, image: ModelImage) -> None:
     """The controller answers UNKNOWN_IMAGE to a stream until its model image runs, and then plays it."""
     known = codec.codec_by_identifier(image.codec_identifier)
-    if known.built_in_tables is None:
+    if known.needs_model:
         pytest.skip("the controller's codec has no built-in tables to compare with")
     need_capture(probe.description)
     stream = stream_for(probe.description, known.name)

@@ -40,7 +40,7 @@ def coding_digests() -> dict[str, str]:
     digests = {}
     for method, (codec_name, model) in methods.items():
         for rate_point_set in codec.CODECS[codec_name].rate_point_sets.values():
-            setting = rate_point_set[len(rate_point_set) // 2]
+            setting = rate_point_set.settings[len(rate_point_set.settings) // 2]
             for name, signal in signals.items():
                 coded = codec.encode(signal, RATE_HZ, setting, codec=codec_name, unit="um", live=True, model=model)
                 decoder = replace(coded, runtime="core").decoder()

@@ -71,7 +71,7 @@ def test_loudness_is_kept(name: str) -> None:
 def test_a_rate_point_set_takes_some_30_to_500_bits_a_second() -> None:
     signal = texture(14_000)
     rates = []
-    for rate_point in parametric.CODEC.rate_point_sets["parametric"]:
+    for rate_point in parametric.CODEC.rate_points:
         stream = codec.encode(signal, RATE_HZ, rate_point, codec="parametric")
         rates.append(8 * sum(map(len, stream.packets)) * RATE_HZ / len(signal))
     assert rates == sorted(rates)

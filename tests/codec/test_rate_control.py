@@ -45,7 +45,7 @@ def fake_trial(sizes: tuple[int | None, ...], previous: int = 0) -> Trial:
 class FakeDecoder:
     """Decodes what a fake trial coded: the coarser, the less of the samples."""
 
-    channels, packet_samples, delay_samples = 1, round(SECONDS * RATE_HZ), 0
+    channels, packet_samples, delay_samples, hosts_only = 1, round(SECONDS * RATE_HZ), 0, False
 
     def decode(self, packet: bytes) -> Decoded:
         quantiser_offset = (packet[0] ^ 0x80) - 0x80

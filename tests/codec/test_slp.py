@@ -66,7 +66,7 @@ def test_levels_rise_in_steps_of_about_a_decibel() -> None:
     signal = texture(5600)
     snrs_db = [
         codec.snr_db(signal, codec.encode(signal, RATE_HZ, rate_point, codec="slp").decode()) or 0.0
-        for rate_point in slp.CODEC.rate_point_sets["slp"]
+        for rate_point in slp.CODEC.rate_points
     ]
     assert len(snrs_db) >= 22
     assert snrs_db[0] < 5

@@ -127,7 +127,7 @@ def test_figures_are_those_of_the_codecs_own_programs(name: str) -> None:
         rows = [row for row in csv.DictReader(file) if (row["trace"], row["codec"]) == (trace, CURVES[name])]
     theirs_bits = [float(row["bits_per_sample"]) for row in rows]
     theirs_db = [min(float(row["snr_db"]), 90.0) for row in rows]
-    for rate_point in PEERS[name].rate_point_sets[name]:
+    for rate_point in PEERS[name].rate_points:
         stream = codec.encode(samples, rate_hz, rate_point, codec=name, unit="m/s^2")
         bits = 8 * stream.size_bytes / len(samples)
         reached_db = codec.snr_db(samples, stream.decode())
