@@ -24,7 +24,6 @@ KEYS = {
     "l": Command("loop"),
     "q": Command("stop"),
 }
-KEYS_HELP = "space pauses, arrows seek and change the level, n and p change the track, l loops, q stops"
 _POLL_S = 0.1
 _LINE_BYTES = 1000
 _LISTENERS = 16
@@ -102,12 +101,12 @@ class Control:
         told = {**vars(event), "error": None if event.error is None else str(event.error)}
         line = json.dumps(told).encode() + b"\n"
         with self._lock:
-            for client in self._clients.copy():
-                try:
-                    client.sendall(line)
-                except OSError:
-                    self._clients.remove(client)
-                    client.close()
+            for client in self._clients:
+                sent = 0
+                with contextlib.suppress(OSError):
+                    sent = client.send(line, socket.MSG_DONTWAIT)
+                if sent < len(line):
+                    _end(client)
 
     def close(self) -> None:
         """Stop listening, and remove the socket."""
@@ -115,13 +114,12 @@ class Control:
         self._path.unlink(missing_ok=True)
         with self._lock:
             for client in self._clients:
-                client.close()
+                _end(client)
 
     def _accept(self) -> None:
         with contextlib.suppress(OSError):  # it is closed
             while True:
                 client, _ = self._server.accept()
-                client.settimeout(1.0)
                 with self._lock:
                     if len(self._clients) >= _LISTENERS:
                         client.close()
@@ -130,23 +128,18 @@ class Control:
                 threading.Thread(target=self._read, args=(client,), name="control client", daemon=True).start()
 
     def _read(self, client: socket.socket) -> None:
-        waiting = b""
-        while True:
-            try:
-                data = client.recv(_LINE_BYTES)
-            except TimeoutError:
-                continue
-            except OSError:
-                return
-            *lines, waiting = (waiting + data).split(b"\n")
-            for line in filter(None, lines):
+        with contextlib.suppress(OSError), client.makefile("rb") as lines:
+            while (line := lines.readline(_LINE_BYTES)).endswith(b"\n"):
                 try:
                     self._remote.send(command_of(line.decode(errors="replace")))
                 except InputError as error:
-                    with contextlib.suppress(OSError):
-                        client.sendall(json.dumps({"error": str(error)}).encode() + b"\n")
-            if not data or len(waiting) > _LINE_BYTES:
-                with self._lock, contextlib.suppress(ValueError):
-                    self._clients.remove(client)
-                client.close()
-                return
+                    client.sendall(json.dumps({"error": str(error)}).encode() + b"\n")
+        with self._lock:
+            self._clients.remove(client)
+        client.close()
+
+
+def _end(client: socket.socket) -> None:
+    """End the connection; the thread that reads then closes it."""
+    with contextlib.suppress(OSError):
+        client.shutdown(socket.SHUT_RDWR)
