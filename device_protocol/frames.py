@@ -1,6 +1,7 @@
 """Frames on a link: a payload and its CRC-16, COBS-encoded, closed by a zero byte."""
 
 import struct
+from collections.abc import Iterator
 
 from cobs import cobs
 
@@ -60,6 +61,23 @@ class FrameReader:
     def _keep(self, piece: bytes) -> None:
         # Keep one byte more than the longest frame, as a mark that the frame is too long.
         self._pending += piece[: _MAX_ENCODED_BYTES + 1 - len(self._pending)]
+
+
+class FrameSplitter:
+    """Splits the bytes of one direction into frames; what is longer than any frame is split at `MAX_BYTES`."""
+
+    MAX_BYTES = 65_536
+
+    def __init__(self) -> None:
+        self._pending = b""
+
+    def feed(self, data: bytes) -> Iterator[bytes]:
+        """Yield the frames that these bytes complete, without delimiters; empty ones are left out."""
+        *closed, self._pending = (self._pending + data).split(DELIMITER)
+        yield from filter(None, closed)
+        if len(self._pending) > self.MAX_BYTES:
+            pending, self._pending = self._pending, b""
+            yield pending
 
 
 def payload_of(encoded: bytes) -> bytes:

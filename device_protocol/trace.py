@@ -13,7 +13,7 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
-from vibrocast.device_protocol.frames import DELIMITER, payload_of
+from vibrocast.device_protocol.frames import payload_of
 from vibrocast.device_protocol.messages import Message, MessageError, unpack
 from vibrocast.errors import InputError
 
@@ -79,23 +79,6 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float) and value - value != 0:
         return str(value)
     return value
-
-
-class FrameSplitter:
-    """Splits the bytes of one direction into frames; what is longer than any frame is split at `MAX_BYTES`."""
-
-    MAX_BYTES = 65_536
-
-    def __init__(self) -> None:
-        self._pending = b""
-
-    def feed(self, data: bytes) -> Iterator[bytes]:
-        """Yield the frames that these bytes complete, without delimiters; empty ones are left out."""
-        *closed, self._pending = (self._pending + data).split(DELIMITER)
-        yield from filter(None, closed)
-        if len(self._pending) > self.MAX_BYTES:
-            pending, self._pending = self._pending, b""
-            yield pending
 
 
 class Writer(Protocol):

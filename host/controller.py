@@ -164,8 +164,27 @@ class Controller(Closing):
         return data
 
     def run(self, steps: Steps[_Result]) -> _Result:
-        """Do work with this controller alone, and wait for its end; return its result."""
-        return event_loop.run(self, steps)
+        """Do work with this controller alone, and wait for its end; return its result or raise its error.
+
+        What breaks the transport, and an interruption, is raised in the step that waits.
+        """
+        step: Callable[[Any], float] = steps.send
+        given: Any = None
+        try:
+            while True:
+                wait = step(given)
+                step = steps.send
+                try:
+                    if isinstance(wait, event_loop.Pause):
+                        self.sleep(wait)
+                        given = b""
+                    else:
+                        given = self.read(wait)
+                except BaseException as error:
+                    step, given = steps.throw, error
+        except StopIteration as end:
+            result: _Result = end.value
+            return result
 
     # ---- requests: each as steps of an event loop, and as a call that waits ----
 

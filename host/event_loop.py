@@ -54,6 +54,9 @@ class Reader(Protocol):
     def read(self, timeout_s: float) -> bytes:
         """Return the bytes that came, waiting for them at most `timeout_s`. Raises TransportError."""
 
+    def run(self, steps: Steps[_Result]) -> _Result:
+        """Do work with this controller alone, and wait for its end; return its result."""
+
 
 @dataclass(eq=False)
 class _Member(Generic[_Key]):
@@ -79,30 +82,6 @@ class _Member(Generic[_Key]):
         return isinstance(self.wait, Pause)
 
 
-def run(reader: Reader, steps: Steps[_Result]) -> _Result:
-    """Do the work with one controller; return its result or raise its error.
-
-    What breaks the transport, and an interruption, is raised in the step that waits.
-    """
-    step: Callable[[Any], float] = steps.send
-    given: Any = None
-    try:
-        while True:
-            wait = step(given)
-            step = steps.send
-            try:
-                if isinstance(wait, Pause):
-                    reader.sleep(wait)
-                    given = b""
-                else:
-                    given = reader.read(wait)
-            except BaseException as error:
-                step, given = steps.throw, error
-    except StopIteration as end:
-        result: _Result = end.value
-        return result
-
-
 def run_all(works: Mapping[_Key, tuple[Reader, Steps[_Result]]]) -> dict[_Key, _Result | Exception]:
     """Do the work with all controllers at once; return by key what each gave or raised.
 
@@ -113,7 +92,8 @@ def run_all(works: Mapping[_Key, tuple[Reader, Steps[_Result]]]) -> dict[_Key, _
         return _Loop[_Key, _Result](works).run()
     ((key, work),) = works.items()
     try:
-        return {key: run(*work)}
+        reader, steps = work
+        return {key: reader.run(steps)}
     except Exception as error:
         return {key: error}
 

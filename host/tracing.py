@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from vibrocast.device_protocol.trace import FrameSplitter, TracedFrame, Writer, writer
+from vibrocast.device_protocol.frames import FrameSplitter
+from vibrocast.device_protocol.trace import TracedFrame, Writer, writer
 from vibrocast.device_protocol.transports import Closing, Transport, selectable
 from vibrocast.files import atomic_write
 

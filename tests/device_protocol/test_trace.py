@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vibrocast.device_protocol.frames import write_frame
+from vibrocast.device_protocol.frames import FrameSplitter, write_frame
 from vibrocast.device_protocol.messages import (
     ActuatorDescription,
     CodecDescription,
@@ -23,7 +23,7 @@ from vibrocast.device_protocol.messages import (
     StreamData,
     pack,
 )
-from vibrocast.device_protocol.trace import SUFFIXES, FrameSplitter, TracedFrame, read_trace, writer
+from vibrocast.device_protocol.trace import SUFFIXES, TracedFrame, read_trace, writer
 from vibrocast.errors import InputError
 from vibrocast.harness.dissector import DISSECTOR
 
