@@ -416,8 +416,9 @@ class TrackPlayer:
         """Return an event at the position that was last reported."""
         track, now = self._track, self._now
         level_db, level_of = None, ""
-        if track is not None and self._levels is not None and self._levels.done() and not self._levels.exception():
-            levels, level_of = self._levels.result()
+        known = self._levels if self._levels is not None and self._levels.done() else None
+        if track is not None and known is not None and not (known.cancelled() or known.exception()):
+            levels, level_of = known.result()
             level_db = float(levels[min(int(self._position_s / LEVEL_S), len(levels) - 1)]) + self.gain_db
         late_s = 0.0 if track is None else output_delay_s(track.header, self._session.driven)
         return Event(
