@@ -13,6 +13,7 @@ from vibrocast.codec.stream import Stream
 from vibrocast.codec.threshold import PHYSICAL_UNITS, felt_error, over_threshold_db, read_threshold
 from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader
 from vibrocast.device_protocol.messages import Status
+from vibrocast.errors import InputError
 from vibrocast.host import devices, player, uploader
 from vibrocast.host.controller import ControllerError
 from vibrocast.host.limits import fitted
@@ -22,7 +23,7 @@ from vibrocast.host.session import Session
 from vibrocast.host.skin_quality import compare_channels, limit_note
 from vibrocast.host.tracks import Track
 from vibrocast.output.actuator import SKIN_OVERSAMPLING, Actuator, Codes, followed_band_hz, octave_gains_db
-from vibrocast.output.rendering import Drive, displacement_filter, render
+from vibrocast.output.rendering import Drive, LimitCounts, displacement_filter, render
 from vibrocast.textures import Recording
 
 # Decoded samples of all channels and loops, positions that are not played included: 1.6 h at 2800 Hz. Computing the
@@ -329,6 +330,19 @@ def at_the_skin(stream: Stream, driven: Actuator, skin: Actuator | None = None, 
     codes, _ = render(stream.header, stream.decode_integers(), stream.delay_samples, driven, loops=loops)
     skin_um = _skin_um(skin or driven, codes, late_s, 0.0, loops * stream.seconds)
     return Recording(skin_um, SKIN_OVERSAMPLING * driven.dac_rate_hz, "um", "skin")
+
+
+def drive_signal(stream: Stream, actuator: Actuator, name: str) -> tuple[Recording, LimitCounts]:
+    """Return the codes of an actuator's DAC for a stream, as parts of its full scale, and what its limits held back.
+
+    `name`: of the recording. Raises InputError where the actuator's DAC cannot play the stream, and CodecError.
+    """
+    try:
+        codes, limited = render(stream.header, stream.decode_integers(), stream.delay_samples, actuator)
+    except (ValueError, OverflowError) as error:
+        place = f"{actuator.name} at {actuator.dac_rate_hz} Hz"
+        raise InputError(f"{name}: cannot be rendered for {place}: {error}") from error
+    return Recording(codes / actuator.full_scale, actuator.dac_rate_hz, "full scale", name), limited
 
 
 def output_delay_s(header: StreamHeader, actuator: Actuator) -> float:

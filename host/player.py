@@ -178,8 +178,6 @@ def play_steps(controller: Controller, stream: Playable, settings: PlaybackSetti
                 came_back_at, lost_s = last.position, last.heard_s
                 yield from controller.reconnect_steps(settings.reconnect_s)
                 reconnects += 1
-                if (yield from last.has_ended_steps()):
-                    break
                 if not (yield from last.goes_on_steps()):
                     first = last.refresh_to_go_on_from(cause)
                     senders.append((yield from _begin_steps(controller, source, settings, first, pace)))
@@ -419,18 +417,6 @@ class _Sender:
         status = self._controller.status
         return self.following is not None and status is not None and status.stream == self.following.session.number
 
-    def has_ended_steps(self) -> Steps[bool]:
-        """Ask a controller that was out of reach whether it has gone on with the stream behind this one."""
-        status = yield from self._controller.request_steps(StatusRequest(), Status)
-        if self.following is None:
-            return False
-        if status.queued is None and not self._is_followed():
-            self.following = None  # it has begun again
-            self._asked_for_next = False
-            return False
-        self.following.sent = 0  # frames under way may be lost; the controller drops second copies
-        return self._is_followed()
-
     def _queue_steps(self, next_stream: Callable[[], Playable | None]) -> Steps[None]:
         """Set up the stream that follows, once it is known and if the controller can go on with it without a gap."""
         if self._asked_for_next or (found := next_stream()) is None:
@@ -460,8 +446,15 @@ class _Sender:
         return True
 
     def goes_on_steps(self) -> Steps[bool]:
-        """Ask a controller that was out of reach for its state; return whether it still plays this stream."""
+        """Ask a controller that was out of reach whether it still plays this stream, or the one behind it by now."""
         status = yield from self._controller.request_steps(StatusRequest(), Status)
+        if self.following is not None:
+            if self._is_followed() or status.queued is not None:
+                self.following.sent = 0  # frames under way may be lost; the controller drops second copies
+            else:
+                self.following, self._asked_for_next = None, False  # it has begun again
+        if self._is_followed():
+            return True
         if status.stream != self._session.number:
             return False
         if status.state in (State.ARMED, State.PLAYING, State.PAUSED, State.FINISHED, State.STOPPED):

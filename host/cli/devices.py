@@ -16,7 +16,7 @@ from vibrocast.files import atomic_write, plain
 from vibrocast.host import devices, uploader
 from vibrocast.host.bench_file import BenchController
 from vibrocast.host.cli.answers import add, tell, wants_json
-from vibrocast.host.cli.errors import controllers_failed, explained
+from vibrocast.host.cli.errors import controllers_failed
 from vibrocast.host.cli.option_types import INPUT, OutputFile
 from vibrocast.host.cli.options import (
     actuator_option,
@@ -27,7 +27,7 @@ from vibrocast.host.cli.options import (
     own_actuator,
     tell_address,
 )
-from vibrocast.host.cli.steps import show
+from vibrocast.host.cli.steps import lines_of, show
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.output.actuator import ACTUATORS, PIEZO_STACK
 
@@ -111,19 +111,16 @@ def on_all(work: Work, addresses: Sequence[str]) -> None:
     names = devices.unique_names(addresses)
     with ThreadPoolExecutor(len(names)) as pool:
         running = [pool.submit(on_one, work, address) for address in addresses]
-    failed: dict[str, Exception] = {}
+    done: dict[str, tuple[str, dict[str, object]] | Exception] = {}
     for name, each in zip(names, running, strict=True):
         error = each.exception()
-        if error is None:
-            line, facts = each.result()
-            tell(f"{name}: {line}", **{name: facts})
-        elif isinstance(error, Exception):
-            failed[name] = error
-            tell(f"{name}: FAILED: {error}", **{name: {"error": str(error)}})
-        else:
-            raise error
+        done[name] = error if isinstance(error, Exception) else each.result()
+    lines, failed = lines_of(done, lambda line_and_facts: line_and_facts[0])
+    add({name: {"error": str(each)} if isinstance(each, Exception) else each[1] for name, each in done.items()})
+    if not wants_json():
+        show({name: line.splitlines() for name, line in lines.items()}, as_words=False)
     if failed:
-        raise controllers_failed({name: explained(each, {}).exit_code for name, each in failed.items()}, len(names))
+        raise controllers_failed(failed, len(names))
 
 
 def list_slots(controller: Controller, tell_part: Callable[[int, int], None]) -> tuple[str, dict[str, object]]:

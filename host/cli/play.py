@@ -6,7 +6,6 @@ from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TypeVar
 
 import click
 
@@ -42,7 +41,7 @@ from vibrocast.host.cli.options import (
 )
 from vibrocast.host.cli.sections import CODING, CONTROLLER, OUTPUT, PLAYBACK, SectionedCommand, section
 from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
-from vibrocast.host.cli.steps import encoded_profile, files_of, reject_coding_options, show
+from vibrocast.host.cli.steps import encoded_profile, files_of, lines_of, reject_coding_options, show
 from vibrocast.host.controller import ControllerError
 from vibrocast.host.lab_network import Markers
 from vibrocast.host.playback import Playback
@@ -55,7 +54,6 @@ from vibrocast.output import actuator_files
 from vibrocast.output.actuator import ACTUATORS
 
 _DB_A_BLOCK, _BLOCKS = 4.0, 10
-_Played = TypeVar("_Played")
 
 
 def chosen_hand(ctx: click.Context, param: click.Parameter, value: str | None) -> float | Path | None:
@@ -425,15 +423,6 @@ def report_list(played: Mapping[str, PlayedList | Exception]) -> None:
         named = ", ".join(dict.fromkeys([*failed, *tracks]))
         exit_code = next(iter(failed.values()), BAD_INPUT)
         raise CommandError(f"not all was played: {named}; the line of each says why", exit_code)
-
-
-def lines_of(
-    played: Mapping[str, _Played | Exception], line: Callable[[_Played], str]
-) -> tuple[dict[str, str], dict[str, int]]:
-    """Return a line for each controller, and the exit codes of those that failed."""
-    failures = {name: each for name, each in played.items() if isinstance(each, Exception)}
-    lines = {name: f"FAILED: {each}" if isinstance(each, Exception) else line(each) for name, each in played.items()}
-    return lines, {name: explained(each, {}).exit_code for name, each in failures.items()}
 
 
 def spatial_stream(

@@ -6,7 +6,6 @@ from pathlib import Path
 import click
 
 from vibrocast import textures
-from vibrocast.errors import InputError
 from vibrocast.files import atomic_write
 from vibrocast.host import devices
 from vibrocast.host.cli.answers import tell
@@ -21,10 +20,10 @@ from vibrocast.host.cli.options import (
     unit_option,
 )
 from vibrocast.host.cli.steps import encoded, files_of, reject_coding_options
+from vibrocast.host.playback import drive_signal
 from vibrocast.host.tracks import TrackOptions, read_source
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import ACTUATORS, MAX_FULL_SCALE_VOLTS, MIN_FULL_SCALE_VOLTS
-from vibrocast.output.rendering import render as rendered_codes
 
 
 @dataclass(frozen=True)
@@ -80,14 +79,8 @@ def render(file: Path, out: Path, drive: DriveOptions, quality: QualityOptions, 
     if isinstance(source, textures.Recording):
         source = encoded(source, quality, recording.unit, live=True).stream
     stream = source.with_gain(drive.gain_db)
-    try:
-        codes, limited = rendered_codes(stream.header, stream.decode_integers(), stream.delay_samples, actuator)
-    except (ValueError, OverflowError) as error:
-        raise InputError(
-            f"{file}: cannot be rendered for {actuator.name} at {actuator.dac_rate_hz} Hz: {error}"
-        ) from error
+    signal, limited = drive_signal(stream, actuator, str(file))
     volts = actuator.volts / 2
-    signal = textures.Recording(codes / actuator.full_scale, actuator.dac_rate_hz, "full scale", out.stem)
     with atomic_write(out) as partial:
         textures.save(partial, signal, sixteen_bit=True, note=f"drive of {actuator.name}, 1.0 is {volts:g} V")
     tell(

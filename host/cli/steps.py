@@ -1,8 +1,9 @@
 """Steps that several subcommands share: check arguments, encode with a progress bar, print facts."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import click
 
@@ -16,8 +17,11 @@ from vibrocast.codec.encoding import (
 )
 from vibrocast.files import plain
 from vibrocast.host.cli.answers import add, wants_json
+from vibrocast.host.cli.errors import explained
 from vibrocast.host.cli.options import QualityOptions, RecordingOptions
 from vibrocast.host.tracks import STREAM_SUFFIX
+
+_Outcome = TypeVar("_Outcome")
 
 
 def files_of(model: models.Model | None) -> list[Path]:
@@ -62,6 +66,15 @@ def _noted(encoding: Encoding) -> Encoding:
     if note := encoding.quality.note:
         click.echo(f"note: {note}", err=True)
     return encoding
+
+
+def lines_of(
+    outcomes: Mapping[str, _Outcome | Exception], line: Callable[[_Outcome], str]
+) -> tuple[dict[str, str], dict[str, int]]:
+    """Return a line for each controller, and the exit codes of those that failed."""
+    failures = {name: each for name, each in outcomes.items() if isinstance(each, Exception)}
+    lines = {name: f"FAILED: {each}" if isinstance(each, Exception) else line(each) for name, each in outcomes.items()}
+    return lines, {name: explained(each, {}).exit_code for name, each in failures.items()}
 
 
 def show(facts: Mapping[str, object], as_words: bool = True) -> None:

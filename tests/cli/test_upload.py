@@ -23,7 +23,7 @@ def test_several_controllers_get_a_line_each_and_one_that_fails_holds_none_up() 
     assert "1 of 3 controllers failed: serial:nowhere" in told["error"]
     assert told["sim"]["model"] == told["sim (2)"]["model"] == "eva-16-4"
     assert "cannot open serial port nowhere" in told["serial:nowhere"]["error"]
-    assert "sim (2): eva-16-4 1 runs from slot" in succeeds("flash", "eva-16-4", "--device", "sim", "--device", "sim")
+    assert "sim (2)  eva-16-4 1 runs from slot" in succeeds("flash", "eva-16-4", "--device", "sim", "--device", "sim")
 
 
 def test_slots_are_listed_for_people_and_programs() -> None:
