@@ -77,7 +77,7 @@ def states_something(name: str) -> bool:
 def chosen_key(names: Sequence[str], key: str | None, path: Path, others: Mapping[str, str] | None = None) -> str:
     """Return the name of the array to read: `key`, `samples` or the only one. Raises TextureError.
 
-    `others`: the file's contents other than arrays of numbers, with their kinds.
+    `others`: the file's contents other than arrays of numbers, with their kinds in words.
     """
     if not names and not others:
         raise TextureError(f"{path}: holds no array of numbers; give another file")
@@ -88,11 +88,18 @@ def chosen_key(names: Sequence[str], key: str | None, path: Path, others: Mappin
     if key is None or key not in names:
         unusable = {key: others[key]} if key is not None and others and key in others else others
         if unusable and (key in unusable or not names):
-            listed = _listed([f"{name} is a {kind}" for name, kind in unusable.items()])
-            raise TextureError(f"{path}: {listed}, not an array of numbers; save its numbers as an array")
+            listed = _listed([f"{name} is {kind}" for name, kind in unusable.items()])
+            raise TextureError(f"{path}: {listed}, not an array of numbers; save the samples as an array")
         problem = "choose an array with `key`" if key is None else f"no array of numbers `key`={key}"
         raise TextureError(f"{path}: {problem}; there are {_listed(names)}", parameter="key")
     return key
+
+
+def in_words(kind: str, size: int, of_numbers: bool) -> str:
+    """Return the kind of a variable that is no array of numbers, for `chosen_key`."""
+    if of_numbers:
+        return "one number" if size else "empty"
+    return f"a {kind}"
 
 
 def contents_of(
@@ -103,6 +110,8 @@ def contents_of(
     `stated`: values by name, for all names that `states_something` knows. `rate_hz`: the user's rate, which decides if
     several rates are stated. Raises TextureError.
     """
+    if array.dtype.kind in "iuf" and array.ndim == 0:
+        raise TextureError(f"{path}: holds one number, not an array of numbers; save the samples as an array")
     if array.dtype.kind not in "iuf" or array.ndim not in (1, 2):
         raise TextureError(
             f"{path}: an array of type {array.dtype} and shape {array.shape}; "

@@ -47,7 +47,11 @@ def read(path: Path, key: str | None, rate_hz: float | None) -> Contents:
 
         file.visititems(keep)  # follows no links to other files
         signals = [name for name, dataset in datasets.items() if _is_of_numbers(dataset) and dataset.size > 1]
-        others = {name: _kind(datasets[name]) for name in datasets if name not in signals}
+        others = {
+            name: arrays.in_words(_kind(dataset), dataset.size or 0, _is_of_numbers(dataset))
+            for name, dataset in datasets.items()
+            if name not in signals
+        }
         if key is not None and (key := key.strip("/")) not in datasets:
             key = key.replace(".", "/")  # as MATLAB names the field of a struct
         chosen = arrays.chosen_key(signals, key, path, others)

@@ -103,7 +103,9 @@ def _read_bag(path: Path, key: str | None) -> Table:
 
     with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
         topics = {name: topic for name, topic in reader.topics.items() if topic.msgtype in _VECTORS}
-        others = {name: topic.msgtype or "mixed" for name, topic in reader.topics.items() if name not in topics}
+        others = {
+            name: f"a {topic.msgtype or 'mixture'}" for name, topic in reader.topics.items() if name not in topics
+        }
         chosen = topics[arrays.chosen_key(list(topics), key, path, others)]
         _reject_too_large(4 * chosen.msgcount, path)
         place, unit = _VECTORS[str(chosen.msgtype)]

@@ -48,7 +48,11 @@ def read(path: Path, key: str | None, rate_hz: float | None) -> Contents | Table
         if nested and (top in nested or not (signals or key)):
             loaded = loadmat(str(path), variable_names=[*nested, *stated], appendmat=False, simplify_cells=True)
             return _nested_signal({name: loaded[name] for name in (*nested, *stated)}, key, path, rate_hz)
-        others = {name: kind for name, (_, kind) in variables.items() if name not in signals + stated}
+        others = {
+            name: arrays.in_words(kind, size, kind in NUMBERS)
+            for name, (size, kind) in variables.items()
+            if name not in signals + stated
+        }
         chosen = arrays.chosen_key(signals, key, path, others)
         size, kind = variables[chosen]
         arrays.reject_too_large((size,), np.dtype(kind), path, path.stat().st_size)

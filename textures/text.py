@@ -81,6 +81,15 @@ def read_table(path: Path, skip_lines: int = 0) -> Table:
         raise TextureError(f"{path}: not UTF-8 text; save it as a UTF-8 CSV file") from error
 
 
+def holds_numbers(path: Path) -> bool:
+    """Return whether a text file holds lines of numbers in one layout. Raises OSError."""
+    with path.open(encoding=ENCODING, errors="replace") as file:
+        try:
+            return _head(file, path, 0).lines >= 0
+        except TextureError:
+            return False
+
+
 def column_names(path: Path) -> list[str]:
     """Return the names of a text file's columns, in small letters; none where it has none. Raises OSError."""
     with path.open(encoding=ENCODING, errors="replace") as file:
@@ -166,8 +175,12 @@ def _head(file: TextIO, path: Path, skip_lines: int) -> _Head:
             counts[_layout_of(line)] += 1
     usual = [layout for layout in counts if _NUMBER in layout.kinds and (layout.delimiter or _TEXT not in layout.kinds)]
     layout = max(usual, key=lambda each: counts[each], default=None)
-    if layout is None:
-        if not (said := [line for line in lines[skip_lines:] if _data(line)]):
+    fits = [layout is not None and place >= skip_lines and layout.holds(line) for place, line in enumerate(lines)]
+    start = fits.index(True) if any(fits) else skip_lines
+    said = [line for line, fit in zip(lines[start:], fits[start:], strict=True) if _data(line) and not fit]
+    prose = [line for line in said if _TEXT in _layout_of(line).kinds]
+    if layout is None or len(prose) >= sum(fits):  # a line of numbers in a text
+        if not said:
             raise TextureError(f"{path}: holds no numbers; give a file with one sample a line")
         raise unusable(
             path,
@@ -175,7 +188,6 @@ def _head(file: TextIO, path: Path, skip_lines: int) -> _Head:
             "write one sample a line, or pass over more than that many lines of text with `skip_lines`",
             "skip_lines",
         )
-    start = next(place for place, line in enumerate(lines) if place >= skip_lines and layout.holds(line))
     above = [line.strip(" \r\n") for line in lines[skip_lines:start] if line.strip()]
     stated = [match for line in above if (match := _STATEMENT.fullmatch(line))]
     statements = {match[1].lower(): match[2] for match in stated}

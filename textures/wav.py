@@ -33,6 +33,9 @@ UNKNOWN_LENGTH_MARGIN_BYTES = 2**16
 _COMMENT = re.compile(r"unit=(.+?); full_scale=([^;]+)(?:; axes=([xyz]+))?(; .*)?")
 MAX_BYTES = 2**32 - 2**16
 """Most bytes of samples in a WAV file, whose header states its size in 32 bits."""
+_RIFF_BYTES = 12
+_LEFT_OUT = 0.01  # of the stated samples; fewer bytes are a chunk behind an odd number of bytes without padding
+_PRINTABLE = (0x20, 0x7E)  # the characters of a chunk's name
 _FLOAT_FORMAT = 3  # WAVE_FORMAT_IEEE_FLOAT: Microsoft, Multimedia Registration Kit, 1994
 
 
@@ -54,6 +57,11 @@ def read(path: Path) -> Contents:
         raise TextureError(
             f"{path}: not a {suffix} file that can be read; convert it to plain WAV ({error})"
         ) from error
+    if suffix == ".wav" and (more := _unstated_bytes(path)):
+        raise TextureError(
+            f"{path}: its header is unfinished: {more} bytes follow the samples that it states; end the program that "
+            "recorded it, or repair the header, as `sox --ignore-length` does"
+        )
     commented = _stated_by_comment(comment)
     beside = sidecar.read(path)
     if beside is not None:
@@ -185,6 +193,22 @@ def _reject_cut_off(notes: str, path: Path) -> None:
                 f"{path}: cut off, the last {missing} of {stated} bytes are missing; get the whole file, or save what "
                 "is left as a new WAV file"
             )
+
+
+def _unstated_bytes(path: Path) -> int:
+    """Return how many bytes follow the samples of a RIFF file and are no chunk: samples that its header leaves out."""
+    with path.open("rb") as file:
+        order = {b"RIFF": "<", b"RIFX": ">"}.get(file.read(_RIFF_BYTES)[:4])
+        end = os.fstat(file.fileno()).st_size
+        stated = end
+        while order and len(start := file.read(8)) == 8:
+            name, size = struct.unpack(f"{order}4sI", start)
+            if not all(_PRINTABLE[0] <= each <= _PRINTABLE[1] for each in name):
+                more = end - file.tell() + 8
+                return more if more > stated * _LEFT_OUT else 0
+            stated = size if name == b"data" else stated
+            file.seek(size + size % 2, os.SEEK_CUR)
+    return 0
 
 
 def _stated_by_comment(comment: str) -> tuple[str, float, str] | None:

@@ -17,6 +17,7 @@ from vibrocast.output.actuator import FOLLOWED_DB
 from vibrocast.output.sound_card import CardUse
 
 ANSWERS = {True: "yes", False: "NO", None: "not compared"}
+_WHOLE_PERCENT = 99.5  # two digits would be 1e+02
 SILENT_DB = -200.0
 """Re detection threshold: below it the output is at rest."""
 
@@ -189,7 +190,8 @@ def describe_quality(quality: CodingQuality | Report) -> str:
 
 def _percent(part: float | None) -> str:
     """Return a part of the energy, 0 to 1, in percent."""
-    return f"{100 * (part or 0.0):.2g} %"
+    percent = 100 * (part or 0.0)
+    return f"{percent:.2g} %" if percent < _WHOLE_PERCENT else f"{percent:.0f} %"
 
 
 def describe_felt_error(error: FeltError | None) -> str:

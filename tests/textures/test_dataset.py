@@ -71,6 +71,19 @@ def test_a_hand_speed_is_for_profiles_and_the_rate_becomes_whole(tmp_path: Path)
     assert (resampled.rate_hz, resampled.unit) == (2800, "um")
 
 
+def test_text_without_numbers_is_no_recording(tmp_path: Path) -> None:
+    (tmp_path / "wood.csv").write_text("# rate_hz: 100\nx_um\n1\n2\n")
+    (tmp_path / "README.txt").write_text("Recorded on a desk.\n\nRates in Hz:\n3200\nSensor 2 was off.\n")
+    (tmp_path / "LICENSE.txt").write_text("See the web.\n")
+    (tmp_path / "subjects.csv").write_text("subject,material\nA,oak\nB,cork\n")
+    (tmp_path / "empty.csv").touch()
+    found = read(tmp_path)
+    assert [entry.name for entry in found.entries] == ["wood"]
+    assert {skipped.file: skipped.reason for skipped in found.skipped} == dict.fromkeys(
+        ("LICENSE.txt", "README.txt", "empty.csv", "subjects.csv"), "text without numbers"
+    )
+
+
 def test_folders_without_recordings_and_other_files_are_rejected(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such folder"):
         entries(tmp_path / "missing")

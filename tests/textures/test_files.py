@@ -105,7 +105,7 @@ def test_integers_of_an_array_are_numbers_or_full_scale(tmp_path: Path) -> None:
         ({"samples": [1.0], "rate_hz": 5, "unit": "furlong"}, {}, "unknown unit 'furlong'"),
         ({"samples": [1.0], "rate_hz": [5, 6]}, {"unit": "um"}, "rate_hz is not one number"),
         ({"samples": [1.0], "rate_hz": 0}, {"unit": "um"}, "sample rate 0"),
-        ({"samples": 1.0}, {}, "shape"),
+        ({"samples": 1.0}, {}, "holds one number, not an array"),
         ({"samples": np.zeros((0, 3))}, {"rate_hz": 5.0, "unit": "um"}, "no samples"),
         ({"samples": np.zeros((3, 500))}, {"rate_hz": 5.0, "unit": "um"}, "rows must be samples"),
         ({"samples": [1j]}, {}, "type complex128"),
@@ -167,6 +167,17 @@ def test_a_wav_file_written_into_a_pipe(tmp_path: Path, stated_bytes: int) -> No
     data[start : start + 4] = struct.pack("<I", stated_bytes)
     (tmp_path / "a.wav").write_bytes(data)
     assert load(tmp_path / "a.wav").samples.shape == NOISE.shape
+
+
+@pytest.mark.parametrize(("stated", "riff"), [(0, 0), (0, 8036), (400, 8036), (4000, 4036)])
+def test_a_wav_file_with_an_unfinished_header_is_rejected(tmp_path: Path, stated: int, riff: int) -> None:
+    path = tmp_path / "a.wav"
+    soundfile.write(path, np.full(4000, 0.1), 2800, "PCM_16")
+    data = bytearray(path.read_bytes())
+    data[4:8], data[40:44] = struct.pack("<I", riff), struct.pack("<I", stated)
+    path.write_bytes(data)
+    with pytest.raises(TextureError, match=f"header is unfinished: {8000 - stated} bytes follow"):
+        load(path, unit="drive")
 
 
 @pytest.mark.parametrize("container", ["WAV", "WAVEX", "RF64"])

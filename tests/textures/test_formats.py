@@ -204,6 +204,9 @@ CELL[:] = [NOISE, NOISE]
         ({"trials": CELL, "name": "oak"}, {}, r"with `key`; there are trials\(1\), trials\(2\)"),
         ({"trial": {"name": "oak"}}, {}, "holds no array of numbers; give another file"),
         ({"on": np.array([True, False])}, {}, "on is a logical, not"),
+        ({"level": 3.0}, {}, "level is one number, not an array of numbers; save the samples"),
+        ({"a": 1, "b": 2, "name": "oak"}, {}, "a is one number, b is one number, name is a char, not an array"),
+        ({"acc": np.zeros(0)}, {}, "acc is empty, not"),
         (
             {"a": NOISE, "Fs": 1000, "rate_hz": 2000},
             {},
