@@ -608,6 +608,7 @@ def _as_played(read: Analysis) -> list[dict[str, Any]]:
     """Return how the logs say that each stimulus was played.
 
     `other_stream`: presentations whose stream was not the prepared one; a staircase changes its level.
+    `not_as_computed`: presentations whose DAC codes were not those computed from the stream.
     """
     rows = []
     events = [event for each in read.participants for event in each.events if event.get("event") == "played"]
@@ -627,6 +628,7 @@ def _as_played(read: Analysis) -> list[dict[str, Any]]:
                     "underruns": sum(_numbers(own, "underruns")),
                     "latency_ms_median": float(np.median(latencies_ms)) if latencies_ms else None,
                     "other_stream": sum(event.get("stream_sha256") != sha256 for event in own),
+                    "not_as_computed": sum(event.get("as_computed") is False for event in own),
                 }
             )
     return rows

@@ -5,7 +5,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
@@ -15,10 +15,12 @@ from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.device_protocol.messages import State, Status
 from vibrocast.device_protocol.transports import TransportError
-from vibrocast.host import hand_playback, player
-from vibrocast.host.controller import Controller, ControllerError
+from vibrocast.host import hand_playback, playback, player
+from vibrocast.host.controller import ControllerError
 from vibrocast.host.hand_playback import Movement, back_and_forth
 from vibrocast.host.limits import carried, check_limits, fitted
+from vibrocast.host.report import Report
+from vibrocast.host.session import Session
 from vibrocast.host.stream_session import configure_steps
 from vibrocast.output.actuator import Actuator, Codes
 from vibrocast.output.rendering import render
@@ -36,127 +38,129 @@ class _Stopped(Exception):
     """Raised in the thread that plays, to end a stimulus before its time."""
 
 
-@dataclass
 class _Playing:
-    """A stimulus under way, and its thread."""
+    """A stimulus under way on a controller.
 
-    stimulus: Stimulus
-    thread: threading.Thread
-    stopping: threading.Event
+    `stopping`: whether it is to end before its time. `begun`: when it began at the skin, in UTC and as `time.monotonic`
+    counts; `rested_s`: when the actuator had come to rest, as that counts. `status`: the last one.
+    """
+
+    def __init__(self, stimulus: Stimulus, play: Callable[["_Playing"], None]) -> None:
+        self.stimulus, self.asked_s = stimulus, time.monotonic()
+        self.stopping = False
+        self.rested_s: float | None = None
+        self.begun: tuple[datetime, float] | None = None
+        self.status: Status | None = None
+        self.thread = threading.Thread(target=play, args=(self,), name="stimulus", daemon=True)
+        self.thread.start()
+
+    def follow(self, position_s: float | None, status: Status | None = None) -> None:
+        """Take in where it is, None before and after it plays. Raises _Stopped where it is to end."""
+        self.status = status or self.status
+        if self.begun is None and position_s is not None:
+            self.begun = datetime.now(UTC) - timedelta(seconds=position_s), time.monotonic() - position_s
+        if self.rested_s is None and status is not None and status.state == State.FINISHED:
+            self.rested_s = time.monotonic()
+        if self.stopping:
+            raise _Stopped
 
 
 class ControllerPlayer(StimulusPlayer):
     """Plays on a controller session, which nobody else uses meanwhile.
 
-    One thread at a time talks to the controller. `switch` stops and starts, because a controller plays one stream at a
-    time: about 0.4 s lie between. Some streams no controller decodes, such as one that is coded as a whole file. Such a
-    stream is decoded here and sent as `limits.carried` says. That error lies far below the stream's own.
+    One thread at a time talks to the controller. What was played is read back and compared with the same computed here.
+    `switch` stops and starts, because a controller plays one stream at a time: about 0.4 s lie between. Some streams no
+    controller decodes, such as one that is coded as a whole file. Such a stream is decoded here and sent as
+    `limits.carried` says. That error lies far below the stream's own.
     """
 
-    def __init__(self, controller: Controller) -> None:
+    def __init__(self, session: Session) -> None:
         super().__init__()
-        self._controller = controller
+        self._session = session
         self._playing: _Playing | None = None
-        self._status: Status | None = None  # of the stimulus that plays, the last one
         self._error: Exception | None = None
         self._carried: dict[str, Stream] = {}
 
     def prepare(self, stimuli: Sequence[Stimulus]) -> None:
-        """Offer each stream to the controller, split packets that are too long, code again what it rejects."""
+        """Offer each stream to the controller; code again what it rejects. Raises as `start`."""
+        controller = self._session.controller
         for stimulus in stimuli:
             stream = stimulus.stream
             try:
-                check_limits(self._controller, stream.header.channels, stream.header.rate_hz)
+                check_limits(controller, stream.header.channels, stream.header.rate_hz)
             except StreamError as error:
                 raise ControllerError(f"{stimulus.key}: {error}") from error
             try:
-                sent = fitted(self._controller, stream)
-                self._controller.run(configure_steps(self._controller, sent.header, 1, packets=len(sent.packets)))
-                self._controller.stop()
-            except StreamError:
-                sent = carried(stream)
-            except ControllerError as error:
-                if error.code is None:
+                sent = fitted(controller, stream)
+                controller.run(configure_steps(controller, sent.header, 1, packets=len(sent.packets)))
+                controller.stop()
+            except (StreamError, ControllerError) as error:
+                if isinstance(error, ControllerError) and error.code is None:
                     raise
-                sent = carried(stream)
-            self._carried[stream_sha256(stream)] = sent
+                self._carried[stream_sha256(stream)] = carried(stream)
 
     def start(self, stimulus: Stimulus) -> None:
         """Play from the beginning; the one before ramps down first. Raises ControllerError, TransportError."""
         self.stop()
         self._raise_error()
-        stopping = threading.Event()
-        thread = threading.Thread(target=self._play, args=(stimulus, stopping), name="stimulus", daemon=True)
-        self._playing = _Playing(stimulus, thread, stopping)
-        thread.start()
+        self._playing = _Playing(stimulus, self._play)
 
     def stop(self) -> None:
         """End the stimulus that plays, and wait for its thread. Never raises for a device that is gone."""
         now, self._playing = self._playing, None
         if now is not None:
-            now.stopping.set()
+            now.stopping = True
             now.thread.join(_STOP_WITHIN_S)
 
     def playing(self) -> str | None:
         """Return the key of the stimulus that plays, None at rest. Raises ControllerError, TransportError."""
         self._raise_error()
         now = self._playing
-        return now.stimulus.key if now is not None and now.thread.is_alive() else None
+        return now.stimulus.key if now is not None and now.thread.is_alive() and now.rested_s is None else None
 
     def _raise_error(self) -> None:
         error, self._error = self._error, None
         if error is not None:
             raise error
 
-    def _play(self, stimulus: Stimulus, stopping: threading.Event) -> None:
-        """Play one stimulus in its own thread, and note what was played from the last status."""
-        asked_s = time.monotonic()
-        begun: tuple[datetime, float] | None = None
-        self._status = None
-
-        def watch(position_s: float | None) -> None:
-            nonlocal begun
-            if begun is None and position_s is not None:
-                begun = datetime.now(UTC) - timedelta(seconds=position_s), time.monotonic() - position_s
-            if stopping.is_set():
-                raise _Stopped
-
+    def _play(self, now: _Playing) -> None:
+        """Play one stimulus in its own thread, and note what was played."""
+        stimulus, report = now.stimulus, None
         try:
             with suppress(_Stopped):
-                watch(None)
-                self._perform(stimulus, watch)
+                now.follow(None)
+                report = self._perform(now, self._carried.get(stream_sha256(stimulus.stream), stimulus.stream))
+            now.status = self._session.controller.request_status()
         except (ControllerError, TransportError) as error:
             self._error = error
         except (StreamError, ValueError) as error:
             self._error = ControllerError(f"{stimulus.key} cannot be played: {error}")
-        if begun is None or self._status is None:
+        if now.begun is None or now.status is None:
             return
-        begun_utc, begun_s = begun
+        begun_utc, begun_s = now.begun
         self._played.append(
             Played(
                 stimulus=stimulus.key,
                 stream_sha256=stream_sha256(stimulus.stream),
                 started_utc=begun_utc.isoformat(timespec="microseconds"),
-                latency_ms=1000 * (begun_s - asked_s),
+                latency_ms=1000 * (begun_s - now.asked_s),
                 gain_db=stimulus.gain_db,
-                limited=limited_samples(self._status),
-                underruns=self._status.underruns,
-                seconds=time.monotonic() - begun_s,
+                limited=limited_samples(now.status),
+                underruns=now.status.underruns,
+                seconds=(now.rested_s or time.monotonic()) - begun_s,
+                as_computed=None if report is None else report.dac_equals_offline,
             )
         )
 
-    def _perform(self, stimulus: Stimulus, watch: Callable[[float | None], None]) -> None:
-        """Play to the end, and keep the last status.
+    def _perform(self, now: _Playing, stream: Stream) -> Report:
+        """Play to the end, and compare. Raises _Stopped, and as `playback.play`."""
 
-        `watch` is called often with the position in s, None before the actuator moves; it may raise _Stopped.
-        """
+        def follow(progress: player.Progress) -> None:
+            moves = progress.status.state == State.PLAYING
+            now.follow(progress.position_s if moves else None, progress.status)
 
-        def note(now: player.Progress) -> None:
-            self._status = now.status
-            watch(now.position_s if now.status.state == State.PLAYING else None)
-
-        stream = self._carried.get(stream_sha256(stimulus.stream), stimulus.stream)
-        player.play(self._controller, stream, player.PlaybackSettings(loops=stimulus.loops, progress=note))
+        stimulus = now.stimulus
+        return playback.play(self._session, stimulus.key, stream, loops=stimulus.loops, progress=follow).report
 
 
 class HandPlayer(ControllerPlayer):
@@ -167,8 +171,8 @@ class HandPlayer(ControllerPlayer):
     `seconds`: duration of a presentation. A controller without a sensor gets strokes there and back, one a beat.
     """
 
-    def __init__(self, controller: Controller, hand: Hand, seconds: float) -> None:
-        super().__init__(controller)
+    def __init__(self, session: Session, hand: Hand, seconds: float) -> None:
+        super().__init__(session)
         self._speed_mm_s = hand.speed_mm_s
         # The highest speed of a cosine is pi / 2 times its mean.
         whole = back_and_forth(hand.stroke_mm, math.pi / 2 * hand.speed_mm_s, math.ceil(seconds / (2 * hand.stroke_s)))
@@ -182,19 +186,21 @@ class HandPlayer(ControllerPlayer):
             over_position = replace(recording, rate_hz=1000 * recording.rate_hz / self._speed_mm_s)
             try:
                 profile = encode_profile(over_position, snr_db=UNCODED_SNR_DB, touch=0).stream
-                hand_playback.load(self._controller, profile)
+                hand_playback.load(self._session.controller, profile)
             except (ControllerError, ValueError) as error:
                 raise ControllerError(f"{stimulus.key} as a height profile: {error}") from error
             finally:
-                self._controller.stop()
+                self._session.controller.stop()
             self._carried[stream_sha256(stimulus.stream)] = profile
 
-    def _perform(self, stimulus: Stimulus, watch: Callable[[float | None], None]) -> None:
-        """Play under the hand to the end, and keep the last status."""
-        profile = self._carried[stream_sha256(stimulus.stream)]
-        with suppress(_Stopped):
-            hand_playback.play(self._controller, profile, self._movement, lambda part: watch(0.0 if part > 0 else None))
-        self._status = self._controller.request_status()
+    def _perform(self, now: _Playing, stream: Stream) -> Report:
+        """Play under the hand to the end, and compare. Raises _Stopped, and as `hand_playback.play`."""
+
+        def follow(part: float) -> None:
+            now.follow(0.0 if part > 0 else None)
+
+        key = now.stimulus.key
+        return hand_playback.play_and_compare(self._session, key, stream, self._movement, progress=follow).report
 
 
 class CardPlayer(StimulusPlayer):

@@ -199,6 +199,8 @@ class Played:
         limited: DAC samples that a limit changed.
         underruns: Counted by the device.
         seconds: For how long it played.
+        as_computed: Whether the DAC's codes that were read back are those computed here, bit for bit. None: not known,
+            as of a stimulus that was stopped, or on a sound card.
     """
 
     stimulus: str
@@ -209,6 +211,7 @@ class Played:
     limited: int
     underruns: int
     seconds: float
+    as_computed: bool | None = None
 
 
 class StimulusPlayer(ABC):

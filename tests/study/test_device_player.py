@@ -9,7 +9,7 @@ import pytest
 
 from tests.study.small_study import text_of
 from vibrocast.device_protocol.transports import SerialTransport, TransportError
-from vibrocast.host import devices
+from vibrocast.host import session
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.simulated_device.controller import Controller as SimulatedController
@@ -24,8 +24,8 @@ from vibrocast.study.trials import Stimulus
 
 @pytest.fixture
 def player() -> Iterator[ControllerPlayer]:
-    with devices.connect("sim", actuator=PIEZO_STACK) as controller:
-        player = ControllerPlayer(controller)
+    with session.connect("sim", actuator=PIEZO_STACK) as opened:
+        player = ControllerPlayer(opened)
         yield player
         player.close()
 
@@ -35,6 +35,7 @@ def wait_for_rest(player: ControllerPlayer) -> None:
     while player.playing() is not None and time.monotonic() < until_s:
         time.sleep(0.01)
     assert player.playing() is None
+    player.stop()  # and wait for the comparison
 
 
 def test_each_presentation_is_noted_with_its_stream_and_another_one_or_a_stop_ends_it(
@@ -47,19 +48,20 @@ def test_each_presentation_is_noted_with_its_stream_and_another_one_or_a_stop_en
     played = player.take_played()
     assert [each.stimulus for each in played] == [each.key for each in made[:2]]
     assert [each.stream_sha256 for each in played] == [stream_sha256(each.stream) for each in made[:2]]
-    assert all(each.underruns == 0 and each.limited == 0 for each in played)
+    assert all(each.underruns == 0 and each.limited == 0 and each.as_computed for each in played)
     assert player.take_played() == []
     player.start(made[0])
     player.switch(made[1])
     assert player.playing() == made[1].key
     player.stop()
     assert player.playing() is None
+    assert all(each.as_computed is None for each in player.take_played())
 
 
 def test_a_stimulus_plays_by_the_position_of_the_hand(made: tuple[Stimulus, ...]) -> None:
     hand = Hand(speed_mm_s=50, stroke_mm=10, plays=True)
-    with devices.connect("sim", actuator=PIEZO_STACK) as controller:
-        player = HandPlayer(controller, hand, 0.5)
+    with session.connect("sim", actuator=PIEZO_STACK) as opened:
+        player = HandPlayer(opened, hand, 0.5)
         player.prepare(made[:1])
         # One stroke a beat of 0.2 s, for 0.5 s.
         times_s, positions_mm = player._movement.times_s, player._movement.positions_mm
@@ -81,6 +83,7 @@ def test_a_stimulus_plays_by_the_position_of_the_hand(made: tuple[Stimulus, ...]
     assert whole.stimulus == stopped.stimulus == made[0].key
     assert whole.stream_sha256 == stream_sha256(made[0].stream)
     assert whole.seconds > 0.5
+    assert whole.as_computed and stopped.as_computed is None
 
 
 def test_a_stream_that_no_controller_decodes_goes_in_another_coding(player: ControllerPlayer, folder: Path) -> None:
@@ -101,7 +104,7 @@ def test_a_stream_that_no_controller_decodes_goes_in_another_coding(player: Cont
 @pytest.mark.skipif(not has_pseudo_terminals(), reason="this system has no pseudo-terminals")
 def test_a_pulled_cable_is_an_error_and_never_a_hang(made: tuple[Stimulus, ...]) -> None:
     with PtyPort(SimulatedController()) as port, SerialTransport(port.name) as transport:
-        player = ControllerPlayer(Controller(transport))
+        player = ControllerPlayer(session.session_with(Controller(transport), f"serial:{port.name}"))
         player.start(made[0])
         port.unplug()
         with pytest.raises((TransportError, ControllerError)):
