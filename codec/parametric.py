@@ -118,6 +118,10 @@ class Shape:
         )
 
 
+ENVELOPE = Shape(hop=32, bands="third octave", level_bits=3, frame=8, interval=1, harmonics=MAX_HARMONICS)
+"""The description behind `envelope`: an amplitude every 11 ms at 2800 Hz."""
+
+
 class ParametricEncoder(PacketwiseEncoder):
     """Encoder of `parametric`; see codec.interface.Encoder. Samples beyond full scale are clipped to it."""
 
@@ -242,6 +246,34 @@ class _Analysis:
                     amplitudes[frame, :count] = np.hypot(weights[:count], weights[count:])
                     ridges[frame] = fitted[-self._segment :]
         return pitches, amplitudes, ridges
+
+
+def envelope(signal: Signal) -> tuple[Signal, Signal]:
+    """Return the sines that stand for a signal (n,) of full scale 1 by its finest description.
+
+    Their amplitudes (m,), and their frequencies (m,) in turns per sample: the mean of the bands and harmonics, weighted
+    by their power; one of each for every ENVELOPE.hop samples, the first one for sample 0.
+    """
+    shape = ENVELOPE
+    padded = np.pad(signal, (0, -len(signal) % shape.frame_samples))
+    edges = band_edges(shape.hop, shape.bands)
+    times_end, bands_end = 1 + shape.frame // shape.interval, -shape.harmonics
+    frames = _Analysis(shape).describe(padded)
+    levels = np.concatenate([[0.0], amplitudes(shape.level_bits) / UNIT])
+    # A block has the mean square of its samples in each bin, on average; a sine has half the square of its amplitude.
+    powers = np.concatenate(
+        [
+            np.square(levels[frames[:, times_end:bands_end]]) * np.diff(edges) / shape.hop,
+            np.square(levels[frames[:, bands_end:]]) / 2,
+        ],
+        axis=1,
+    )
+    harmonics = turns()[frames[:, :1]] * np.arange(1, shape.harmonics + 1)
+    bands = np.broadcast_to((edges[1:] + edges[:-1]) / (4 * shape.hop), (len(frames), len(edges) - 1))
+    sums = np.sum(powers, axis=1)
+    means = np.sum(powers * np.concatenate([bands, harmonics], axis=1), axis=1) / np.maximum(sums, np.finfo(float).tiny)
+    gains = np.exp2(frames[:, 1:times_end] / (1 << shape.level_bits))
+    return (np.sqrt(2 * sums)[:, None] * gains).ravel(), np.repeat(means, gains.shape[1])
 
 
 def turns_of(spans: Signal, harmonics: int) -> Signal:

@@ -48,7 +48,9 @@ CORE = (
     ),
     Subcommand("encode", "Compress", f"{CLI}.encode:encode", "Code a recording into a .vct file."),
     Subcommand("decode", "Compress", f"{CLI}.decode:decode", "Decode a .vct file into a WAV, CSV, NPY or MAT file."),
-    Subcommand("convert", "Compress", f"{CLI}.convert:convert", "Convert a haptic clip into a recording."),
+    Subcommand(
+        "convert", "Compress", f"{CLI}.convert:convert", "Convert a clip into a recording, or a texture into a clip."
+    ),
     Subcommand("info", "Compress", f"{CLI}.decode:info", "Show the codec, rate and content of a .vct file."),
     Subcommand("codecs", "Compress", f"{CLI}.codecs:codecs", "List the codecs and their parameters."),
     Subcommand("play", "Play", f"{CLI}.play:play", "Play recordings, .vct files, folders and .m3u lists of them."),

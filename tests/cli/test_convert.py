@@ -1,13 +1,15 @@
 """Tests of `convert`, and of clips in the commands that take recordings."""
 
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.command import ROOT, answer, fails, succeeds
+from tests.command import OAK, ROOT, answer, fails, succeeds
 from vibrocast import textures
+from vibrocast.textures import clips
 
 KNOCK = ROOT / "examples" / "clips" / "knock.ahap"
 
@@ -28,10 +30,24 @@ def test_the_constants_are_told(tmp_path: Path) -> None:
     assert told[1:] == [f"  {note}" for note in textures.load(KNOCK).notes]
 
 
+@pytest.mark.parametrize("suffix", clips.WRITERS)
+def test_a_texture_becomes_a_clip(suffix: str, tmp_path: Path) -> None:
+    out, coded = tmp_path / f"out{suffix}", tmp_path / "oak.vct"
+    facts = answer("convert", OAK, out)
+    assert (facts["unit"], facts["seconds"]) == ("m/s^2", 4) and textures.load(out).seconds == pytest.approx(4)
+    assert 0 < facts["quality"]["third_octave_distance_db"] < 12
+    succeeds("encode", OAK, coded)
+    told = succeeds("convert", coded, out).splitlines()
+    assert re.search(r"4\.000 s, amplitude 1 is 1\d\.\d m/s\^2", told[0])
+    assert re.match(r"  SNR -\d\.\d dB, third-octave distance \d+\.\d dB, log spectral distance \d+\.\d dB", told[1])
+    assert re.fullmatch(r"  frequency limited to \d+ to \d+ Hz: \d+\.\d % of the energy", told[2])
+
+
 def test_a_clip_is_not_written_over(tmp_path: Path) -> None:
     clip = tmp_path / "clip.ahap"
     clip.write_bytes(KNOCK.read_bytes())
-    assert "must end in .wav or" in fails(2, "convert", clip, clip)
+    assert "are the same file" in fails(2, "convert", clip, clip)
+    assert "must end in .wav or" in fails(2, "convert", clip, tmp_path / "clip.hjif")
 
 
 @pytest.mark.usefixtures("simulated_time")

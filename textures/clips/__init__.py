@@ -2,11 +2,20 @@
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 from vibrocast.textures.arrays import parsing
 from vibrocast.textures.clips import ahap, haps, haptic, hjif, hmpg
-from vibrocast.textures.clips.synthesis import RATE_HZ, Clip, rendered
+from vibrocast.textures.clips.synthesis import RATE_HZ, Clip, Envelope, rendered
 from vibrocast.textures.recording import Contents, TextureError, unusable
+
+
+class Writer(NamedTuple):
+    """How clips of a format are written. `range_hz`: its lowest and its highest frequency."""
+
+    write: Callable[[Envelope], bytes]
+    range_hz: tuple[float, float]
+
 
 READERS: Mapping[str, Callable[[bytes], Clip]] = {
     ".ahap": ahap.read,
@@ -16,6 +25,10 @@ READERS: Mapping[str, Callable[[bytes], Clip]] = {
     ".hmpg": hmpg.read,
 }
 """The reader of each suffix. It may raise any error for a file of another kind."""
+WRITERS = {
+    ".ahap": Writer(ahap.write, (ahap.LOWEST_HZ, ahap.HIGHEST_HZ)),
+    ".haptic": Writer(haptic.write, haptic.GENERIC.frequency_hz),
+}
 SUFFIXES = tuple(READERS)
 MAX_BYTES = 5_000_000
 """Of a clip; those of programs have some kilobytes."""

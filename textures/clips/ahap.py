@@ -1,13 +1,13 @@
 """Reads AHAP, Apple's haptic and audio patterns: events, and parameters that change all events over time."""
 
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
-from msgspec import Meta, Struct, field
+from msgspec import Meta, Struct, field, json
 
 from vibrocast.textures.clips.documents import Seconds, left_out, polyline, read_json
-from vibrocast.textures.clips.synthesis import MAX_PARTS, Channel, Clip, Part, transient, wave
+from vibrocast.textures.clips.synthesis import MAX_PARTS, Channel, Clip, Envelope, Part, transient, wave
 from vibrocast.textures.recording import Signal
 
 INTENSITY_EXPONENT = 2.0
@@ -18,6 +18,8 @@ TRANSIENT_CYCLES = 2.0
 """As in that software, and in Meta's Haptics SDK."""
 DEFAULTS = {"HapticIntensity": 1.0, "HapticSharpness": 0.5}
 """Of an event that states none. Apple does not publish its own; most programs write these."""
+MAX_EVENT_S, MAX_CURVE_POINTS = 30.0, 16
+"""The longest event by Apple's documentation, and the points to which most programs split a curve."""
 CONTROLS = {"HapticIntensityControl": 1.0, "HapticSharpnessControl": 0.0}
 """The dynamic parameters that are rendered, with their values before the first one: a factor, and a summand."""
 
@@ -116,6 +118,30 @@ def read(data: bytes) -> Clip:
         f"sharpness {DEFAULTS['HapticSharpness']:g}",
     )
     return Clip([Channel([parts])], (*constants, *left_out(skipped)))
+
+
+def write(envelope: Envelope) -> bytes:
+    """Return an AHAP file of an envelope, whose frequencies are between LOWEST_HZ and HIGHEST_HZ."""
+    intensities = envelope.amplitudes ** (1 / INTENSITY_EXPONENT)
+    sharpnesses = (envelope.frequencies_hz - LOWEST_HZ) / (HIGHEST_HZ - LOWEST_HZ)
+    times_s = envelope.times_s.tolist()
+    neutral = [{"ParameterID": name, "ParameterValue": value} for name, value in zip(DEFAULTS, (1, 0), strict=True)]
+    event = {"EventType": "HapticContinuous", "EventParameters": neutral}
+    pattern: list[dict[str, Any]] = [
+        {"Event": {**event, "Time": start_s, "EventDuration": min(times_s[-1] - start_s, MAX_EVENT_S)}}
+        for start_s in np.arange(0, times_s[-1], MAX_EVENT_S).tolist()
+    ]
+    for name, values in zip(CONTROLS, (intensities, sharpnesses), strict=True):
+        for first in range(0, len(values) - 1, MAX_CURVE_POINTS - 1):
+            part = slice(first, first + MAX_CURVE_POINTS)
+            start_s = times_s[first]
+            points = [
+                {"Time": round(time_s - start_s, 6), "ParameterValue": round(value, 4)}
+                for time_s, value in zip(times_s[part], values[part].tolist(), strict=True)
+            ]
+            curve = {"ParameterID": name, "Time": start_s, "ParameterCurveControlPoints": points}
+            pattern.append({"ParameterCurve": curve})
+    return json.encode({"Version": 1.0, "Pattern": pattern})
 
 
 def _part(event: _Event, intensity_control: _Control, sharpness_control: _Control) -> Part:

@@ -3,10 +3,10 @@
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, json
 
 from vibrocast.textures.clips.documents import Seconds, Unit, polyline, read_json
-from vibrocast.textures.clips.synthesis import MAX_PARTS, Channel, Clip, Part, wave
+from vibrocast.textures.clips.synthesis import MAX_PARTS, Channel, Clip, Envelope, Part, wave
 from vibrocast.textures.recording import Signal, TextureError
 
 
@@ -106,6 +106,17 @@ def read(data: bytes, device: Device = GENERIC) -> Clip:
         *((f"version 1.{version.minor} is read as 1.0",) if version.minor else ()),
     )
     return Clip([Channel([[Part(0.0, end_s, values), *emphases]])], notes)
+
+
+def write(envelope: Envelope) -> bytes:
+    """Return a `.haptic` file of an envelope for GENERIC, in whose range its frequencies are."""
+    points = zip(envelope.times_s.tolist(), envelope.amplitudes.tolist(), strict=True)
+    numbers = np.interp(envelope.frequencies_hz, GENERIC.frequency_hz, (0, 1))
+    amplitude = [_AmplitudePoint(round(time_s, 6), round(value, 4)) for time_s, value in points]
+    frequency = [
+        _FrequencyPoint(each.time, round(value, 4)) for each, value in zip(amplitude, numbers.tolist(), strict=True)
+    ]
+    return json.encode(_Document(_Version(1), _Signals(_Continuous(_Envelopes(amplitude, frequency)))))
 
 
 def _emphases(points: list[_AmplitudePoint], end_s: float, device: Device) -> list[Part]:

@@ -53,6 +53,15 @@ class Clip:
     notes: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class Envelope:
+    """A vibration of one channel: straight lines between amplitudes, 0 to 1, and frequencies at times (n,)."""
+
+    times_s: Signal
+    amplitudes: Signal
+    frequencies_hz: Signal
+
+
 def rendered(clip: Clip, rate_hz: float, path: Path) -> Contents:
     """Return the signal of a clip at a rate. Raises TextureError if there is none, or if it takes too long."""
     if not MIN_RATE_HZ <= rate_hz <= MAX_RATE_HZ:
@@ -82,15 +91,15 @@ def rendered(clip: Clip, rate_hz: float, path: Path) -> Contents:
                 first, end = _first_sample(part.start_s, rate_hz), _first_sample(part.end_s, rate_hz)
                 if first < end:
                     since_start: Signal = np.arange(first, end) - np.float64(part.start_s * rate_hz)
-                    column[first:end] += part.values(since_start / rate_hz)
+                    column[first:end] += part.values(np.maximum(since_start, 0) / rate_hz)
             np.clip(column, -1, 1, out=column)
         np.clip(column * channel.gain, -1, 1, out=column)
     return Contents(signal, rate_hz, "drive", notes=(f"rendered at {rate_hz:g} Hz", *clip.notes))
 
 
 def _first_sample(time_s: float, rate_hz: float) -> int:
-    """Return the first sample at or after a time, to the rounding of its float."""
-    return math.ceil(time_s * rate_hz - 1e-6)
+    """Return the first sample at or after a time. Files round times, to a microsecond for instance."""
+    return math.ceil(time_s * rate_hz - 0.01)
 
 
 def wave(times_s: Signal, amplitudes: Signal, frequencies_hz: Signal) -> Signal:
