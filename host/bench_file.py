@@ -211,10 +211,10 @@ class Bench:
         """The controller under test."""
         return self.controllers[0]
 
-    def actuator(self, controller: str, channel: int = 1) -> Actuator | None:
-        """Return the model of the actuator on a channel; None where the bench file says nothing of it."""
+    def actuator(self, controller: str) -> Actuator | None:
+        """Return the model of the actuator on the first channel; None where the bench file says nothing of it."""
         models = {each.channel: each.model for each in self.actuators if each.controller == controller}
-        return models.get(channel, models.get(None))
+        return models.get(1, models.get(None))
 
     def scene(self) -> tuple[Recording, ...]:
         """Return the textures, loaded or made; a generated one where the bench names none. Raises InputError."""

@@ -103,9 +103,9 @@ tracer = Tracer()
 class TappedTransport(Closing):
     """A transport whose bytes the tracer sees; all else is that of the transport."""
 
-    def __init__(self, transport: Transport, link: str, tracer: Tracer = tracer) -> None:
+    def __init__(self, transport: Transport, link: str) -> None:
         self._transport = transport
-        self._link, self._tracer = link, tracer
+        self._link = link
         self._splitters = {True: FrameSplitter(), False: FrameSplitter()}
 
     def __getattr__(self, name: str) -> Any:
@@ -139,4 +139,4 @@ class TappedTransport(Closing):
     def _see(self, data: bytes, from_host: bool) -> None:
         now_ns = time.time_ns()
         for encoded in self._splitters[from_host].feed(data):
-            self._tracer.note(TracedFrame(now_ns, from_host, self._link, encoded))
+            tracer.note(TracedFrame(now_ns, from_host, self._link, encoded))

@@ -52,14 +52,13 @@ def flash(
     image: bytes,
     slot: int | None = None,
     progress: Callable[[int, int], None] | None = None,
-    reconnect_s: float = RECONNECT_S,
     confirm: bool = True,
 ) -> ImageDescription:
     """Flash a packed model image, start it as a test, confirm it; return what the slot then holds.
 
     `confirm`: False = it stays a test, so that the image before runs again after the next restart. `slot`: None = one
     that is not running. `progress` is called with the bytes that the slot has and the image's size.
-    A cut connection is opened again for `reconnect_s`, and the transfer resumed; a later call resumes it as well.
+    A cut connection is opened again for RECONNECT_S, and the transfer resumed; a later call resumes it as well.
     An image that runs already is left alone. Raises ModelError, also for an image without the signature that the
     controller needs, ControllerError, TransportError, MessageError.
     """
@@ -97,7 +96,7 @@ def flash(
                 raise  # nothing was gained since the last cut, or too little
             resumed_at, cuts = received, cuts + 1
             _log.warning("upload cut at byte %d", received)
-            controller.reconnect(reconnect_s)
+            controller.reconnect(RECONNECT_S)
     if verified.sha256 != identity or verified.state != SlotState.VERIFIED:
         raise ControllerError(f"verification failed for slot {slot}: data differs; upload it again")
     _start_test(controller, described(slot, SlotState.TESTING))
