@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from vibrocast.device_protocol.encoding import Reader, crc16, pack_varint
 from vibrocast.errors import InputError
 
+STREAM_SUFFIX = ".vct"
 FORMAT = 3
 MAGIC = bytes((0xD0 | FORMAT,))
 _OLD_MAGICS = {b"VCT": 1, b"\xd2": 2}

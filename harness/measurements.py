@@ -14,8 +14,7 @@ from vibrocast.host import bench_file, devices, player
 from vibrocast.host.bench_file import Bench
 from vibrocast.host.controller import Controller
 from vibrocast.host.session import Session
-from vibrocast.host.track_player import PlayedList, play_list
-from vibrocast.host.tracks import TrackOptions
+from vibrocast.host.track_player import PlayedList, TrackOptions, play_list
 from vibrocast.textures import Recording
 
 Progress = Callable[[float], None]

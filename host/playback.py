@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.codec.encoding import Encoding, GrowingStream
+from vibrocast.codec.encoding import Encoding
 from vibrocast.codec.stream import Stream
 from vibrocast.codec.threshold import PHYSICAL_UNITS, felt_error, over_threshold_db, read_threshold
 from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader
@@ -21,7 +21,6 @@ from vibrocast.host.picture import Trace
 from vibrocast.host.report import ActuatorUse, DeviceDescription, Latency, Provenance, Report, Touch
 from vibrocast.host.session import Session
 from vibrocast.host.skin_quality import compare_channels, limit_note
-from vibrocast.host.tracks import Track
 from vibrocast.output.actuator import SKIN_OVERSAMPLING, Actuator, Codes, followed_band_hz, octave_gains_db
 from vibrocast.output.rendering import Drive, LimitCounts, displacement_filter, render
 from vibrocast.textures import Recording
@@ -91,28 +90,10 @@ def play(
         loops=loops, capture=_unread_reason(session, sent, loops) is None, progress=progress
     )
     result = controller.run(player.play_steps(controller, sent, settings))
-    return _compared(session, file_name, sent, encoding, loops, result, underruns_before, provenance or Provenance())
+    return compared(session, file_name, sent, encoding, loops, result, underruns_before, provenance or Provenance())
 
 
-def compared_track(
-    session: Session,
-    track: Track,
-    result: player.PlaybackResult,
-    loops: int,
-    card_underruns_before: int,
-    provenance: Provenance,
-) -> Playback:
-    """Return what a controller did with a track, compared with the same computed here. Raises CodecError."""
-    stream, encoding = track.stream, None
-    if isinstance(stream, GrowingStream):
-        encoding = stream.finished()
-        stream = encoding.stream
-    stream = stream.with_gain(track.gain_db)
-    played = _compared(session, track.name, stream, encoding, loops, result, card_underruns_before, provenance)
-    return replace(played, given_samples=track.given_samples)
-
-
-def _compared(
+def compared(
     session: Session,
     file_name: str,
     stream: Stream,

@@ -21,8 +21,7 @@ from vibrocast.host import devices, playback, player, session, uploader
 from vibrocast.host.limits import check_unit
 from vibrocast.host.report import Report as Report
 from vibrocast.host.session import Session
-from vibrocast.host.track_player import BackgroundPlayer, Command, Event
-from vibrocast.host.tracks import Source, TrackOptions, tracks_of
+from vibrocast.host.track_player import BackgroundPlayer, Command, Event, Source, TrackOptions, tracks_of
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import Actuator as Actuator
 from vibrocast.textures import HIGHPASS_HZ, TextureError, arguments

@@ -11,6 +11,7 @@ import click
 
 from vibrocast import extras, progress, textures
 from vibrocast.codec.stream import Stream, read_stream
+from vibrocast.device_protocol.coded_stream import STREAM_SUFFIX
 from vibrocast.device_protocol.messages import MessageError
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.errors import BAD_INPUT, FAILED, InputError
@@ -48,8 +49,7 @@ from vibrocast.host.playback import Playback
 from vibrocast.host.player import RECONNECT_S
 from vibrocast.host.report import Provenance, UnfinishedReport, write_json
 from vibrocast.host.session import Session
-from vibrocast.host.track_player import Event, PlayedList, Remote, play_list
-from vibrocast.host.tracks import STREAM_SUFFIX, TrackOptions, tracks_of
+from vibrocast.host.track_player import Event, PlayedList, Remote, TrackOptions, play_list, tracks_of
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import ACTUATORS
 

@@ -21,7 +21,7 @@ from vibrocast.host.cli.options import (
 )
 from vibrocast.host.cli.steps import encoded, files_of, reject_coding_options
 from vibrocast.host.playback import drive_signal
-from vibrocast.host.tracks import TrackOptions, read_source
+from vibrocast.host.track_player import TrackOptions, read_source
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import ACTUATORS, MAX_FULL_SCALE_VOLTS, MIN_FULL_SCALE_VOLTS
 

@@ -43,7 +43,7 @@ def serve(
     """
     from vibrocast.host.lab_network import Markers, OscServer
     from vibrocast.host.session import connect
-    from vibrocast.host.tracks import TrackOptions
+    from vibrocast.host.track_player import TrackOptions
 
     host, _, port = listen_at.rpartition(":")
     if not port.isdecimal():

@@ -15,11 +15,11 @@ from vibrocast.codec.encoding import (
     encode_recording,
     profile_recording,
 )
+from vibrocast.device_protocol.coded_stream import STREAM_SUFFIX
 from vibrocast.files import plain
 from vibrocast.host.cli.answers import add, wants_json
 from vibrocast.host.cli.errors import explained
 from vibrocast.host.cli.options import QualityOptions, RecordingOptions
-from vibrocast.host.tracks import STREAM_SUFFIX
 
 _Outcome = TypeVar("_Outcome")
 

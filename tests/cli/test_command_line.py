@@ -457,7 +457,7 @@ def test_unexpected_errors_are_one_line_and_debug_shows_them(texture: Path, monk
     def breaks(*_: object, **__: object) -> None:
         raise ZeroDivisionError("two\nlines")
 
-    monkeypatch.setattr("vibrocast.host.tracks.begin_encoding", breaks)
+    monkeypatch.setattr("vibrocast.host.track_player.begin_encoding", breaks)
     result = run("play", texture)
     assert result.exit_code == 1
     assert "unexpected ZeroDivisionError: two lines" in result.stderr

@@ -19,8 +19,19 @@ from vibrocast.errors import InputError
 from vibrocast.host.cli.controls import KEYS, Control, _commands
 from vibrocast.host.event_loop import run_all
 from vibrocast.host.session import session_with
-from vibrocast.host.track_player import WORDS, Command, Event, Group, Remote, TrackPlayer, command_of, play_list
-from vibrocast.host.tracks import Source, TrackOptions, tracks_of
+from vibrocast.host.track_player import (
+    WORDS,
+    Command,
+    Event,
+    Group,
+    Remote,
+    Source,
+    TrackOptions,
+    TrackPlayer,
+    command_of,
+    play_list,
+    tracks_of,
+)
 from vibrocast.output.actuator import Codes
 from vibrocast.simulated_device.memory_link import SimulatedTime
 from vibrocast.textures.recording import Recording
