@@ -1,6 +1,5 @@
 """Shared parts of codecs: an encoder that gathers packets; the states of encoders and decoders in the integer core."""
 
-import copy
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -35,6 +34,11 @@ def step_code(step: float) -> int:
     unit_step = min(max(step * UNIT, 64.0), 127.0 * 2**20)
     exponent = math.floor(math.log2(unit_step / 64))
     return min(max(64 * exponent + round(math.ldexp(unit_step, -exponent)) - 64, 0), STEP_CODES - 1)
+
+
+def step_of(code: int) -> float:
+    """Return the quantiser step of a code, in 1/256 of a sample's least significant bit."""
+    return math.ldexp(64 + code % 64, code // 64)
 
 
 class PacketwiseEncoder(ABC):
@@ -135,13 +139,29 @@ def damaged_packet() -> CodecError:
     return CodecError("a packet is damaged, or another codec made it; copy or encode the stream again")
 
 
-def core_state(name: str, kind: str, configuration: bytes, channels: int, *parameters: Any) -> Structure:
-    """Return the state of a codec's `kind`, "encoder" or "decoder". Raises CodecError where the core rejects it."""
-    size, init = (getattr(library(), f"vc_{name}_{kind}_{function}") for function in ("size", "init"))
-    state = Structure(size(), f"vc_{name}_{kind} *")
-    if init(state.pointer, configuration, len(configuration), channels, *parameters) != library().VC_OK:
-        raise CodecError("the codec configuration is damaged or of another version; encode the recording again")
-    return state
+class CoreState:
+    """The state of a codec's encoder or decoder in the core; copy.copy copies it. Core functions take `pointer`."""
+
+    def __init__(self, name: str, kind: str, configuration: bytes, channels: int, *parameters: Any) -> None:
+        """Make it from the codec's bytes in the stream header. `kind`: "encoder" or "decoder".
+
+        `parameters`: further arguments of the core's init function. Raises CodecError where the core rejects them.
+        """
+        size, init = (getattr(library(), f"vc_{name}_{kind}_{function}") for function in ("size", "init"))
+        self._state = Structure(size(), f"vc_{name}_{kind} *")
+        if init(self.pointer, configuration, len(configuration), channels, *parameters) != library().VC_OK:
+            raise CodecError("the codec configuration is damaged or of another version; encode the recording again")
+
+    @property
+    def pointer(self) -> Any:
+        """The state."""
+        return self._state.pointer
+
+    def __copy__(self) -> Self:
+        """Return an independent encoder or decoder in the same state."""
+        twin = object.__new__(type(self))
+        twin.__dict__.update(self.__dict__, _state=self._state.copy())
+        return twin
 
 
 def decoding_cycles(identifier: int, configuration: bytes, channels: int, tables: bytes | None) -> int:
@@ -166,8 +186,8 @@ def decoding_cycles(identifier: int, configuration: bytes, channels: int, tables
     return 0 if rejected else int(coding.cycles_per_sample)
 
 
-class CoreEncoder:
-    """The state of a codec's encoder in the core: integers in, packets out. Core functions take its `pointer`."""
+class CoreEncoder(CoreState):
+    """Encoder of a codec in the core: integers in, packets out."""
 
     def __init__(self, name: str, configuration: bytes, channels: int, *parameters: Any) -> None:
         """Make it from the codec's bytes in the stream header; `parameters`: further arguments of its init function.
@@ -175,19 +195,8 @@ class CoreEncoder:
         Raises CodecError when they are not valid.
         """
         self._encode = getattr(library(), f"vc_{name}_encode")
-        self._state = core_state(name, "encoder", configuration, channels, *parameters)
+        super().__init__(name, "encoder", configuration, channels, *parameters)
         self._packet = ffi.new("uint8_t[]", MAX_PACKET_BYTES)
-
-    @property
-    def pointer(self) -> Any:
-        """The state."""
-        return self._state.pointer
-
-    def copy(self) -> Self:
-        """Return an independent encoder in the same state."""
-        twin = copy.copy(self)
-        twin._state = self._state.copy()
-        return twin
 
     def packet(self, packet_samples: int, *inputs: Any) -> bytes:
         """Return the next packet; `inputs`: arrays and numbers for the core's function.
@@ -200,13 +209,13 @@ class CoreEncoder:
             else each
             for each in inputs
         ]
-        length = self._encode(self._state.pointer, *given, self._packet, MAX_PACKET_BYTES)
+        length = self._encode(self.pointer, *given, self._packet, MAX_PACKET_BYTES)
         if length < 0:
             raise does_not_fit(packet_samples)
         return bytes(ffi.buffer(self._packet, length))
 
 
-class CoreDecoder:
+class CoreDecoder(CoreState):
     """Decoder of a codec of the core, which calls its functions vc_NAME_...; see codec.interface.Decoder."""
 
     hosts_only = False
@@ -218,8 +227,8 @@ class CoreDecoder:
         """
         check_channels(channels)
         self.channels = channels
-        self._state = core_state(name, "decoder", configuration, channels, *tables)
-        core, pointer = library(), self._state.pointer
+        super().__init__(name, "decoder", configuration, channels, *tables)
+        core, pointer = library(), self.pointer
         self._decode = getattr(core, f"vc_{name}_decode")
         self.packet_samples: int = getattr(core, f"vc_{name}_decoder_packet_samples")(pointer)
         # Codecs without a delay have no such function.
@@ -228,21 +237,15 @@ class CoreDecoder:
     def decode(self, packet: bytes) -> Decoded:
         """Decode the next packet to int16 (packet_samples, channels). Raises CodecError when it is malformed."""
         samples, pointer = self._output()
-        if self._decode(self._state.pointer, packet, len(packet), pointer) < 0:
+        if self._decode(self.pointer, packet, len(packet), pointer) < 0:
             raise damaged_packet()
         return samples
 
     def conceal(self) -> Decoded:
         """Replace one missing packet: the last sound faded out, then silence."""
         samples, pointer = self._output()
-        self._decode(self._state.pointer, ffi.NULL, 0, pointer)
+        self._decode(self.pointer, ffi.NULL, 0, pointer)
         return samples
-
-    def copy(self) -> Self:
-        """Return an independent decoder in the same state."""
-        twin = copy.copy(self)
-        twin._state = self._state.copy()
-        return twin
 
     def _output(self) -> tuple[Decoded, Any]:
         samples = np.empty((self.packet_samples, self.channels), dtype=np.int16)

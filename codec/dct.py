@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from vibrocast.codec.core import (
     UNIT,
     CoreDecoder,
+    CoreState,
     PacketwiseEncoder,
-    core_state,
     damaged_packet,
     does_not_fit,
     faded_backwards,
@@ -150,10 +150,16 @@ class DctEncoder(PacketwiseEncoder):
     """Encoder of `dct`; see codec.interface.Encoder. Samples beyond full scale are clipped to it."""
 
     def __init__(
-        self, setting: Setting, signal_format: SignalFormat, framing: Framing, rate_control: RateControl | None = None
+        self,
+        setting: Setting,
+        signal_format: SignalFormat,
+        framing: Framing,
+        model: Model | None = None,
+        rate_control: RateControl | None = None,
     ) -> None:
-        """Make an encoder; the setting is complete and checked. `rate_control` chooses the levels of each packet.
+        """Make an encoder of a complete, checked setting; it takes no model.
 
+        `rate_control` chooses the levels of each packet.
         Raises CodecError for a channel count, packet length, frequency limit or threshold that the codec cannot have.
         """
         self._whole = word(setting, "block") == WHOLE
@@ -392,18 +398,6 @@ def pack_bits(words: NDArray[np.int64], lengths: NDArray[np.int64]) -> bytes:
     return np.packbits((np.repeat(words, lengths) >> shifts & 1).astype(np.uint8)).tobytes()
 
 
-def make_encoder(
-    setting: Setting,
-    signal_format: SignalFormat,
-    framing: Framing,
-    model: Model | None,
-    rate_control: RateControl | None = None,
-) -> DctEncoder:
-    """Make an encoder. Raises CodecError as `DctEncoder`."""
-    assert model is None, "no model brings tables"
-    return DctEncoder(setting, signal_format, framing, rate_control)
-
-
 class WholeDecoder:
     """Decoder of whole transforms, for hosts only; see codec.interface.Decoder. The core reads the coefficients.
 
@@ -417,7 +411,7 @@ class WholeDecoder:
         """Make a decoder from the codec's bytes in the stream header. Raises CodecError when they are not valid."""
         check_channels(channels)
         self.channels = channels
-        self._state = core_state(NAME, "decoder", configuration, channels)
+        self._state = CoreState(NAME, "decoder", configuration, channels)
         self.packet_samples: int = library().vc_dct_decoder_packet_samples(self._state.pointer)
         first, end = (int.from_bytes(configuration[start : start + 2], "little") for start in (5, 7))
         self._bins = slice(first, end)
@@ -453,7 +447,6 @@ class WholeDecoder:
 
 def make_decoder(configuration: bytes, channels: int, tables: bytes | None = None) -> Decoder:
     """Make a decoder from the codec's bytes in the stream header. Raises CodecError when they are not valid."""
-    assert tables is None, "no model brings tables"
     if is_whole(configuration):
         return WholeDecoder(configuration, channels)
     return CoreDecoder(NAME, configuration, channels)
@@ -518,7 +511,7 @@ CODEC = Codec(
         "dct-linear-threshold": _level_rate_points(threshold="on"),
         "dct-log-threshold": _level_rate_points(quantiser="log", threshold="on"),
     },
-    make_encoder=make_encoder,
+    make_encoder=DctEncoder,
     make_decoder=make_decoder,
     controls_rate=True,
 )

@@ -3,11 +3,11 @@
 import bisect
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Generic, TypedDict, TypeVar, Unpack, overload
+from typing import Any, TypedDict, Unpack, overload
 
 import numpy as np
 
@@ -23,7 +23,6 @@ from vibrocast.codec.target_search import RATE_TOLERANCE, SNR_TOLERANCE_DB, enco
 from vibrocast.codec.threshold import PHYSICAL_UNITS, felt_error, read_threshold, shape_setting, skin_snr_db
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ, PROFILE_UNIT, StreamError, StreamHeader
 
-Made = TypeVar("Made")
 DEFAULT_SNR_DB = 14.8
 """With the default shape for touch, as many bytes as a flat error at 15 dB on average of the development recordings."""
 DEFAULT_STREAM_RATE_HZ = 2800
@@ -42,10 +41,15 @@ _CROSSFADE_PART = 16
 
 @dataclass(frozen=True)
 class Encoding:
-    """A coded recording. `recording`: the coder's input, at the stream's rate, without the band below the high-pass."""
+    """A coded recording.
+
+    `recording`: the coder's input, at the stream's rate, without the band below the high-pass. `outcome`: how the
+    stream met a target of rate control; None without one.
+    """
 
     stream: Stream
     recording: textures.Recording
+    outcome: Outcome | None = None
 
     @property
     def quality(self) -> CodingQuality:
@@ -58,13 +62,14 @@ class EncodingOptions(TypedDict, total=False):
     """How a recording is coded; what is left out, or None, has its default.
 
     Attributes:
-        model: By default the built-in tables. A codec without such takes the choice of `first_reachable` among the
-            models that ship.
+        model: By default the built-in tables. A codec without such takes a choice among the models that ship, as
+            `_Task.encode` says.
         rate_bps: Target rate, which counts the bits of the whole .vct file.
         snr_db: Target SNR of every channel; without a rate, DEFAULT_SNR_DB. A codec that keeps no waveform has none:
             defaults complete its setting. The same holds for a model with one rate, if you give it.
         setting: The part of the codec's setting that you fix. One that leaves nothing to search for is used as it is,
             and so is one that cannot reach DEFAULT_SNR_DB, as a threshold cut.
+        target: Target of rate control, in place of a rate and an SNR; the recording becomes a live stream.
         live: Whether to add refreshes, for a link that may lose packets.
         unit: The stream's; by default the recording's.
         highpass_hz: `textures.highpass` removes the band below it first; None = the whole band is coded.
@@ -77,6 +82,7 @@ class EncodingOptions(TypedDict, total=False):
     rate_bps: float | None
     snr_db: float | None
     setting: Setting | None
+    target: RateTarget | None
     live: bool
     unit: str | None
     highpass_hz: float | None
@@ -97,36 +103,7 @@ def encode_recording(
     from 0 to 1. Raises CodecError (also when the target rate or SNR cannot be met), ModelError, StreamError or
     TextureError.
     """
-    task = _Task(recording, stream_rate_hz, codec_name, options)
-    return first_reachable(task.chosen, task.model, task.code, progress, task.choice)
-
-
-def encode_live(
-    recording: textures.Recording,
-    target: RateTarget,
-    stream_rate_hz: int = DEFAULT_STREAM_RATE_HZ,
-    codec_name: str | None = None,
-    progress: Progress | None = None,
-    **options: Unpack[EncodingOptions],
-) -> tuple[Stream, Outcome]:
-    """Resample a recording to the stream's rate and code it as a live stream to a target of rate control.
-
-    The target takes the place of a rate and an SNR in the options. Raises as `encode_recording`.
-    """
-    task = _Task(recording, stream_rate_hz, codec_name, {**options, "live": True})
-    samples, signal_format = task.resampled.samples, recording_format(task.resampled)
-
-    def code(model: models.Model | None, tell: Progress | None) -> tuple[Stream, Outcome]:
-        policy, framing = target.policy(signal_format), target.framing(stream_rate_hz)
-        made = encode_rate_controlled(task.source(model, tell), task.given, policy, framing)
-        stream = measure_encoding(task.resampled, made, passed=task.passed).stream
-        return stream, outcome(stream, samples, target.rate_bps, policy)
-
-    choice = FamilyChoice[tuple[Stream, Outcome]](
-        lambda model: unsearched_excess(task.source(model), task.given, target.rate_bps, None),
-        lambda made: -made[1].snr_db,
-    )
-    return first_reachable(task.chosen, task.model, code, progress, choice)
+    return _Task(recording, stream_rate_hz, codec_name, options).encode(progress)
 
 
 def begin_encoding(
@@ -164,7 +141,11 @@ class _Task:
         self, recording: textures.Recording, stream_rate_hz: int, codec_name: str | None, options: EncodingOptions
     ) -> None:
         """Filter and resample the recording, and check the choices. Raises as `encode_recording`."""
-        self._rate_bps, self._snr_db = options.get("rate_bps"), options.get("snr_db")
+        self._rate_bps, self._snr_db, self._target = (
+            options.get("rate_bps"),
+            options.get("snr_db"),
+            options.get("target"),
+        )
         if self._rate_bps is not None and self._snr_db is not None:
             raise CodecError(
                 "`rate_bps` and `snr_db` are both given", action="give one of them", parameter=("rate_bps", "snr_db")
@@ -175,15 +156,16 @@ class _Task:
         self.model = options.get("model")
         self.chosen = chosen_codec(codec_name, self.model)
         self.given = self.chosen.checked(options.get("setting") or {})
-        self._by_default = self._rate_bps is None and self._snr_db is None
+        self._by_default = self._rate_bps is None and self._snr_db is None and self._target is None
         if not self.chosen.leaves_open(self.given):
-            if not self._by_default:
+            if self._rate_bps is not None or self._snr_db is not None:
                 raise CodecError(
                     "the setting fixes the quality; leave out the rate or SNR, or that part of the setting"
                 )
         elif self._by_default and self.chosen.keeps_waveform and not (self.model and self.chosen.one_rate_a_model):
             self._snr_db = DEFAULT_SNR_DB
-        self._unit, self._live = options.get("unit") or self.resampled.unit, options.get("live", False)
+        self._unit = options.get("unit") or self.resampled.unit
+        self._live = self._target is not None or options.get("live", False)
         self._shape = shape_setting(self.chosen, options.get("touch"), stream_rate_hz, self._unit, self.given)
         packet_s = options.get("packet_s")
         self._framing = None if packet_s is None else timed_framing(packet_s, stream_rate_hz)
@@ -208,27 +190,71 @@ class _Task:
                 return signal.encode(self.given), f"{error}; the rest of the setting has its defaults"
         return signal.encode(self.given), None
 
-    def code(self, model: models.Model | None, tell: Progress | None) -> Encoding:
+    def encode(self, progress: Progress | None) -> Encoding:
+        """Return the recording coded with the model or, if the codec needs one and none is given, one that ships.
+
+        This takes the first of `families` that reaches the target. In it, it codes with the two members nearest to the
+        target, one on each side, and returns the better result. Without a target, it takes the middle member. Raises as
+        `encode_recording`.
+        """
+        if self.model or not self.chosen.needs_model:
+            return self._coded(self.model, progress)
+        every = families(self.chosen)
+        has_target = not self._by_default or self._snr_db is not None
+        unreachable: TargetUnreachable | None = None
+        for number, members in enumerate(every):
+            candidates = [middle(members)]
+            if has_target:
+                above = bisect.bisect_left(members, 0.0, key=self._unsearched_excess)
+                candidates = members[max(0, above - 1) : above + 1]
+            made = []
+            for trial, candidate in enumerate(candidates):
+                share = 1 / (len(every) * len(candidates))
+                begun = number / len(every) + trial * share
+                tell = None if progress is None else partial(_tell_of_part, progress, begun, share)
+                try:
+                    made.append(self._coded(candidate, tell))
+                except TargetUnreachable as error:
+                    unreachable = error
+            if made:
+                return min(made, key=self._cost) if has_target else made[0]
+        raise unreachable or _no_model(self.chosen)
+
+    def _coded(self, model: models.Model | None, tell: Progress | None) -> Encoding:
         """Return the recording coded with a model, and measured. Raises CodecError."""
-        stream, note = self.searched(self.source(model, tell))
+        source = self.source(model, tell)
+        if self._target is not None:
+            policy = self._target.policy(recording_format(self.resampled))
+            stream = encode_rate_controlled(source, self.given, policy, self._target.framing(source.format.rate_hz))
+            encoding = measure_encoding(self.resampled, stream, passed=self.passed)
+            met = outcome(stream, self.resampled.samples, self._target.rate_bps, policy)
+            return replace(encoding, outcome=met)
+        stream, note = self.searched(source)
         encoding = measure_encoding(self.resampled, stream, self._rate_bps, self._snr_db, self.passed)
         if note is None:
             return encoding
         return replace(encoding, stream=replace(encoding.stream, quality=replace(encoding.quality, note=note)))
 
-    @property
-    def choice(self) -> "FamilyChoice[Encoding] | None":
-        """How a member of a family of models is chosen; None without a target."""
-        if self._rate_bps is None and self._snr_db is None:
-            return None
+    def _unsearched_excess(self, model: models.Model) -> float:
+        """Return how far the given setting lies above the target, a rate in nepers or an SNR in dB. Raises CodecError.
 
-        def cost(encoding: Encoding) -> float:
-            ratio_db = encoding.quality.snr_db
-            return -ratio_db if self._rate_bps is not None and ratio_db is not None else encoding.stream.size_bytes
+        It rises from member to member of a family of models.
+        """
+        source = self.source(model)
+        stream = source.encode(self.given)
+        rate_bps = self._rate_bps if self._target is None else self._target.rate_bps
+        if rate_bps is not None:
+            return math.log(stream.bits_per_second / rate_bps)
+        ratio_db = mean_snr_db(source.samples, stream.decode())
+        assert self._snr_db is not None, "there is a rate or an SNR to meet"
+        return math.inf if ratio_db is None else ratio_db - self._snr_db
 
-        return FamilyChoice(
-            lambda model: unsearched_excess(self.source(model), self.given, self._rate_bps, self._snr_db), cost
-        )
+    def _cost(self, encoding: Encoding) -> float:
+        """Return the cost of a result: the SNR lost or, where the SNR is the target, the bytes; less is better."""
+        if encoding.outcome is not None:
+            return -encoding.outcome.snr_db
+        ratio_db = encoding.quality.snr_db
+        return -ratio_db if self._rate_bps is not None and ratio_db is not None else encoding.stream.size_bytes
 
 
 class GrowingPackets(Sequence[bytes]):
@@ -277,66 +303,6 @@ class GrowingStream:
         """Return the whole, coded to its end. Raises CodecError."""
         stream = Stream(self.header, tuple(self.packets), self.image)
         return measure_encoding(self.recording, stream, passed=self._task.passed)
-
-
-@dataclass(frozen=True)
-class FamilyChoice(Generic[Made]):
-    """How a member of a family of models is chosen for a target.
-
-    `excess`: how far a member's own setting, without a search, lies above the target; it rises from member to member.
-    `cost`: of a result made with a member; less is better.
-    """
-
-    excess: Callable[[models.Model], float]
-    cost: Callable[[Made], float]
-
-
-def unsearched_excess(source: Source, setting: Setting, rate_bps: float | None, snr_db: float | None) -> float:
-    """Return how far a setting lies above a rate, in nepers, or an SNR, in dB. Raises CodecError."""
-    stream = source.encode(setting)
-    if rate_bps is not None:
-        return math.log(stream.bits_per_second / rate_bps)
-    ratio_db = mean_snr_db(source.samples, stream.decode())
-    assert snr_db is not None, "there is a rate or an SNR to meet"
-    return math.inf if ratio_db is None else ratio_db - snr_db
-
-
-def first_reachable(
-    chosen: Codec,
-    model: models.Model | None,
-    code: Callable[[models.Model | None, Progress | None], Made],
-    progress: Progress | None,
-    choice: FamilyChoice[Made] | None,
-) -> Made:
-    """Return the result of `code` with the model or, if the codec needs one, with a model that ships.
-
-    Without a model, this takes the first of `families` that reaches the target. In it, it codes with the two members
-    nearest to the target, one on each side, and returns the result of the lower cost. Without a target (`choice` is
-    None), it takes the middle member. `code` is called with a model and a function that reports its progress. Raises
-    the errors of `code` and of `models.shipped`.
-    """
-    if model or not chosen.needs_model:
-        return code(model, progress)
-    every = families(chosen)
-    unreachable: TargetUnreachable | None = None
-    for number, members in enumerate(every):
-        if choice is None:
-            candidates = [middle(members)]
-        else:
-            above = bisect.bisect_left(members, 0.0, key=choice.excess)
-            candidates = members[max(0, above - 1) : above + 1]
-        made = []
-        for trial, candidate in enumerate(candidates):
-            share = 1 / (len(every) * len(candidates))
-            begun = number / len(every) + trial * share
-            tell = None if progress is None else partial(_tell_of_part, progress, begun, share)
-            try:
-                made.append(code(candidate, tell))
-            except TargetUnreachable as error:
-                unreachable = error
-        if made:
-            return made[0] if choice is None else min(made, key=choice.cost)
-    raise unreachable or _no_model(chosen)
 
 
 def chosen_codec(codec_name: str | None, model: models.Model | None) -> Codec:

@@ -1,12 +1,13 @@
 """The codec `eva`: the EVA paper's autoencoder and adaptive arithmetic coding; layout: docs/reference/bitstream.md."""
 
 from collections.abc import Sequence
+from copy import copy
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.codec.core import RATE_CONTROLLED, UNIT, CoreDecoder, CoreEncoder, PacketwiseEncoder, step_code
+from vibrocast.codec.core import RATE_CONTROLLED, UNIT, CoreDecoder, CoreEncoder, PacketwiseEncoder, step_code, step_of
 from vibrocast.codec.eva_image import EvaImage, learned_transform, with_runtime
 from vibrocast.codec.graphs import (
     CONTEXT_COLUMNS,
@@ -115,7 +116,7 @@ class EvaEncoder(PacketwiseEncoder):
         # rate.
         finest = -_QUANTISER_OFFSETS_OF_OCTAVE * int(np.min(image.fraction_bits))
         self._quantiser_offsets = range(finest, finest + _QUANTISER_OFFSETS_OF_OCTAVE * 16 + 1)
-        self._levels = [level_of(code) for code in level_codes]
+        self._levels = [step_of(code) / UNIT for code in level_codes]
         self._encoder = LatentEncoder(self.configuration, self._channels, model.tables, framing.refresh_packets)
 
     def _code_packets(self, samples: Signal) -> list[bytes]:
@@ -126,11 +127,11 @@ class EvaEncoder(PacketwiseEncoder):
         latents = [self._analyse(channel, level) for channel, level in zip(samples.T, self._levels, strict=True)]
 
         def code(encoder: LatentEncoder, quantiser_offset: int) -> bytes:
-            step = step_of(quantiser_offset)
+            step = offset_step(quantiser_offset)
             return encoder.encode([np.rint(part / step).astype(np.int32) for part in latents], quantiser_offset)
 
         late = samples[_HISTORY - self.delay_samples :][: self.packet_samples]
-        return self._chosen(late, partial(code, self._encoder), lambda offset: code(self._encoder.copy(), offset))
+        return self._chosen(late, partial(code, self._encoder), lambda offset: code(copy(self._encoder), offset))
 
     def _analyse(self, samples: Signal, level: float) -> Signal:
         """Return the latents (latents, columns) of one channel's samples for a packet."""
@@ -166,7 +167,7 @@ class OnnxDecoder(EvaDecoder):
         self._units = np.exp2(-image.fraction_bits.astype(np.float32))[:, None]
         head_bytes = 1 + (configuration[0] >> 7)
         level_codes = np.frombuffer(configuration, "<u2", channels, head_bytes)
-        self._levels = [32768 * level_of(int(code)) for code in level_codes]
+        self._levels = [step_of(int(code)) / 256 for code in level_codes]
         # For each channel the latents of the last columns, then those of the packet.
         columns = CONTEXT_COLUMNS + self.packet_samples // HOP
         self._latents = np.zeros((channels, columns, image.latents), dtype=np.int16)
@@ -175,14 +176,14 @@ class OnnxDecoder(EvaDecoder):
         """Decode the next packet. Raises CodecError when it is malformed, or the model's graph fails."""
         fresh = np.empty_like(self._latents[:, CONTEXT_COLUMNS:])
         pointer = ffi.cast("int16_t *", fresh.ctypes.data)
-        if library().vc_eva_decode_latents(self._state.pointer, packet, len(packet), pointer) < 0:
+        if library().vc_eva_decode_latents(self.pointer, packet, len(packet), pointer) < 0:
             raise CodecError("a packet is damaged, or another codec made it; copy or encode the stream again")
         return self._synthesise(fresh)
 
     def conceal(self) -> Decoded:
         """Replace one missing packet: the last latents faded out, then silence."""
         fresh = np.empty_like(self._latents[:, CONTEXT_COLUMNS:])
-        library().vc_eva_decode_latents(self._state.pointer, ffi.NULL, 0, ffi.cast("int16_t *", fresh.ctypes.data))
+        library().vc_eva_decode_latents(self.pointer, ffi.NULL, 0, ffi.cast("int16_t *", fresh.ctypes.data))
         return self._synthesise(fresh)
 
     def _synthesise(self, fresh: NDArray[np.int16]) -> Decoded:
@@ -201,15 +202,10 @@ def configuration(columns: int, level_codes: Sequence[int], rate_controlled: boo
     return pack_varint(columns) + np.array(level_codes, "<u2").tobytes() + RATE_CONTROLLED * rate_controlled
 
 
-def step_of(quantiser_offset: int) -> float:
+def offset_step(quantiser_offset: int) -> float:
     """Return the quantiser step of a packet in the graphs' unit: about 2^(quantiser_offset / 16)."""
     octaves, part = divmod(_CODES_OF_QUANTISER_OFFSET * quantiser_offset, 64)
     return (1 + part / 64) * 2.0**octaves
-
-
-def level_of(code: int) -> float:
-    """Return the level of a code, relative to full scale; the codes are those of `mdct`'s steps."""
-    return float((64 + code % 64) << code // 64) / UNIT
 
 
 def run(graph: Transform, values: NDArray[np.float32], shape: tuple[int, ...]) -> NDArray[np.float32]:

@@ -447,11 +447,3 @@ class Codec:
 def chosen(setting: Setting, choice: Setting) -> Setting:
     """Return a setting with a choice in place of what is "auto"."""
     return {name: choice[name] if value == AUTO else value for name, value in setting.items()}
-
-
-def reject_rate_control(name: str, rate_control: RateControl | None) -> None:
-    """Raise CodecError if `rate_control` is given to a codec that cannot control its rate."""
-    if rate_control is not None:
-        raise CodecError(
-            f"all packets of {name} have one quality; choose mdct, or another with rate control in `vibrocast codecs`"
-        )

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from functools import partial
 from typing import Any
 
@@ -18,6 +19,7 @@ from vibrocast.codec.core import (
     PacketwiseEncoder,
     damaged_packet,
     step_code,
+    step_of,
 )
 from vibrocast.codec.interface import (
     AUTO,
@@ -85,11 +87,6 @@ MAX_STEP = 2.0**6
 def hop_samples(rate_hz: float) -> int:
     """Return the hop of live streams: 32 samples, or 64 from 5600 Hz on, where a block of 128 lasts 23 ms at most."""
     return 64 if rate_hz >= 5600 else 32
-
-
-def step_of(code: int) -> float:
-    """Return the quantiser step of a code, in 1/256 of a sample's least significant bit."""
-    return math.ldexp(64 + code % 64, code // 64)
 
 
 def configuration(
@@ -252,7 +249,7 @@ class MdctEncoder(PacketwiseEncoder):
         def code(encoder: CoreEncoder, quantiser_offset: int) -> bytes:
             return encoder.packet(self.packet_samples, coefficients, quantiser_offset)
 
-        return self._chosen(samples, partial(code, self._core), lambda offset: code(self._core.copy(), offset))
+        return self._chosen(samples, partial(code, self._core), lambda offset: code(copy(self._core), offset))
 
 
 class MdctDecoder(CoreDecoder):

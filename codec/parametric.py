@@ -20,7 +20,6 @@ from vibrocast.codec.interface import (
     Signal,
     SignalFormat,
     number,
-    reject_rate_control,
     word,
 )
 
@@ -125,8 +124,32 @@ ENVELOPE = Shape(hop=32, bands="third octave", level_bits=3, frame=8, interval=1
 class ParametricEncoder(PacketwiseEncoder):
     """Encoder of `parametric`; see codec.interface.Encoder. Samples beyond full scale are clipped to it."""
 
-    def __init__(self, shape: Shape, channels: int, framing: Framing) -> None:
-        """Make an encoder of descriptions. Raises CodecError for an invalid channel count or packet length."""
+    def __init__(
+        self,
+        setting: Setting,
+        signal_format: SignalFormat,
+        framing: Framing,
+        model: Model | None = None,
+        rate_control: RateControl | None = None,
+    ) -> None:
+        """Make an encoder of a complete, checked setting; it takes neither a model nor a rate control.
+
+        Raises CodecError for an interval longer than a frame, an invalid channel count or packet length.
+        """
+        shape = Shape(
+            hop=int(word(setting, "hop")),
+            bands=word(setting, "bands"),
+            level_bits=LEVEL_STEPS_DB.index(word(setting, "step_db")),
+            frame=int(word(setting, "frame")),
+            interval=int(word(setting, "interval")),
+            harmonics=int(number(setting, "harmonics")),
+        )
+        if shape.interval > shape.frame:
+            raise CodecError(
+                f"interval={shape.interval} is longer than frame={shape.frame}; choose a shorter interval or a longer "
+                "frame"
+            )
+        channels = signal_format.channels
         super().__init__(channels, framing, shape.frame_samples, MAX_PACKET_SAMPLES // shape.frame_samples)
         self._shape = shape
         self.delay_samples = shape.hop
@@ -321,35 +344,6 @@ def _log2(values: Signal) -> Signal:
     return np.log2(np.maximum(values, 2.0**-60))
 
 
-def make_decoder(configuration: bytes, channels: int, tables: bytes | None = None) -> CoreDecoder:
-    """Make a decoder from the codec's bytes in the stream header; it takes no tables. Raises CodecError."""
-    return CoreDecoder(NAME, configuration, channels)
-
-
-def make_encoder(
-    setting: Setting,
-    signal_format: SignalFormat,
-    framing: Framing,
-    model: Model | None,
-    rate_control: RateControl | None = None,
-) -> ParametricEncoder:
-    """Make an encoder of a complete, checked setting; it takes no model. Raises CodecError."""
-    reject_rate_control(NAME, rate_control)
-    shape = Shape(
-        hop=int(word(setting, "hop")),
-        bands=word(setting, "bands"),
-        level_bits=LEVEL_STEPS_DB.index(word(setting, "step_db")),
-        frame=int(word(setting, "frame")),
-        interval=int(word(setting, "interval")),
-        harmonics=int(number(setting, "harmonics")),
-    )
-    if shape.interval > shape.frame:
-        raise CodecError(
-            f"interval={shape.interval} is longer than frame={shape.frame}; choose a shorter interval or a longer frame"
-        )
-    return ParametricEncoder(shape, signal_format.channels, framing)
-
-
 _POWERS = tuple(str(1 << exponent) for exponent in range(MAX_FRAME.bit_length()))
 
 
@@ -389,7 +383,7 @@ CODEC = Codec(
             )
         )
     },
-    make_encoder=make_encoder,
-    make_decoder=make_decoder,
+    make_encoder=ParametricEncoder,
+    make_decoder=lambda configuration, channels, tables: CoreDecoder(NAME, configuration, channels),
     keeps_waveform=False,
 )

@@ -13,16 +13,11 @@ from vibrocast.codec.interface import (
     CodecError,
     Decoded,
     Framing,
-    Model,
     Parameter,
-    RateControl,
     RatePoints,
-    Setting,
     Signal,
-    SignalFormat,
     check_channels,
     number,
-    reject_rate_control,
 )
 from vibrocast.device_protocol.encoding import pack_varint
 
@@ -138,19 +133,6 @@ def adapted(plugin: BlockCodec) -> Codec:
             f"its block_samples is {plugin.block_samples}; it must be an integer of 1 to {MAX_PACKET_SAMPLES}"
         )
 
-    def make_encoder(
-        setting: Setting,
-        signal_format: SignalFormat,
-        framing: Framing,
-        model: Model | None,
-        rate_control: RateControl | None = None,
-    ) -> "PluginEncoder":
-        reject_rate_control(name, rate_control)
-        return PluginEncoder(plugin, number(setting, "quality"), signal_format.channels, framing)
-
-    def make_decoder(configuration: bytes, channels: int, tables: bytes | None) -> "PluginDecoder":
-        return PluginDecoder(plugin, configuration, channels)
-
     middle = qualities[len(qualities) // 2]
     quality = Parameter("quality; more is better", middle, low=min(qualities), high=max(qualities))
     return Codec(
@@ -159,8 +141,10 @@ def adapted(plugin: BlockCodec) -> Codec:
         summary=plugin.summary,
         parameters={"quality": quality},
         rate_point_sets={name: RatePoints(tuple({"quality": quality} for quality in qualities))},
-        make_encoder=make_encoder,
-        make_decoder=make_decoder,
+        make_encoder=lambda setting, signal_format, framing, model, rate_control: PluginEncoder(
+            plugin, number(setting, "quality"), signal_format.channels, framing
+        ),
+        make_decoder=lambda configuration, channels, tables: PluginDecoder(plugin, configuration, channels),
     )
 
 

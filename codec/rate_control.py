@@ -8,8 +8,9 @@ results.
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
-from typing import Protocol, Self, TypeAlias, cast
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,13 +114,6 @@ class SnrMeter:
         return kept * self._power + (1 - kept) * power
 
 
-class CopyableDecoder(Decoder, Protocol):
-    """A decoder whose state can be copied, to test packets on the copy."""
-
-    def copy(self) -> Self:
-        """Return an independent decoder in the same state."""
-
-
 class Attempts:
     """The packets of a trial at its quantiser offsets, each coded once."""
 
@@ -188,13 +182,11 @@ class DecoderProbe:
 
     def __init__(self, meter: SnrMeter) -> None:
         self._meter = meter
-        self._decoder: CopyableDecoder | None = None
+        self._decoder: Decoder | None = None
 
     def begin(self, decoder: Decoder) -> None:
-        """Begin with a decoder in the state of the far end. Raises CodecError if its state cannot be copied."""
-        if not hasattr(decoder, "copy"):
-            raise CodecError("this codec cannot hold a quality; ask for a constant rate, or choose another codec")
-        self._decoder = cast(CopyableDecoder, decoder)
+        """Begin with a decoder in the state of the far end."""
+        self._decoder = decoder
 
     def quality_db(self, attempts: Attempts, quantiser_offset: int) -> float:
         """Return the quality of the packet; infinity if it is too long to be coded."""
@@ -202,7 +194,7 @@ class DecoderProbe:
         if packet is None:
             return math.inf
         assert self._decoder is not None, "it has begun"
-        return self._meter.quality_db(attempts.trial.samples, self._decoder.copy().decode(packet) / 32768)
+        return self._meter.quality_db(attempts.trial.samples, copy(self._decoder).decode(packet) / 32768)
 
     def coarsest_with(self, attempts: Attempts, quality_db: float) -> int:
         """Return the coarsest offset with the quality; the finest that can be coded if none has it."""
@@ -308,7 +300,7 @@ class RatePolicy(ABC):
         """Begin a stream of packets of `seconds` each, which `decoder` decodes from the first one on.
 
         `min_bytes`: bytes that suffice for a packet at its coarsest, whatever the signal, with its frame. Raises
-        CodecError if the codec's packets cannot be measured, TargetUnreachable if they do not fit the rate.
+        TargetUnreachable if they do not fit the rate.
         """
         if self._probe is not None:
             self._probe.begin(decoder)
@@ -460,6 +452,11 @@ def rate_controlled_encoder(
     It first codes full-scale noise, silence and a click, to find the most bytes that the coarsest packets take. Raises
     CodecError as `make_encoder`, also for a codec that cannot control its rate, and as `policy.begin`.
     """
+    if not codec.controls_rate:
+        raise CodecError(
+            f"all packets of {codec.name} have one quality; choose mdct, or another with rate control in "
+            "`vibrocast codecs`"
+        )
     encoder = codec.make_encoder(setting, signal_format, framing, model, policy)
     probe = codec.make_encoder(
         setting, signal_format, framing, model, lambda trial: Choice(trial.quantiser_offsets[-1])

@@ -10,6 +10,7 @@ A predictor a (order) stands for x[n] ~ a[0] x[n-1] + a[1] x[n-2] + ...; its syn
 
 import math
 from collections.abc import Mapping
+from copy import copy
 from functools import lru_cache, partial
 
 import numpy as np
@@ -19,7 +20,6 @@ from numpy.typing import NDArray
 from vibrocast.codec.core import RATE_CONTROLLED, UNIT, CoreDecoder, CoreEncoder, PacketwiseEncoder
 from vibrocast.codec.interface import (
     Codec,
-    CodecError,
     Framing,
     Model,
     Parameter,
@@ -74,28 +74,21 @@ class SlpEncoder(PacketwiseEncoder):
 
     def __init__(
         self,
-        step: float,
-        frame: int,
-        order: int,
-        shaping: float,
-        contexts: str,
-        rounding: float,
+        setting: Setting,
         signal_format: SignalFormat,
         framing: Framing,
+        model: Model | None = None,
         rate_control: RateControl | None = None,
     ) -> None:
-        """Make an encoder with a quantiser step relative to each channel's RMS value.
+        """Make an encoder of a complete, checked setting; it takes no model.
 
-        `frame`: samples per frame. `order`: of the predictor. `shaping`: weight of the detection threshold in the
-        steps, 0 to 1. `contexts`: of magnitudes, by NEIGHBOURS or one a BIN. `rounding`: what is added to a magnitude
-        in steps, whose fraction is then dropped. `rate_control`: chooses the quantiser offset of each packet, in 1/16
-        octave of the steps; None = no offsets. Raises CodecError for a frame, channel count or packet length that the
-        codec cannot have.
+        `rate_control`: chooses the quantiser offset of each packet, in 1/16 octave of the steps; None = no offsets.
+        Raises CodecError for a channel count or packet length that the codec cannot have.
         """
-        if frame not in FRAMES:
-            raise CodecError(f"frames of {frame} samples; choose one of {', '.join(map(str, FRAMES))}")
+        frame, order = int(word(setting, "frame")), int(number(setting, "order"))
         super().__init__(signal_format.channels, framing, frame, MAX_PACKET_FRAMES)
         self._frame, self._order = frame, order
+        step = relative_step(number(setting, "quality"))
         step_codes = [step_code(step * rms) for rms in signal_format.rms]
         self._rate_control = rate_control
         # Loud signals have levels even at the largest steps. One offset more is silence, which fits any rate.
@@ -103,17 +96,21 @@ class SlpEncoder(PacketwiseEncoder):
         self._quantiser_offsets = range(-QUANTISER_OFFSETS_OF_STEP_CODE * max(step_codes), self._silent + 1)
         self.configuration = bytes(
             (
-                (contexts == BIN) << 7 | FRAMES.index(frame) << 5 | order,
+                (setting["contexts"] == BIN) << 7 | FRAMES.index(frame) << 5 | order,
                 self._packet_blocks & 255,
                 self._packet_blocks >> 8,
-                min(round(256 * shaping), 255),
+                min(round(256 * number(setting, "shaping")), 255),
                 round(8 * math.log2(signal_format.rate_hz)),
                 *step_codes,
                 *(RATE_CONTROLLED if rate_control else b""),
             )
         )
         self._core = CoreEncoder(
-            NAME, self.configuration, self._channels, framing.refresh_packets, round(256 * rounding)
+            NAME,
+            self.configuration,
+            self._channels,
+            framing.refresh_packets,
+            round(256 * number(setting, "rounding")),
         )
         self._before: Signal = np.zeros((_ANALYSIS_SAMPLES + order, self._channels))
 
@@ -145,7 +142,7 @@ class SlpEncoder(PacketwiseEncoder):
             stated = library().VC_SLP_SILENT if quantiser_offset == self._silent else quantiser_offset
             return encoder.packet(self.packet_samples, units, codes, stated)
 
-        return self._chosen(samples, partial(code, self._core), lambda offset: code(self._core.copy(), offset))
+        return self._chosen(samples, partial(code, self._core), lambda offset: code(copy(self._core), offset))
 
 
 @lru_cache(maxsize=_KEPT_CHUNKS)
@@ -248,32 +245,6 @@ def reflection_codes(reflections: Signal, largest: int = MAX_REFLECTION_CODE) ->
     return np.clip(codes, -largest, largest).astype(np.int16)
 
 
-def make_encoder(
-    setting: Setting,
-    signal_format: SignalFormat,
-    framing: Framing,
-    model: Model | None,
-    rate_control: RateControl | None = None,
-) -> SlpEncoder:
-    """Make an encoder of a complete, checked setting; it takes no model. Raises CodecError as `SlpEncoder`."""
-    return SlpEncoder(
-        relative_step(number(setting, "quality")),
-        int(str(setting["frame"])),
-        int(number(setting, "order")),
-        number(setting, "shaping"),
-        word(setting, "contexts"),
-        number(setting, "rounding"),
-        signal_format,
-        framing,
-        rate_control,
-    )
-
-
-def make_decoder(configuration: bytes, channels: int, tables: bytes | None = None) -> CoreDecoder:
-    """Make a decoder from the codec's bytes in the stream header; it takes no tables. Raises CodecError."""
-    return CoreDecoder(NAME, configuration, channels)
-
-
 VARIANTS: Mapping[str, Setting] = {
     f"{NAME}-plain": {"rounding": PLAIN_ROUNDING},
     f"{NAME}-bin": {"contexts": BIN},
@@ -306,8 +277,8 @@ CODEC = Codec(
         name: RatePoints(tuple({"quality": quality, **given} for quality in range(LEVELS)), is_variant=name != NAME)
         for name, given in {NAME: {}, **VARIANTS}.items()
     },
-    make_encoder=make_encoder,
-    make_decoder=make_decoder,
+    make_encoder=SlpEncoder,
+    make_decoder=lambda configuration, channels, tables: CoreDecoder(NAME, configuration, channels),
     controls_rate=True,
     forget=_predictors.cache_clear,
 )

@@ -27,7 +27,6 @@ from vibrocast.codec.interface import (
     check_channels,
     checked_parts,
     number,
-    reject_rate_control,
     word,
 )
 from vibrocast.device_protocol.encoding import Reader, pack_varint
@@ -274,7 +273,6 @@ def _codec(
         model: Model | None,
         rate_control: RateControl | None = None,
     ) -> Encoder:
-        reject_rate_control(name, rate_control)
         return LibavEncoder(library, library.plan(setting, framing.packet_samples), framing, signal_format.channels)
 
     def make_decoder(configuration: bytes, channels: int, tables: bytes | None) -> LibavDecoder:

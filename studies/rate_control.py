@@ -14,7 +14,7 @@ import polars as pl
 from studies import page
 from vibrocast import codec, textures
 from vibrocast.codec import DEFAULT_CODEC
-from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, encode_live
+from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, encode_recording
 from vibrocast.codec.rate_control import DEFAULT_RATE_BUFFER_S, RateTarget, added_bytes
 from vibrocast.codec.source import REFRESH_S
 from vibrocast.evaluation.curves import Curve, Panel, curves
@@ -108,9 +108,11 @@ def measure(recording: textures.Recording, codec_name: str, rate_bps: int, rate_
     given_s = None if rate_buffer_s == DEFAULT_RATE_BUFFER_S else rate_buffer_s
     target = RateTarget(constant_rate_bps=rate_bps * recording.channels, rate_buffer_s=given_s)
     try:
-        _, outcome = encode_live(recording, target, codec_name=codec_name, highpass_hz=None)
+        encoding = encode_recording(recording, target=target, codec_name=codec_name, highpass_hz=None)
     except codec.CodecError as error:
         return Held(recording.name, codec_name, rate_bps, rate_buffer_s, rejected=str(error))
+    outcome = encoding.outcome
+    assert outcome is not None, "there is a target of rate control"
     return Held(
         recording.name,
         codec_name,

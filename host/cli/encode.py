@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from vibrocast import codec, progress, textures
-from vibrocast.codec.encoding import Encoding, encode_live
+from vibrocast.codec.encoding import Encoding, encode_recording
 from vibrocast.codec.rate_control import Outcome, RateTarget
 from vibrocast.codec.stream import Stream
 from vibrocast.host.cli.answers import tell
@@ -177,8 +177,10 @@ def encode_rate_controlled(
     arguments = options.arguments(unit)
     del arguments["rate_bps"], arguments["snr_db"]  # they are in the target
     with progress.bar("encoding") as update:
-        stream, outcome = encode_live(recording, target, progress=update, **arguments)
-    write_stream(out, stream, rate_control=asdict(outcome))
+        encoding = encode_recording(recording, target=target, progress=update, **arguments)
+    outcome = encoding.outcome
+    assert outcome is not None, "there is a target of rate control"
+    write_stream(out, encoding.stream, rate_control=asdict(outcome))
     tell(f"rate: {describe_rate(target, outcome)}")
     tell(
         f"framing: packets {outcome.packets_bps:.0f} bit/s, frames add {100 * outcome.frames_add:.1f} %, "

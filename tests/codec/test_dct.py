@@ -209,7 +209,7 @@ def test_core_agrees_with_the_documented_decoder_on_any_quantiser_offsets(
 ) -> None:
     setting = dct.CODEC.complete({"quantiser": quantiser, "entropy": entropy, "block": "64"})
     signal_format = SignalFormat(RATE_HZ, "full scale", (1.0,) * channels, (0.5,) * channels)
-    encoder = dct.DctEncoder(setting, signal_format, Framing(128, 1), in_turn(quantiser_offsets))
+    encoder = dct.DctEncoder(setting, signal_format, Framing(128, 1), None, in_turn(quantiser_offsets))
     packets = encoder.encode(texture(600, channels)) + encoder.finish()
     reference = ReferenceDecoder(encoder.configuration, channels)
     samples = played(dct.make_decoder(encoder.configuration, channels), packets)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, field
 from functools import cache
 
@@ -332,7 +333,7 @@ def test_a_copied_decoder_goes_on_by_itself(name: str, runtime: str) -> None:
     assert isinstance(copied, CoreDecoder)
     for packet in stream.packets[:7]:
         np.testing.assert_array_equal(copied.decode(packet), untouched.decode(packet))
-    twin = copied.copy()
+    twin = copy(copied)
     copied.conceal()
     for packet in stream.packets[7:]:
         np.testing.assert_array_equal(twin.decode(packet), untouched.decode(packet))

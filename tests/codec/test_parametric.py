@@ -9,18 +9,19 @@ from tests.codec.parametric_reference_decoder import ParametricReferenceDecoder
 from tests.codec.signals import RATE_HZ, difference, edge_signals, played, texture
 from vibrocast import codec
 from vibrocast.codec import CodecError, Framing, Setting, SignalFormat, TargetUnreachable, parametric
+from vibrocast.codec.core import CoreDecoder
 from vibrocast.textures.generate import grating, taps
 
 
 def coded(signal: codec.Signal, framing: Framing, **given: float | str) -> tuple[bytes, list[bytes]]:
     setting: Setting = parametric.CODEC.complete(given)
     ones = (1.0,) * signal.shape[1]
-    encoder = parametric.make_encoder(setting, SignalFormat(RATE_HZ, "full scale", ones, ones), framing, None)
+    encoder = parametric.ParametricEncoder(setting, SignalFormat(RATE_HZ, "full scale", ones, ones), framing)
     return encoder.configuration, encoder.encode(signal) + encoder.finish()
 
 
 def decoded(configuration: bytes, packets: list[bytes], channels: int) -> codec.Decoded:
-    return played(parametric.make_decoder(configuration, channels), packets)
+    return played(CoreDecoder(parametric.NAME, configuration, channels), packets)
 
 
 def difference_to_the_documented_decoder(configuration: bytes, packets: list[bytes], channels: int) -> float:
@@ -51,7 +52,7 @@ def test_core_agrees_with_the_documented_decoder_on_any_bytes(
     shape: int, harmonics: int, frame: int, interval: int, payload: bytes
 ) -> None:
     configuration = bytes((shape, harmonics | frame << 4, min(interval, frame), 2, 0))
-    reference, decoder = ParametricReferenceDecoder(configuration, 2), parametric.make_decoder(configuration, 2)
+    reference, decoder = ParametricReferenceDecoder(configuration, 2), CoreDecoder(parametric.NAME, configuration, 2)
     for head in (b"\x01", b"\x02", b"\x05"):
         exact, samples = reference.samples(head + payload), decoder.decode(head + payload)
         # Thousands of times beyond full scale the core limits what is within, and not its samples alone.
@@ -124,7 +125,7 @@ def test_settings_that_do_not_fit_are_rejected() -> None:
         b"\0\0\0\1",
     ):
         with pytest.raises(CodecError, match="configuration"):
-            parametric.make_decoder(configuration, 1)
+            CoreDecoder(parametric.NAME, configuration, 1)
 
 
 def test_an_snr_is_out_of_reach() -> None:

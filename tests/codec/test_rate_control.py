@@ -54,9 +54,6 @@ class FakeDecoder:
     def conceal(self) -> Decoded:
         raise AssertionError("nothing is lost")
 
-    def copy(self) -> "FakeDecoder":
-        return self
-
 
 def begun(policy: codec.RatePolicy, min_bytes: int = 0) -> codec.RatePolicy:
     policy.begin(FakeDecoder(), min_bytes, SECONDS)

@@ -7,7 +7,7 @@ import pytest
 
 from tests.command import OAK, run
 from vibrocast import textures
-from vibrocast.codec.encoding import encode_live
+from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.rate_control import RateTarget
 from vibrocast.codec.stream import read_stream
 
@@ -54,7 +54,8 @@ def test_an_impossible_target_is_reported(tmp_path: Path, options: list[str], to
 def test_silence_has_a_rate_and_no_snr(tmp_path: Path) -> None:
     recording = textures.load(OAK)
     silence = textures.Recording(0 * recording.samples, recording.rate_hz, recording.unit, "silence")
-    _, outcome = encode_live(silence, RateTarget(constant_rate_bps=2000))
+    outcome = encode_recording(silence, target=RateTarget(constant_rate_bps=2000)).outcome
+    assert outcome is not None
     assert outcome.furthest is not None
     assert abs(outcome.furthest) < 0.01
     assert outcome.padding > 0.5

@@ -6,7 +6,7 @@ import pytest
 import vibrocast
 from vibrocast import codec
 from vibrocast.codec import CodecError, threshold
-from vibrocast.codec.encoding import encode_live, encode_recording
+from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.rate_control import RateTarget
 from vibrocast.codec.threshold import read_threshold, skin_power, skin_snr_db
 from vibrocast.textures import GENERATORS, Recording
@@ -90,10 +90,11 @@ def test_a_strength_that_cannot_be_met_is_an_error(
 
 
 def test_a_rate_controlled_stream_keeps_its_shape() -> None:
-    stream, outcome = encode_live(rough(), RateTarget(constant_rate_bps=6000), touch=1)
-    assert outcome.sent_bps == pytest.approx(6000, rel=0.05)
-    assert stream.header.configuration[0] & 4  # a shape
-    assert stream.header.configuration[-1] == 1  # features: rate control
+    encoding = encode_recording(rough(), target=RateTarget(constant_rate_bps=6000), touch=1)
+    assert encoding.outcome is not None
+    assert encoding.outcome.sent_bps == pytest.approx(6000, rel=0.05)
+    assert encoding.stream.header.configuration[0] & 4  # a shape
+    assert encoding.stream.header.configuration[-1] == 1  # features: rate control
 
 
 def test_skin_power_is_that_of_displacement() -> None:

@@ -11,6 +11,7 @@ from tests.codec.signals import RATE_HZ, difference, edge_signals, in_turn, play
 from tests.codec.slp_reference_decoder import SlpReferenceDecoder
 from vibrocast import codec
 from vibrocast.codec import CodecError, Framing, RateControl, Setting, SignalFormat, slp
+from vibrocast.codec.core import CoreDecoder
 from vibrocast.evaluation.stability import filters
 
 
@@ -20,12 +21,12 @@ def coded(
     setting: Setting = slp.CODEC.complete(given)
     rms = tuple(float(np.sqrt(np.mean(channel**2))) or 1.0 for channel in signal.T)
     signal_format = SignalFormat(RATE_HZ, "full scale", (1.0,) * signal.shape[1], rms)
-    encoder = slp.make_encoder(setting, signal_format, framing, None, rate_control)
+    encoder = slp.SlpEncoder(setting, signal_format, framing, None, rate_control)
     return encoder.configuration, encoder.encode(signal) + encoder.finish()
 
 
 def decoded(configuration: bytes, packets: list[bytes], channels: int) -> codec.Decoded:
-    return played(slp.make_decoder(configuration, channels), packets)
+    return played(CoreDecoder(slp.NAME, configuration, channels), packets)
 
 
 def difference_to_the_documented_decoder(configuration: bytes, packets: list[bytes], channels: int) -> float:
@@ -103,7 +104,7 @@ def test_every_code_gives_a_stable_filter(codes: list[int]) -> None:
 @settings(max_examples=60)
 def test_the_filter_of_any_stream_falls_silent(order: int, step_code: int, payload: bytes) -> None:
     """In the core's integers, from wherever any bytes drive it: packets without payload are silent frames."""
-    decoder = slp.make_decoder(bytes((1 << 5 | order, 125, 0, 0, 90, step_code)), 1)
+    decoder = CoreDecoder(slp.NAME, bytes((1 << 5 | order, 125, 0, 0, 90, step_code)), 1)
     decoder.decode(b"\x01" + payload)
     ringing = [decoder.decode(bytes((2 * sequence,))) for sequence in (1, 2)]
     assert not np.any(ringing[1])
@@ -156,5 +157,5 @@ def test_any_signal_is_decoded_near_to_what_it_was(values: list[int], quality: i
 )
 def test_configurations_out_of_range_are_rejected(configuration: bytes) -> None:
     with pytest.raises(CodecError, match="configuration"):
-        slp.make_decoder(configuration, 1)
-    assert len(slp.make_decoder(bytes((8, 255, 15, 0, 141, 167)), 1).conceal()) == 4095 * 32
+        CoreDecoder(slp.NAME, configuration, 1)
+    assert len(CoreDecoder(slp.NAME, bytes((8, 255, 15, 0, 141, 167)), 1).conceal()) == 4095 * 32

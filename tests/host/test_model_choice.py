@@ -9,7 +9,7 @@ from tests.command import fails, succeeds
 from tests.export import tiny
 from vibrocast import models, textures
 from vibrocast.codec import CODECS, CodecError, TargetUnreachable
-from vibrocast.codec.encoding import default_model, encode_live, encode_recording
+from vibrocast.codec.encoding import default_model, encode_recording
 from vibrocast.codec.rate_control import RateTarget
 from vibrocast.codec.stream import read_stream
 
@@ -77,7 +77,7 @@ def test_without_a_target_the_middle_of_the_smallest_family() -> None:
     ],
 )
 def test_rate_controlled_streams_take_a_member_near_the_target(target: RateTarget, names: set[str]) -> None:
-    stream, _ = encode_live(texture(), target, codec_name="eva")
+    stream = encode_recording(texture(), target=target, codec_name="eva").stream
     assert stream.model_name in names
 
 
