@@ -8,10 +8,10 @@ import click
 from vibrocast import textures
 from vibrocast.codec import clip_export
 from vibrocast.codec.stream import read_stream
+from vibrocast.device_protocol.coded_stream import STREAM_SUFFIX
 from vibrocast.files import atomic_write
 from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import INPUT, OutputFile, reject_overwriting
-from vibrocast.host.tracks import STREAM_SUFFIX
 from vibrocast.textures import clips
 
 
