@@ -13,11 +13,11 @@ from matplotlib.figure import Figure
 
 from vibrocast import pages
 from vibrocast.files import atomic_write
-from vibrocast.harness import response
 from vibrocast.harness.latency import PARTS
 from vibrocast.harness.results import NAMES, Change
 from vibrocast.host.figures import FIGURES
 from vibrocast.host.picture import STYLES
+from vibrocast.output.actuator import analog_response
 
 # From dark to light, with hatches: distinct in grey print.
 _SHADES = ("#20123a", "#2a7fb8", "#7fb8d8", "#f0a030", "#d0d0d0", "#707070", "#f7d9a8", "#ffffff")
@@ -146,7 +146,7 @@ def _response(measured: dict[str, Any]) -> str:
 
     def draw(axes: Axes) -> None:
         frequencies_hz = np.array(curve["frequencies_hz"])
-        shape = np.abs(response.transfer(frequencies_hz, fit["corner_hz"], fit["quality"])) * fit["stroke_um"] / 2
+        shape = np.abs(analog_response(frequencies_hz, fit["corner_hz"], fit["quality"])) * fit["stroke_um"] / 2
         axes.semilogx(frequencies_hz, curve["gain_db"], label="measured", **STYLES[0])
         axes.semilogx(frequencies_hz, 20 * np.log10(shape), label="fitted", **STYLES[1])
         axes.set_xlabel("Hz")

@@ -11,7 +11,7 @@ from vibrocast.harness.sensors import Recorder, recorded
 from vibrocast.host import player
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.skin_quality import AlignmentError
-from vibrocast.output.actuator import Actuator
+from vibrocast.output.actuator import Actuator, analog_response
 from vibrocast.textures import Recording
 
 Samples = NDArray[np.float64]
@@ -198,12 +198,6 @@ def curve(sweep: Sweep, delay_ms: float | None = None, drift_ppm: float = 0.0) -
     )
 
 
-def transfer(frequencies_hz: Samples, corner_hz: float, quality: float | None) -> Spectrum:
-    """Return the actuator's response, in parts of its excursion; as output.actuator.Actuator.response."""
-    s = 1j * frequencies_hz / corner_hz
-    return np.asarray(1 / (1 + s) if quality is None else (1 / quality) / (1 + s / quality + s * s), np.complex128)
-
-
 class _Spectra:
     """Both ends of a sweep at the same frequencies, over its band: what went in, held by the DAC, and displacement."""
 
@@ -248,7 +242,7 @@ def _least_squares(spectra: _Spectra, resonant: bool) -> Fit:
     best = (0.0, 0.0, 1.0, 1.0, 0.0)
     for corner_hz in np.geomspace(2 * MIN_HZ, spectra.frequencies_hz[-1], 24):
         for quality in (0.7, 3.0, 10.0, 30.0) if resonant else (None,):
-            expected = spectra.given * transfer(spectra.frequencies_hz, corner_hz, quality)
+            expected = spectra.given * analog_response(spectra.frequencies_hz, corner_hz, quality)
             correlation = spectra.correlation(expected)
             delay_s = spectra.delay_s(correlation)
             power = float(np.sum(np.square(np.abs(expected))))
@@ -262,7 +256,9 @@ def _least_squares(spectra: _Spectra, resonant: bool) -> Fit:
 
     def residual(parameters: Samples) -> Samples:
         log_gain, log_corner, late_ms, drift_ppm, *log_quality = parameters
-        shape = transfer(spectra.frequencies_hz, np.exp(log_corner), np.exp(log_quality[0]) if resonant else None)
+        shape = analog_response(
+            spectra.frequencies_hz, np.exp(log_corner), np.exp(log_quality[0]) if resonant else None
+        )
         late = spectra.late(delay_s + late_ms / 1e3, drift_ppm / 1e6)
         difference = (np.sign(gain) * np.exp(log_gain) * shape * late * spectra.given - spectra.recorded) / scale
         return np.concatenate((difference.real, difference.imag))

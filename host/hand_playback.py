@@ -18,7 +18,7 @@ from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.limits import playable
 from vibrocast.host.picture import Trace
 from vibrocast.host.playback import Captured, Playback
-from vibrocast.host.report import PositionFigures, Provenance
+from vibrocast.host.report import PositionFigures, Provenance, Report
 from vibrocast.host.session import Session
 from vibrocast.host.stream_session import StreamSession, configure_steps, read_capture
 from vibrocast.output import profile as rendering
@@ -235,12 +235,15 @@ def play_and_compare(
     heights_um, codes = computed(session, sent, played)
     traces = _traces(session, sent, texture, played, heights_um)
     length_mm = 1e3 * stream.samples / stream.header.rate_hz
-    report = playback.report_of(
-        session,
-        file_name,
-        played.status,
-        traces,
+    at_end = playback.at_the_device(session, played.status, traces)
+    report = Report(
         run=provenance or Provenance(),
+        file=file_name,
+        device=at_end.device,
+        sound_card=at_end.sound_card,
+        actuator=at_end.actuator,
+        skin=at_end.skin,
+        skin_note=at_end.skin_note,
         codec=stream.codec_name,
         model=stream.model_name,
         channels=stream.header.channels,

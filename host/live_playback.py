@@ -280,13 +280,15 @@ class LivePlayback:
         stream, result = self.stream, self.stream.result()
         latency_ms, jitter_ms, drift_ppm = self._timing()
         algorithmic_s = stream.packet_s + stream.delay_samples / stream.format.rate_hz
-        return playback.report_of(
-            self.session,
-            self.name,
-            stream.status,
-            traces,
-            self._card_underruns,
+        at_end = playback.at_the_device(self.session, stream.status, traces, self._card_underruns)
+        return Report(
             run=self._provenance,
+            file=self.name,
+            device=at_end.device,
+            sound_card=at_end.sound_card,
+            actuator=at_end.actuator,
+            skin=at_end.skin,
+            skin_note=at_end.skin_note,
             codec=stream.codec_name,
             model=None if self._model is None else self._model.name,
             channels=stream.format.channels,

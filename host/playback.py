@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast.codec.encoding import Encoding
-from vibrocast.codec.stream import Stream
+from vibrocast.codec.stream import CodingQuality, Stream
 from vibrocast.codec.threshold import PHYSICAL_UNITS, felt_error, over_threshold_db, read_threshold
 from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader
 from vibrocast.device_protocol.messages import Status
@@ -20,9 +20,10 @@ from vibrocast.host.limits import fitted
 from vibrocast.host.picture import Trace
 from vibrocast.host.report import ActuatorUse, DeviceDescription, Latency, Provenance, Report, Touch
 from vibrocast.host.session import Session
-from vibrocast.host.skin_quality import compare_channels, limit_note
+from vibrocast.host.skin_quality import SkinQuality, compare_channels, limit_note
 from vibrocast.output.actuator import SKIN_OVERSAMPLING, Actuator, Codes, followed_band_hz, octave_gains_db
 from vibrocast.output.rendering import Drive, LimitCounts, displacement_filter, render
+from vibrocast.output.sound_card import CardUse
 from vibrocast.textures import Recording
 
 # Decoded samples of all channels and loops, positions that are not played included: 1.6 h at 2800 Hz. Computing the
@@ -127,13 +128,16 @@ def compared(
     card_s = card.latency_ms / 1e3 if card else 0.0
     # After a lost connection the controller begins in the middle; what it plays then has no simple counterpart here.
     comparable = result.captured_from == 0 and not result.altered
-    report = report_of(
-        session,
-        file_name,
-        result.status,
-        traces,
-        underruns_before,
+    at_end = at_the_device(session, result.status, traces, underruns_before)
+    quality = stream.quality or CodingQuality(snr_db=None, snr_db_per_channel=(None,) * header.channels)
+    report = Report(
         run=provenance,
+        file=file_name,
+        device=at_end.device,
+        sound_card=at_end.sound_card,
+        actuator=at_end.actuator,
+        skin=at_end.skin,
+        skin_note=at_end.skin_note,
         codec=stream.codec_name,
         model=stream.model_name,
         channels=header.channels,
@@ -146,7 +150,13 @@ def compared(
         bits_per_second=stream.bits_per_second,
         bits_per_sample=stream.bits_per_second / header.rate_hz / header.channels,
         felt_error=_felt_error(traces, header) if encoding else None,
-        **_coding(stream),
+        snr_db=quality.snr_db,
+        snr_db_per_channel=quality.snr_db_per_channel,
+        highpass_hz=quality.highpass_hz,
+        removed_below=None if stream.quality is None else quality.removed_below,
+        lowpass_hz=quality.lowpass_hz,
+        removed_above=None if stream.quality is None else quality.removed_above,
+        quality_note=quality.note,
         latency_ms=Latency(
             algorithmic=1e3 * algorithmic_s,
             buffered=1e3 * result.buffered_s,
@@ -166,18 +176,20 @@ def compared(
     return Playback(session, stream, report, caption(session, READ_BACK if read_back else COMPUTED), traces)
 
 
-def report_of(
-    session: Session,
-    file_name: str,
-    status: Status,
-    traces: Sequence[Trace],
-    card_underruns_before: int = 0,
-    **figures: Any,
-) -> Report:
-    """Return the report of a playback that ended with this status; `figures`: those of Report that only its kind has.
+class AtTheDevice(NamedTuple):
+    """The part of a report that says who played, and how it came out at the skin; None: not compared."""
 
-    The quality at the skin is that of the last trace against the others.
-    """
+    device: DeviceDescription
+    sound_card: CardUse | None
+    actuator: ActuatorUse
+    skin: SkinQuality | None
+    skin_note: str | None
+
+
+def at_the_device(
+    session: Session, status: Status, traces: Sequence[Trace], card_underruns_before: int = 0
+) -> AtTheDevice:
+    """Return that part of a playback that ended with this status, of the last trace against the others."""
     use = actuator_use(session, status)
     skin = None
     if traces:
@@ -185,14 +197,12 @@ def report_of(
         asked_um, asked_rate_hz = [each.displacement_um for each in asked], round(asked[0].displacement_rate_hz)
         skin = compare_channels(asked_um, asked_rate_hz, moved.values, moved.rate_hz)
     card = session.controller.sound_card
-    return Report(
-        file=file_name,
-        skin=skin,
-        skin_note=None if skin is None else limit_note(skin, use.gains_db, use.limited_samples),
+    return AtTheDevice(
         device=device_description(session),
         sound_card=card and replace(card, underruns=card.underruns - card_underruns_before),
         actuator=use,
-        **figures,
+        skin=skin,
+        skin_note=None if skin is None else limit_note(skin, use.gains_db, use.limited_samples),
     )
 
 
@@ -237,22 +247,6 @@ def actuator_use(session: Session, status: Status) -> ActuatorUse:
         slew_limited=status.slew_limited,
         power_limited=status.power_limited,
     )
-
-
-def _coding(stream: Stream) -> dict[str, Any]:
-    """Return the figures of a report that a stream has if it was coded here."""
-    quality = stream.quality
-    if quality is None:
-        return {"snr_db_per_channel": (None,) * stream.header.channels}
-    return {
-        "snr_db": quality.snr_db,
-        "snr_db_per_channel": quality.snr_db_per_channel,
-        "highpass_hz": quality.highpass_hz,
-        "removed_below": quality.removed_below,
-        "lowpass_hz": quality.lowpass_hz,
-        "removed_above": quality.removed_above,
-        "quality_note": quality.note,
-    }
 
 
 def _felt_error(traces: Sequence[Trace], header: StreamHeader) -> Any:

@@ -238,6 +238,12 @@ VOICE_COIL = resonant("voice-coil", corner_hz=90.0, quality=3.0, stroke_um=400.0
 ACTUATORS = {actuator.name: actuator for actuator in (PIEZO_STACK, LRA, VOICE_COIL)}
 
 
+def analog_response(frequencies_hz: Samples, corner_hz: float, quality: float | None) -> NDArray[np.complex128]:
+    """Return the response from drive to displacement, in parts of full scale, as of `Actuator.response`."""
+    s = 1j * frequencies_hz / corner_hz
+    return np.asarray(1 / (1 + s) if quality is None else (1 / quality) / (1 + s / quality + s * s), np.complex128)
+
+
 def followed_gain(frequency_hz: Samples, driven: Actuator, skin: Actuator | None = None) -> Samples:
     """Return the amplitude of the displacement over the one asked for, at each frequency: (n,).
 

@@ -12,7 +12,7 @@ from vibrocast.codec.threshold import MAX_HZ, over_threshold_db, threshold_ampli
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.errors import InputError
 from vibrocast.host.playback import displacement_um
-from vibrocast.output.actuator import SKIN_OVERSAMPLING, Actuator, Codes, followed_gain
+from vibrocast.output.actuator import SKIN_OVERSAMPLING, Actuator, Codes, analog_response, followed_gain
 from vibrocast.output.rendering import Drive, render
 from vibrocast.textures import Profile, Recording
 
@@ -143,9 +143,7 @@ def max_um(actuator: Actuator, frequencies_hz: Samples) -> Samples:
 
 def _response(actuator: Actuator, frequencies_hz: Samples) -> Samples:
     """Return the gain from a DAC sample to displacement, in parts of the excursion."""
-    s = 1j * frequencies_hz / actuator.corner_hz
-    quality = actuator.quality
-    response = 1 / (1 + s) if quality is None else (1 / quality) / (1 + s / quality + s * s)
+    response = analog_response(frequencies_hz, actuator.corner_hz, actuator.quality)
     return np.asarray(np.abs(response) * np.sinc(frequencies_hz / actuator.dac_rate_hz))
 
 

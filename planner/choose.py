@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 from vibrocast.codec.rate_control import RateTarget
 from vibrocast.errors import InputError, located
 from vibrocast.pages import listed
-from vibrocast.planner.candidates import BUFFERS_MS, Candidate, CodingOption, Evaluator, costs_of, wanted
-from vibrocast.planner.plan_file import CAPPED_MODE, SETTING_MODE, Plan, PlannedController, PlannedTexture
+from vibrocast.planner.candidates import Evaluator
+from vibrocast.planner.forecast import BUFFERS_MS, Candidate, CodingOption, costs_of, wanted
+from vibrocast.planner.plan_file import Plan, PlannedController, PlannedTexture
 from vibrocast.planner.scene import MEASURES, Asked, Scene, Weights
 
 Progress = Callable[[float, str], None]
@@ -48,7 +49,7 @@ class TextureChoice:
     @property
     def name(self) -> str:
         """Name of the texture."""
-        return self.evaluator.texture.name
+        return self.evaluator.subject.texture.name
 
     @property
     def alternatives(self) -> tuple[Reason, ...]:
@@ -71,19 +72,19 @@ def plan(scene: Scene, progress: Progress = lambda part, details: None) -> tuple
 
         with located(scene.path):
             evaluator = Evaluator(scene, texture)
-        choices.append(choose(evaluator, scene, tell))
+        choices.append(choose(evaluator, tell))
     planned = tuple(map(_planned, choices))
     controllers = tuple(PlannedController(each.name, each.address, each.clock_hz) for each in scene.controllers)
     return Plan(scene.path, controllers, scene.actuators, planned, scene.threshold_path), tuple(choices)
 
 
-def choose(evaluator: Evaluator, scene: Scene, progress: Progress = lambda part, details: None) -> TextureChoice:
+def choose(evaluator: Evaluator, progress: Progress = lambda part, details: None) -> TextureChoice:
     """Choose for one texture. Raises InputError.
 
     It caps the rate only if no setting keeps the limits, because a capped rate takes more bits on average.
     """
-    search = _Search(evaluator, scene, progress)
-    options = evaluator.options(scene.controller(evaluator.texture.controller).core)
+    search = _Search(evaluator, progress)
+    options = evaluator.options()
     chosen = search.cheapest(options) or search.cheapest(search.capped(options))
     if chosen is None or search.compared is None:
         raise search.error()
@@ -92,7 +93,9 @@ def choose(evaluator: Evaluator, scene: Scene, progress: Progress = lambda part,
         for option, best in search.bests.items()
         if option != chosen.measured.option
     )
-    return TextureChoice(evaluator, chosen, search.compared, search.why(search.compared), search.candidates(), reasons)
+    return TextureChoice(
+        evaluator, chosen, search.compared, search.why(search.compared), evaluator.candidates(), reasons
+    )
 
 
 class _Search:
@@ -102,14 +105,10 @@ class _Search:
     loudest part of a long texture; None before there is a choice.
     """
 
-    def __init__(self, evaluator: Evaluator, scene: Scene, progress: Progress) -> None:
+    def __init__(self, evaluator: Evaluator, progress: Progress) -> None:
         self.bests: dict[CodingOption, Candidate | None] = {}
         self.compared: Candidate | None = None
-        self._evaluator, self._scene, self._progress = evaluator, scene, progress
-
-    def candidates(self) -> tuple[Candidate, ...]:
-        """Return all measured codings, as the scene sees them."""
-        return tuple(self._evaluator.assessed(measured, self._scene) for measured in self._evaluator.measured)
+        self._evaluator, self._scene, self._progress = evaluator, evaluator.scene, progress
 
     def cheapest(self, options: list[CodingOption]) -> Candidate | None:
         """Return the cheapest candidate of these options that meets the targets, if there is one.
@@ -136,11 +135,11 @@ class _Search:
     def capped(self, options: list[CodingOption]) -> list[CodingOption]:
         """Return, with their rate capped, the options that have the quality and exceed only limits of the rate."""
         limit_bps = self._scene.asked.rate_limit_bps
-        if limit_bps is None or self._evaluator.over_position:
+        if limit_bps is None or self._evaluator.subject.over_position:
             return []
         enough = {
             candidate.measured.option
-            for candidate in self.candidates()
+            for candidate in self._evaluator.candidates()
             if candidate.shortfall <= 0 and {limit.key for limit in candidate.broken} <= _RATE_LIMITS
         }
         return [replace(option, rate_limit_bps=limit_bps) for option in options if option in enough]
@@ -177,7 +176,7 @@ class _Search:
 
     def error(self) -> InputError:
         """Return the error: the requirement that cannot be met, the best that can be reached, and what to change."""
-        texture, candidates, asked = self._evaluator.texture, self.candidates(), self._scene.asked
+        texture, candidates, asked = self._evaluator.subject.texture, self._evaluator.candidates(), self._scene.asked
         where = f"{self._scene.path}: {texture.name}"
         if not candidates:
             return InputError(
@@ -230,7 +229,7 @@ class _Search:
         low, high, found = 0, last, None
         while low <= high:
             middle = (low + high) // 2
-            candidate = self._candidate(option, middle, first_length)
+            candidate = self._evaluator.evaluate(option, middle, first_length)
             if candidate is not None:
                 yield candidate, middle, first_length
             if candidate is not None and candidate.shortfall <= 0:
@@ -244,7 +243,7 @@ class _Search:
         for blocks in self._other_lengths(lengths, found, first_length):
             # A packet's length moves the quality a little, as refreshes lie elsewhere.
             for index in range(low, min(low + _FINER, last + 1)):
-                candidate = self._candidate(option, index, blocks)
+                candidate = self._evaluator.evaluate(option, index, blocks)
                 if candidate is not None:
                     yield candidate, index, blocks
                     if candidate.shortfall <= 0:
@@ -256,8 +255,8 @@ class _Search:
         The usual ones, and the longest within the delay limit, which have the fewest frames.
         """
         usual, limit_ms = set(lengths), self._scene.asked.delay_limit_ms
-        if limit_ms is not None and not self._evaluator.over_position:
-            block_ms = 1e3 * found.measured.packet_samples / blocks / self._evaluator.samples_per_second
+        if limit_ms is not None and not self._evaluator.subject.over_position:
+            block_ms = 1e3 * found.measured.packet_samples / blocks / self._evaluator.subject.samples_per_second
             for buffer_ms in BUFFERS_MS:
                 left_ms = limit_ms - (found.forecast.delay_ms - found.buffer_ms) - buffer_ms
                 longest = blocks + math.floor(left_ms / block_ms)
@@ -272,15 +271,11 @@ class _Search:
         """
         last = None
         for finer in range(index, min(index + _FINER_ON_THE_WHOLE, len(self._evaluator.qualities(option)))):
-            candidate = self._candidate(option, finer, blocks, whole=True)
+            candidate = self._evaluator.evaluate(option, finer, blocks, whole=True)
             last = candidate or last
             if candidate is not None and candidate.shortfall <= 0:
                 return candidate
         return last
-
-    def _candidate(self, option: CodingOption, index: int, blocks: int, whole: bool = False) -> Candidate | None:
-        measured = self._evaluator.evaluate(option, index, blocks, whole)
-        return None if measured is None else self._evaluator.assessed(measured, self._scene)
 
 
 def _preference(candidate: Candidate) -> tuple[bool, int, float, float]:
@@ -355,27 +350,26 @@ def _quality(value: float, asked: Asked, error_form: str) -> str:
 
 
 def _planned(choice: TextureChoice) -> PlannedTexture:
-    evaluator, chosen = choice.evaluator, choice.chosen
+    subject, chosen = choice.evaluator.subject, choice.chosen
     measured = chosen.measured
     target = measured.target or RateTarget()
     return PlannedTexture(
-        name=evaluator.texture.name,
-        source=evaluator.texture.source,
-        controller=evaluator.texture.controller,
-        hand_speed_mm_s=evaluator.hand_speed_mm_s,
-        over_position=evaluator.over_position,
+        name=subject.texture.name,
+        source=subject.texture.source,
+        controller=subject.texture.controller,
+        hand_speed_mm_s=subject.hand_speed_mm_s,
+        over_position=subject.over_position,
         codec=measured.option.codec,
         model=measured.model,
         setting=measured.setting,
-        rate=evaluator.band.rate,
-        lowest=evaluator.band.lowest,
-        highest=evaluator.band.highest,
+        rate=subject.band.rate,
+        lowest=subject.band.lowest,
+        highest=subject.band.highest,
         packet_samples=measured.packet_samples,
         refresh_packets=measured.refresh_packets,
-        rate_mode=SETTING_MODE if measured.target is None else CAPPED_MODE,
         buffer_ms=chosen.buffer_ms,
         forecast=chosen.forecast,
-        sha256=evaluator.texture.source.sha256(),
+        sha256=subject.texture.source.sha256(),
         capped_rate_bps=target.capped_rate_bps,
         packet_snr_db=target.snr_db,
     )

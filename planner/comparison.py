@@ -40,7 +40,7 @@ class Row:
 def rows(played: Sequence[Played]) -> list[Row]:
     """Return every forecast with its measurement."""
     return [
-        Row(each.texture.name, FIGURES[key], forecast, getattr(each.measured, key, None))
+        Row(each.texture.name, FIGURES[key], forecast, each.measured.get(key))
         for each in played
         for key, forecast in structs.asdict(each.texture.forecast).items()
         if forecast is not None
@@ -51,7 +51,7 @@ def failures(played: Sequence[Played], compared: Sequence[Row]) -> list[str]:
     """Return a line for each failure: late packets, samples that differ from those sent, and wrong forecasts."""
     found = []
     for each in played:
-        if not each.in_time:
+        if each.report.lost_anything:
             found.append(
                 f"{each.texture.name}: {each.report.underruns} underruns, {each.report.lost_packets} lost packets; the "
                 "computer or the link is too busy, or the playout delay too short; raise buffer_ms in the plan"
@@ -102,6 +102,6 @@ def document(played: Played) -> dict[str, Any]:
         "texture": texture.name,
         "controller": texture.controller,
         "forecast": structs.asdict(texture.forecast),
-        "measured": asdict(played.measured),
+        "measured": dict(played.measured),
         "report": asdict(played.report),
     }

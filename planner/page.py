@@ -12,8 +12,8 @@ from msgspec import structs
 from vibrocast import pages
 from vibrocast.codec.rate_control import RateTarget
 from vibrocast.files import atomic_write, plain
-from vibrocast.planner.candidates import Candidate, wanted
 from vibrocast.planner.choose import TextureChoice
+from vibrocast.planner.forecast import Candidate, wanted
 from vibrocast.planner.plan_file import PlannedTexture
 from vibrocast.planner.scene import MEASURES, Asked, Scene
 
@@ -26,8 +26,8 @@ WIDTH, INDENT = 80, 14
 """Columns of the answer, and of its labels."""
 FAR_COST = 2.0
 """Multiple of the choice's cost up to which the picture shows candidates."""
-_LABEL, _LEGEND = 0.075, 0.74
-"""Height of a line of a label, and lower end of the legend, as parts of a panel."""
+_RINGS = (260, 170, 110, 70)
+"""Sizes of the rings around the choice and its alternatives, which the legend names in this order."""
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*", "p", "h")
 # Dark to light, so that grey print keeps them apart; markers differ as well.
 _COLOURS = ("#20123a", "#0072b2", "#009e73", "#d55e00", "#cc79a7", "#56b4e9", "#e69f00")
@@ -78,7 +78,7 @@ def _candidate_rows(choice: TextureChoice) -> Iterator[dict[str, object]]:
 
 def _band_rows(choice: TextureChoice) -> Iterator[dict[str, object]]:
     """Yield a row for each third octave of a texture at the skin; levels are in dB re the detection threshold."""
-    for each in choice.evaluator.band.levels:
+    for each in choice.evaluator.subject.band.levels:
         levels = {name: round(getattr(each, name), 2) for name in ("frequency_hz", "level_db", "reach_db")}
         yield {"texture": choice.name, **levels, "worth_coding": each.worth}
 
@@ -122,8 +122,11 @@ def _draw_panel(axes: "Axes", asked: Asked, choice: TextureChoice, codecs: Seque
         )
     forecast = choice.chosen.forecast
     chosen = f"{choice.chosen.measured.option.name}\n{forecast.wire_bps / 1e3:.2f} kbit/s, {forecast.delay_ms:.0f} ms"
-    labels = [(chosen, choice.compared), *((option.name, best) for option, best in alternatives)]
-    _label(axes, [(text, each) for text, each in labels if each in near])
+    marked = [(chosen, choice.compared), *((option.name, best) for option, best in alternatives)]
+    for (text, each), size in zip(marked, _RINGS, strict=False):
+        if each in near:
+            ring = axes.scatter([each.quality or 0.0], [each.cost], s=size, facecolors="none", edgecolors="black")
+            ring.set_label(text)
     axes.axvline(wanted(asked), color="0.5", linestyle=(0, (5, 2)), linewidth=1)
     figure = MEASURES[asked.measure].figure
     less = " (less is better)" if figure.worse > 0 else ""
@@ -136,49 +139,13 @@ def _draw_panel(axes: "Axes", asked: Asked, choice: TextureChoice, codecs: Seque
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(
         fontsize="x-small",
-        ncols=2,
-        title="filled: meets all requirements",
+        title="filled: meets all requirements;\nrings, from the largest: the choice, alternatives",
         title_fontsize="x-small",
         frameon=False,
         loc="upper left",
         bbox_to_anchor=(1.03, 1.0),
         borderaxespad=0,
     )
-
-
-def _label(axes: "Axes", marked: Sequence[tuple[str, Candidate]]) -> None:
-    """Write labels right of a panel, each near the height of its candidate; the first one, the choice, is bold."""
-    low, high = axes.get_ylim()
-    in_order = sorted(marked, key=lambda each: each[1].cost)
-    heights = [_LABEL * (1 + text.count("\n")) for text, _ in in_order]
-    bottom = 0.0
-    for place, (text, candidate) in enumerate(in_order):
-        is_choice = candidate is marked[0][1]
-        # Above the label before; low enough for those that follow, below the legend.
-        level = (candidate.cost - low) / (high - low) - heights[place] / 2
-        bottom = max(bottom, min(level, _LEGEND - sum(heights[place:])))
-        position = (candidate.quality or 0.0, candidate.cost)
-        axes.scatter(
-            *position,
-            s=200 if is_choice else 100,
-            facecolors="none",
-            edgecolors="black",
-            linewidths=2 if is_choice else 1,
-        )
-        axes.annotate(
-            text,
-            position,
-            xytext=(1.03, bottom + heights[place] / 2),
-            textcoords="axes fraction",
-            verticalalignment="center",
-            fontsize="small",
-            fontweight="bold" if is_choice else "normal",
-            arrowprops={"arrowstyle": "-", "linewidth": 0.6, "color": "0.4", "relpos": (0, 0.5), "shrinkB": 6},
-            annotation_clip=False,
-            parse_math=False,
-        )
-        bottom += heights[place]
-    axes.set_ylim(low, high)
 
 
 def is_near(asked: Asked, choice: TextureChoice, candidate: Candidate) -> bool:

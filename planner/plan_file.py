@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated, Any
 
 import numpy as np
@@ -39,9 +38,6 @@ FORMAT = 1
 MAX_RATE = 10_000_000
 MAX_BUFFER_MS = 2000
 LOW_CUT_ORDER = 4
-SETTING_MODE = "setting"
-CAPPED_MODE = "capped"
-RATE_MODES = (SETTING_MODE, CAPPED_MODE)
 
 
 Figure = Annotated[float, within(-1e300, 1e300)]
@@ -77,9 +73,9 @@ class PlannedTexture(Table, frozen=True, kw_only=True):
     `hand_speed_mm_s`: at which a height profile is swept; of a profile over position, the highest.
     `over_position`: the stream is a profile, its `rate` in samples per metre; otherwise in Hz. `lowest`, `highest`:
     the band worth coding, in Hz, or in periods per metre. `packet_samples`, `refresh_packets`: as codec.Framing.
-    `rate_mode`: one of RATE_MODES; "setting": every packet by the setting; "capped": every packet with an SNR of
-    `packet_snr_db`, or as near to it as `capped_rate_bps` allows, frames included (codec.CappedRate). `buffer_ms`: how
-    long packets wait on the controller. `sha256`: of the texture's files, as Source gives it; None = not checked.
+    `capped_rate_bps`, `packet_snr_db`: every packet has this SNR, or one as near to it as the rate allows, frames
+    included (codec.CappedRate); None = every packet has the setting. `buffer_ms`: how long packets wait on the
+    controller. `sha256`: of the texture's files, as Source gives it; None = not checked.
     """
 
     name: Text
@@ -95,7 +91,6 @@ class PlannedTexture(Table, frozen=True, kw_only=True):
     highest: Annotated[float, within(0, MAX_RATE, "highest frequency worth coding")]
     packet_samples: Annotated[int, within(1, 1 << 20, "samples of a packet")]
     refresh_packets: Annotated[int, within(0, 1 << 20, "packets between two refreshes")]
-    rate_mode: Annotated[str, one_of(RATE_MODES)]
     buffer_ms: Annotated[float, within(0, MAX_BUFFER_MS, "playout delay in ms")]
     forecast: Forecast
     sha256: Text | None = None
@@ -105,18 +100,15 @@ class PlannedTexture(Table, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         if self.lowest >= self.rate / 2:
             raise ValueError(f"lowest = {self.lowest:g} must be below half of rate = {self.rate}; lower it")
-        capped = self.rate_mode == CAPPED_MODE
-        if {self.capped_rate_bps is not None, self.packet_snr_db is not None} != {capped}:
-            raise ValueError(
-                f"rate_mode = {CAPPED_MODE!r} needs both capped_rate_bps and packet_snr_db, others neither"
-            )
-        if capped and self.over_position:
-            raise ValueError(f"a profile over position has no rate to cap; set rate_mode = {SETTING_MODE!r}")
+        if (self.capped_rate_bps is None) != (self.packet_snr_db is None):
+            raise ValueError("capped_rate_bps and packet_snr_db go together; give both, or neither")
+        if self.capped_rate_bps is not None and self.over_position:
+            raise ValueError("a profile over position has no rate to cap; leave capped_rate_bps and packet_snr_db out")
 
     @property
     def target(self) -> RateTarget | None:
         """The target of rate control; None if every packet has the setting."""
-        if self.rate_mode == SETTING_MODE:
+        if self.capped_rate_bps is None:
             return None
         return RateTarget(capped_rate_bps=self.capped_rate_bps, snr_db=self.packet_snr_db)
 
@@ -254,7 +246,7 @@ def write_plan(path: Path, plan: Plan) -> None:
             "generate": source.kind,
             **{key: getattr(texture, key) for key in texture.__struct_fields__ if key not in _TABLES},
         }
-        parts.append("[[textures]]\n" + _lines(values, _OVER_POSITION if texture.over_position else _OVER_TIME))
+        parts.append("[[textures]]\n" + _lines(values))
         if source.options:
             parts.append("[textures.options] # properties that the file does not state\n" + _lines(source.options))
         parts.append("[textures.setting] # of the codec\n" + _lines(texture.setting))
@@ -269,34 +261,11 @@ def write_plan(path: Path, plan: Plan) -> None:
 
 _TABLES = ("name", "source", "setting", "forecast")
 
-_COMMENTS = {
-    "packet_samples": "samples per channel in a packet",
-    "refresh_packets": "packets from one random-access packet to the next",
-    "buffer_ms": "playout delay",
-    "sha256": "of the files; a plan whose files have changed is rejected",
-    "capped_rate_bps": "of packets and frames",
-    "packet_snr_db": "of each packet, if the rate allows it",
-}
-_OVER_TIME = _COMMENTS | {
-    "rate": "samples per second",
-    "lowest": "Hz, of the band worth coding",
-    "highest": "Hz",
-}
-_OVER_POSITION = _COMMENTS | {
-    "rate": "samples per metre",
-    "lowest": "periods per metre, of the band worth coding",
-    "highest": "periods per metre",
-}
 
-
-def _lines(values: Mapping[str, Any], comments: Mapping[str, str] = MappingProxyType({})) -> str:
-    """Return key = value lines, with the comment of each key; None is left out."""
+def _lines(values: Mapping[str, Any]) -> str:
+    """Return key = value lines; None is left out."""
     # Texts, numbers, lists and truth values in JSON are the same in TOML.
-    return "".join(
-        f"{key} = {json.dumps(value)}{f'  # {comments[key]}' if key in comments else ''}\n"
-        for key, value in values.items()
-        if value is not None
-    )
+    return "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items() if value is not None)
 
 
 class _PlanFile(Table, frozen=True, kw_only=True):

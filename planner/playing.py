@@ -2,7 +2,7 @@
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -64,39 +64,17 @@ class InstructionCounter:
 
 
 @dataclass(frozen=True)
-class MeasuredPlayback:
-    """Measured figures of a Forecast, by the same names; None where nothing measured them.
-
-    Rates by the bytes that were sent, quality by the samples that the controller decoded, the error at the skin by the
-    codes of its DAC.
-    """
-
-    payload_bps: float
-    wire_bps: float
-    instructions_per_second: float | None
-    load_percent: float | None
-    snr_db: float | None
-    spqi: float | None
-    third_octave_distance_db: float | None
-    error_over_threshold_db: float | None
-    delay_ms: float | None
-
-
-@dataclass(frozen=True)
 class Played:
     """A texture that was played as planned, what was measured, and the report of its playback.
 
-    Where packets were lost, quality is not the codec's alone.
+    `measured`: figures of its Forecast by their names; None where nothing measured them. Rates are by the bytes that
+    were sent, quality by the samples that the controller decoded, the error at the skin by the codes of its DAC. Where
+    packets were lost, quality is not the codec's alone.
     """
 
     texture: PlannedTexture
-    measured: MeasuredPlayback
+    measured: Mapping[str, float | None]
     report: Report
-
-    @property
-    def in_time(self) -> bool:
-        """Whether every packet came in time."""
-        return not self.report.underruns and not self.report.lost_packets
 
 
 @contextlib.contextmanager
@@ -191,7 +169,7 @@ class _Player:
         for _ in range(1 + RETAKES):
             self._counter.begin()
             played = play(texture, recording, tell)
-            if played.in_time:
+            if not played.report.lost_anything:
                 break
         return played
 
@@ -274,32 +252,21 @@ class _Player:
         return model
 
     def _measured(
-        self,
-        texture: PlannedTexture,
-        recording: Recording,
-        decoded_samples: Signal,
-        *,
-        payload_bps: float,
-        wire_bps: float,
-        error_over_threshold_db: float | None = None,
-        delay_ms: float | None = None,
-    ) -> MeasuredPlayback:
-        """Return what was measured; `decoded_samples`: what was decoded, in the recording's unit and of its length."""
-        quality = metrics.measure(recording.samples, decoded_samples, recording.rate_hz, recording.unit)
+        self, texture: PlannedTexture, recording: Recording, decoded: Signal, **figures: float | None
+    ) -> dict[str, float | None]:
+        """Return what was measured. `decoded`: in the recording's unit and of its length. `figures`: what is known."""
+        quality = metrics.measure(recording.samples, decoded, recording.rate_hz, recording.unit)
         clock_hz, instructions_per_second = self._planned.clock_hz, self._counter.per_second
         load = None if instructions_per_second is None or clock_hz is None else 100 * instructions_per_second / clock_hz
-        return MeasuredPlayback(
-            payload_bps=payload_bps,
-            wire_bps=wire_bps,
-            instructions_per_second=instructions_per_second,
-            load_percent=load,
-            snr_db=quality.snr_db,
+        return {
+            "instructions_per_second": instructions_per_second,
+            "load_percent": load,
+            "snr_db": quality.snr_db,
             # It takes long, so only where it was forecast.
-            spqi=None if texture.forecast.spqi is None else spqi(recording, decoded_samples),
-            third_octave_distance_db=quality.third_octave_distance_db,
-            error_over_threshold_db=error_over_threshold_db,
-            delay_ms=delay_ms,
-        )
+            "spqi": None if texture.forecast.spqi is None else spqi(recording, decoded),
+            "third_octave_distance_db": quality.third_octave_distance_db,
+            **figures,
+        }
 
     def _check_fits(self, texture: PlannedTexture) -> None:
         """Raise InputError where the controller cannot play a texture as planned."""

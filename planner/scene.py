@@ -46,6 +46,9 @@ _BITS_PER_SERIAL_BYTE = 10  # a start bit, eight bits of data, a stop bit
 HAND_SPEEDS_MM_S = (1.0, 2000.0)
 """Hands explore surfaces at some 10 to 300 mm/s. The range is wider, but rejects metres given as millimetres."""
 
+MAX_DELAY_MS = 10_000.0
+"""Highest limit of a delay."""
+
 MAX_TRACKED_MM_S = 300.0
 """Highest hand speed at which controllers render profiles by position (vibrocast/profile.h)."""
 
@@ -79,6 +82,11 @@ class Link:
     kind: str
     bytes_per_second: float | None
     delay_ms: float
+
+    @property
+    def carried(self) -> float:
+        """Bytes per second that it carries; infinite where they are not limited."""
+        return self.bytes_per_second or math.inf
 
 
 @dataclass(frozen=True)
@@ -164,7 +172,7 @@ class Asked(Table, frozen=True, kw_only=True):
     `third_octave_distance_db`: as evaluation.metrics measures them. `imperceptible`: the error at the skin
     is below the detection threshold, or what the texture masks, by MARGIN_DB of planner.band. `waveform`: excludes
     parametric coding; None in the file = unless `third_octave_distance_db` is required. `rate_limit_bps`: of the bytes
-    on the wire, of each stream. `delay_limit_ms`: to the skin.
+    on the wire, of each stream. `delay_limit_ms`: to the skin; None = no packet is longer than those of a live stream.
     """
 
     snr_db: Annotated[float, within(0, 90, "signal-to-noise ratio in dB")] | None = None
@@ -175,7 +183,7 @@ class Asked(Table, frozen=True, kw_only=True):
     imperceptible: bool = False
     waveform: bool | None = None
     rate_limit_bps: Annotated[float, within(50, 1e9, "bits per second on the wire, of one stream")] | None = None
-    delay_limit_ms: Annotated[float, within(1, 10_000, "delay to the skin in ms")] | None = None
+    delay_limit_ms: Annotated[float, within(1, MAX_DELAY_MS, "delay to the skin in ms")] | None = None
 
     def __post_init__(self) -> None:
         targets = self._targets
@@ -409,7 +417,7 @@ def _check_limits(asked: Asked, link: Link) -> None:
             f"[asked]: delay_limit_ms = {asked.delay_limit_ms:g} cannot be kept, because the link alone takes "
             f"{link.delay_ms:g} ms; raise the limit, or give another link"
         )
-    carried_bps = 8 * (link.bytes_per_second or math.inf)
+    carried_bps = 8 * link.carried
     if asked.rate_limit_bps is not None and asked.rate_limit_bps > carried_bps:
         raise ValueError(
             f"[asked]: rate_limit_bps = {asked.rate_limit_bps:.9g} is above the {carried_bps:.9g} bit/s that the link "

@@ -22,10 +22,11 @@ from vibrocast.host.bench_file import BenchActuator
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.planner import costs
 from vibrocast.planner.band import band_of, rendering_s
-from vibrocast.planner.candidates import BUFFERS_MS, Evaluator
+from vibrocast.planner.candidates import Evaluator
 from vibrocast.planner.choose import choose
+from vibrocast.planner.forecast import BUFFERS_MS
 from vibrocast.planner.plan_file import prepared
-from vibrocast.planner.scene import Asked, Link, Scene, SceneController, SceneTexture, Source, Weights
+from vibrocast.planner.scene import MAX_DELAY_MS, Asked, Link, Scene, SceneController, SceneTexture, Source, Weights
 from vibrocast.textures import Profile, Recording, TextureError
 from vibrocast.textures.dataset import DatasetEntry, entries
 
@@ -85,12 +86,12 @@ def savings(group: str, trace: DatasetEntry, unit: str | None) -> Iterator[Savin
     assert default_snr_db is not None, "what is silent has no band worth coding"
     header = default.stream.header
     default_delay_s = default.stream.packet_samples / header.rate_hz + rendering_s(default.stream, PIEZO_STACK)
-    limits_ms = {FREE: None, HELD: 1e3 * default_delay_s + BUFFERS_MS[-1]}
+    limits_ms = {FREE: MAX_DELAY_MS, HELD: 1e3 * default_delay_s + BUFFERS_MS[-1]}
     evaluator: Evaluator | None = None
     for (delay, limit_ms), (name, weights) in product(limits_ms.items(), WEIGHTS.items()):
         scene = _scene(trace, recording, default_snr_db, limit_ms, weights)
-        evaluator = evaluator or Evaluator(scene, scene.textures[0])
-        chosen = choose(evaluator, scene).chosen
+        evaluator = Evaluator(scene, scene.textures[0]) if evaluator is None else evaluator.in_scene(scene)
+        chosen = choose(evaluator).chosen
         forecast = chosen.forecast
         assert forecast.instructions_per_second is not None and forecast.snr_db is not None
         assert forecast.flash_bytes is not None and forecast.ram_bytes is not None

@@ -10,6 +10,7 @@ import pytest
 from msgspec import structs
 
 from tests.planner.scenes import ASKED, CONTROLLER, scene
+from vibrocast.codec.source import live_framing
 from vibrocast.errors import InputError
 from vibrocast.planner.candidates import Evaluator
 from vibrocast.planner.choose import TextureChoice, choose, plan
@@ -19,7 +20,7 @@ from vibrocast.textures import Recording, save
 @pytest.fixture(scope="module")
 def choice(tmp_path_factory: pytest.TempPathFactory) -> TextureChoice:
     read = scene(tmp_path_factory.mktemp("scene"))
-    return choose(Evaluator(read, read.textures[0]), read)
+    return choose(Evaluator(read, read.textures[0]))
 
 
 def test_the_choice_is_the_cheapest_that_meets_the_requirements(choice: TextureChoice) -> None:
@@ -33,7 +34,7 @@ def test_the_choice_and_every_other_option_have_a_reason_that_fits_their_cost(ch
     assert re.fullmatch(
         r"cheapest of \d+ options that meet SNR 10 dB; the next costs (\d+|less than 1) % more, mainly \w+", choice.why
     )
-    assert len(choice.reasons) == len(choice.evaluator.options("M4F")) - 1
+    assert len(choice.reasons) == len(choice.evaluator.options()) - 1
     for reason in choice.reasons:
         if reason.best is not None:
             is_higher = reason.best.cost >= choice.compared.cost
@@ -67,12 +68,23 @@ def test_a_plan_is_the_same_every_time_and_codes_as_it_forecasts(tmp_path: Path)
 
 def test_weights_decide(choice: TextureChoice, tmp_path: Path) -> None:
     def chosen(weights: str) -> TextureChoice:
-        return choose(choice.evaluator, scene(tmp_path, weights="[weights]\n" + weights))
+        return choose(choice.evaluator.in_scene(scene(tmp_path, weights="[weights]\n" + weights)))
 
     nothing_else = "per_kilobyte = 0\nper_million_instructions_per_second = 0\n"
     few_bits = chosen(nothing_else + "per_millisecond = 0\n").chosen.forecast
     quick = chosen(nothing_else + "per_kilobit_per_second = 0\n").chosen.forecast
     assert few_bits.wire_bps < quick.wire_bps and few_bits.delay_ms > quick.delay_ms
+
+
+def test_only_a_limit_of_the_delay_allows_packets_longer_than_those_of_a_live_stream(
+    choice: TextureChoice, tmp_path: Path
+) -> None:
+    usual = live_framing(choice.evaluator.subject.band.rate).packet_samples
+    assert all(each.measured.packet_samples <= usual for each in choice.candidates)
+    read = scene(tmp_path, asked=ASKED + "delay_limit_ms = 300\n", weights="[weights]\nper_millisecond = 0\n")
+    allowed = choose(choice.evaluator.in_scene(read)).chosen
+    assert allowed.measured.packet_samples > usual
+    assert allowed.forecast.wire_bps < choice.chosen.forecast.wire_bps
 
 
 @pytest.mark.slow
@@ -93,7 +105,7 @@ def test_an_impossible_scene_names_the_limit_and_a_value_that_works(
     read = scene(tmp_path, **changed)
     evaluator = choice.evaluator  # of the same texture: what it has measured is measured already
     with pytest.raises(InputError) as raised:
-        choose(evaluator, read)
+        choose(evaluator.in_scene(read))
     named = re.search(
         rf"with {re.escape(limit)} = [\d.e+]+; .* needs {limit.split()[-1]} = ([\d.e+]+); ", str(raised.value)
     )
@@ -106,7 +118,7 @@ def test_an_impossible_scene_names_the_limit_and_a_value_that_works(
         mended = replace(read, link=replace(read.link, bytes_per_second=value))
     else:
         mended = replace(read, controllers=(structs.replace(read.controllers[0], **given),))
-    assert choose(evaluator, mended).chosen.meets
+    assert choose(evaluator.in_scene(mended)).chosen.meets
 
 
 @pytest.mark.slow
@@ -128,7 +140,7 @@ def test_an_impossible_scene_says_how_near_it_comes(
     changed: dict[str, str], message: str, choice: TextureChoice, tmp_path: Path
 ) -> None:
     with pytest.raises(InputError, match=message):
-        choose(choice.evaluator, scene(tmp_path, **changed))
+        choose(choice.evaluator.in_scene(scene(tmp_path, **changed)))
 
 
 @pytest.mark.slow
@@ -137,9 +149,9 @@ def test_the_quality_that_the_error_offers_can_be_planned(rate_limit_bps: int, t
     read = scene(tmp_path, asked=f"[asked]\nsnr_db = 30\n{rate_limit_bps = }\n")
     evaluator = Evaluator(read, read.textures[0])
     with pytest.raises(InputError, match=r"or lower snr_db to [\d.]+$") as raised:
-        choose(evaluator, read)
+        choose(evaluator.in_scene(read))
     lower = float(str(raised.value).split()[-1])
-    assert choose(evaluator, replace(read, asked=structs.replace(read.asked, snr_db=lower))).chosen.meets
+    assert choose(evaluator.in_scene(replace(read, asked=structs.replace(read.asked, snr_db=lower)))).chosen.meets
 
 
 @pytest.mark.slow
@@ -151,9 +163,9 @@ def test_a_texture_may_be_coded_for_touch_where_the_required_quality_gains(tmp_p
     ):
         read = scene(tmp_path, asked=f"[asked]\n{asked}\n")
         evaluator = Evaluator(read, read.textures[0])
-        options = evaluator.options("M4F")
+        options = evaluator.options()
         if asked == "imperceptible = true":
-            error_db = choose(evaluator, read).chosen.forecast.error_over_threshold_db
+            error_db = choose(evaluator.in_scene(read)).chosen.forecast.error_over_threshold_db
             assert error_db is not None and error_db <= -8
         assert {option.touch for option in options} == touches
         for option in options:

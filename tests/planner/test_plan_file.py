@@ -59,7 +59,6 @@ def plan(folder: Path) -> Plan:
         highest=500.0,
         packet_samples=64,
         refresh_packets=5,
-        rate_mode="setting",
         buffer_ms=10.0,
         forecast=FORECAST,
     )
@@ -75,7 +74,7 @@ def test_what_is_written_is_read_again(tmp_path: Path) -> None:
     assert read.scene.resolve() == written.scene.resolve()
     assert replace(read, scene=written.scene) == written
     assert read.texture("wood").forecast == FORECAST
-    capped = structs.replace(written.textures[0], rate_mode="capped", capped_rate_bps=2450, packet_snr_db=9.5)
+    capped = structs.replace(written.textures[0], capped_rate_bps=2450, packet_snr_db=9.5)
     write_plan(tmp_path / "out" / "capped.toml", replace(written, textures=(capped,)))
     assert read_plan(tmp_path / "out" / "capped.toml").textures == (capped,)
     with pytest.raises(InputError, match="the plan has no texture 'oak'; choose from wood"):
@@ -119,8 +118,7 @@ def test_what_is_below_the_band_is_taken_away_and_the_band_left_alone() -> None:
         ("[textures.options]", "[textures.options]\nfoo = 3", "[[textures]] 1: [options]: there is no key foo"),
         ('codec = "mdct"', 'codec = "mp3"', "[[textures]] 1: codec must be one of dct"),
         ("step = 0.7", "step = -1", "step is -1; it must be a number from"),
-        ('rate_mode = "setting"', 'rate_mode = "capped"', "rate_mode = 'capped' needs both capped_rate_bps"),
-        ('rate_mode = "setting"', 'rate_mode = "setting"\npacket_snr_db = 9', "others neither"),
+        ("rate = 1600", "rate = 1600\npacket_snr_db = 9", "capped_rate_bps and packet_snr_db go together"),
         ("format = 1", "format = 2", "format = 2 is out of range: version of the format"),
         ('controller = "one"\nhand', 'controller = "two"\nhand', "controller must be one of one, not 'two'"),
     ],

@@ -89,7 +89,7 @@ def test_a_loud_second_is_planned_with_a_capped_rate_and_keeps_the_limit(tmp_pat
     write_plan(tmp_path / "plan.toml", plan)
     plan = read_plan(tmp_path / "plan.toml")
     (texture,) = plan.textures
-    assert texture.rate_mode == "capped" and texture.forecast.snr_db is not None and texture.forecast.snr_db >= 8
+    assert texture.capped_rate_bps is not None and texture.forecast.snr_db is not None and texture.forecast.snr_db >= 8
     played = playing.play(plan)
     assert comparison.failures(played, comparison.rows(played)) == []
     assert played[0].report.decoded_equals_offline and played[0].report.dac_equals_offline
@@ -118,8 +118,8 @@ def test_deviations_from_the_forecast_are_reported_and_written(tmp_path: Path) -
 def test_a_texture_that_is_over_at_once_has_no_delay_to_be_measured(tmp_path: Path) -> None:
     short = texture("wood", "one").replace("0.6", "0.1")
     (played,) = playing.play(planned(tmp_path, texture=short, controller=SIMULATED))
-    assert played.measured.delay_ms is None and played.in_time and played.report.dac_equals_offline
-    assert played.measured.wire_bps == pytest.approx(played.texture.forecast.wire_bps, rel=1e-5)
+    assert played.measured["delay_ms"] is None and not played.report.lost_anything and played.report.dac_equals_offline
+    assert played.measured["wire_bps"] == pytest.approx(played.texture.forecast.wire_bps, rel=1e-5)
 
 
 def test_a_plan_and_a_live_stream_state_one_delay(tmp_path: Path) -> None:
@@ -131,7 +131,7 @@ def test_a_plan_and_a_live_stream_state_one_delay(tmp_path: Path) -> None:
     )
     with playing.opened("sim-usb", plan.bench().actuator("one")) as (session, _):
         report = play_live(session, wood.recording(), coding=coding, playout_delay_s=wood.buffer_ms / 1e3).report
-    assert report.latency_ms.end_to_end == pytest.approx(played.measured.delay_ms, abs=0.1)
+    assert report.latency_ms.end_to_end == pytest.approx(played.measured["delay_ms"], abs=0.1)
 
 
 @pytest.mark.slow

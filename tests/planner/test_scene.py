@@ -154,7 +154,7 @@ def test_an_offset_changes_no_plan_but_of_a_drive_signal(tmp_path: Path) -> None
         added = np.linspace(*ends, 2800)[:, None]
         save(tmp_path / f"{number}.wav", Recording(noise + added, 2800, "m/s^2", "noise"))
         read = scene(tmp_path, texture=f'[[textures]]\nname = "noise"\nfile = "{number}.wav"\n')
-        workbenches.append(Evaluator(read, read.textures[0]))
+        workbenches.append(Evaluator(read, read.textures[0]).subject)
     still = workbenches[0]
     for moved in workbenches[1:]:
         assert (moved.band.lowest, moved.band.highest, moved.band.rate) == (
