@@ -29,9 +29,10 @@ class Spectrum:
 class Fidelity:
     """How one texture came out.
 
-    `report`: of the playback. Its `snr_db` is of the decoded signal in the texture's unit; its `skin` is of the
-    displacement above 20 Hz, which `source` measured or modelled. There the SNR of the codec is less for acceleration,
-    which is integrated twice: the codec's noise at low frequencies weighs most then. `lag_ms`: within the recording.
+    `report`: of the playback. Its `quality.snr_db` is of the decoded signal in the texture's unit. Its `quality.skin`
+    is of the displacement above 20 Hz, which `source` measured or modelled. There the SNR of the codec is less for
+    acceleration, which is integrated twice: the codec's noise at low frequencies weighs most then. `lag_ms`: within the
+    recording.
     `drift_ppm`: of the recorder's clock.
     """
 
@@ -81,7 +82,7 @@ def measure_fidelity(
     frequencies_hz, sent_db = third_octave_levels(sent_um, rate_hz)
     _, residual_db = third_octave_levels(sent_um - aligned_um, rate_hz)
     return Fidelity(
-        report=replace(played.report, skin=quality),
+        report=replace(played.report, quality=replace(played.report.quality, skin=quality)),
         source=source,
         lag_ms=1e3 * laid.lag_s,
         drift_ppm=laid.drift_ppm,

@@ -69,8 +69,8 @@ class Latency:
     @property
     def total_ms(self) -> float:
         """From a block's last sample at the host to the DAC."""
-        assert self.report.latency_ms.end_to_end is not None, "it was measured"
-        return self.report.latency_ms.end_to_end
+        assert self.report.timing.end_to_end_ms is not None, "it was measured"
+        return self.report.timing.end_to_end_ms
 
     @property
     def holds(self) -> bool:
@@ -143,7 +143,7 @@ def measure_latency(
         report = playing.play(playing.paced(source.samples), tell).report
         recording = None if finish is None else finish()
     latency_s = playing.latency_s()
-    if latency_s is None or report.live is None or report.live.jitter_ms is None:
+    if latency_s is None or report.live is None or report.timing.jitter_ms is None:
         raise ControllerError(
             "the stream never played: no packet came in time; check the link, and what else it carries"
         )

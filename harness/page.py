@@ -72,8 +72,8 @@ def _fidelity_row(texture: dict[str, Any]) -> dict[str, Any]:
         "texture": report["file"],
         "as_decoded": report["decoded_equals_offline"],
         "as_computed": report["dac_equals_offline"],
-        "coding_snr_db": report["snr_db"],
-        **report["skin"],
+        "coding_snr_db": report["quality"]["snr_db"],
+        **report["quality"]["skin"],
         "drift_ppm": texture["drift_ppm"],
     }
 

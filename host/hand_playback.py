@@ -18,7 +18,7 @@ from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.limits import playable
 from vibrocast.host.picture import Trace
 from vibrocast.host.playback import Captured, Playback
-from vibrocast.host.report import PositionFigures, Provenance, Report
+from vibrocast.host.report import PositionFigures, Provenance, Quality, Report, Wire
 from vibrocast.host.session import Session
 from vibrocast.host.stream_session import StreamSession, configure_steps, read_capture
 from vibrocast.output import profile as rendering
@@ -242,8 +242,8 @@ def play_and_compare(
         device=at_end.device,
         sound_card=at_end.sound_card,
         actuator=at_end.actuator,
-        skin=at_end.skin,
-        skin_note=at_end.skin_note,
+        wire=Wire(bad_frames=played.damaged, bad_frames_back=played.damaged_back),
+        quality=Quality(skin=at_end.skin, skin_note=at_end.skin_note),
         codec=stream.codec_name,
         model=stream.model_name,
         channels=stream.header.channels,
@@ -252,8 +252,6 @@ def play_and_compare(
         underruns=played.status.underruns,
         packets=len(sent.packets),
         lost_packets=played.status.lost_packets,
-        bad_frames=played.damaged,
-        bad_frames_back=played.damaged_back,
         dac_equals_offline=as_computed(session, played, codes),
         position=PositionFigures(
             length_mm=length_mm,

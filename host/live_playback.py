@@ -17,7 +17,7 @@ from vibrocast.host import live, playback
 from vibrocast.host.controller import ANSWER_TIMEOUT_S, ConnectionLost, Controller
 from vibrocast.host.picture import Trace
 from vibrocast.host.playback import Captured, Playback
-from vibrocast.host.report import Latency, LiveFigures, Minute, Provenance, Report
+from vibrocast.host.report import LiveFigures, Minute, Provenance, Quality, Report, Timing, Wire
 from vibrocast.host.session import Session
 from vibrocast.host.skin_quality import COMPARED_S
 from vibrocast.host.stream_session import read_capture
@@ -287,21 +287,17 @@ class LivePlayback:
             device=at_end.device,
             sound_card=at_end.sound_card,
             actuator=at_end.actuator,
-            skin=at_end.skin,
-            skin_note=at_end.skin_note,
             codec=stream.codec_name,
             model=None if self._model is None else self._model.name,
             channels=stream.format.channels,
             stream_rate_hz=stream.format.rate_hz,
             seconds=result.seconds,
-            wire_bytes=result.wire_bytes,
-            snr_db=snr_db,
-            latency_ms=Latency(1e3 * algorithmic_s, None, latency_ms),
+            wire=Wire(result.wire_bytes, None, result.bad_frames, result.bad_frames_back),
+            quality=Quality(snr_db=snr_db, skin=at_end.skin, skin_note=at_end.skin_note),
+            timing=Timing(1e3 * algorithmic_s, None, latency_ms, jitter_ms, drift_ppm),
             underruns=result.underruns,
             packets=result.packets,
             lost_packets=result.lost_packets,
-            bad_frames=result.bad_frames,
-            bad_frames_back=result.bad_frames_back,
             decoded_equals_offline=decoded,
             dac_equals_offline=dac,
             live=LiveFigures(
@@ -312,8 +308,6 @@ class LivePlayback:
                 wire_adds=result.wire_adds,
                 dropped_packets=result.dropped_packets,
                 streams=result.streams,
-                jitter_ms=jitter_ms,
-                drift_ppm=drift_ppm,
                 minutes=tuple(self.minutes),
             ),
         )

@@ -18,7 +18,7 @@ from vibrocast.host import devices, player, uploader
 from vibrocast.host.controller import ControllerError
 from vibrocast.host.limits import fitted
 from vibrocast.host.picture import Trace
-from vibrocast.host.report import ActuatorUse, DeviceDescription, Latency, Provenance, Report, Touch
+from vibrocast.host.report import ActuatorUse, DeviceDescription, Provenance, Quality, Report, Timing, Touch, Wire
 from vibrocast.host.session import Session
 from vibrocast.host.skin_quality import SkinQuality, compare_channels, limit_note
 from vibrocast.output.actuator import SKIN_OVERSAMPLING, Actuator, Codes, followed_band_hz, octave_gains_db
@@ -136,8 +136,6 @@ def compared(
         device=at_end.device,
         sound_card=at_end.sound_card,
         actuator=at_end.actuator,
-        skin=at_end.skin,
-        skin_note=at_end.skin_note,
         codec=stream.codec_name,
         model=stream.model_name,
         channels=header.channels,
@@ -145,30 +143,31 @@ def compared(
         loops=loops,
         seconds=stream.seconds,
         stream_bytes=stream.size_bytes,
-        wire_bytes=result.wire_bytes_sent,
-        wire_bytes_back=result.wire_bytes_received,
+        wire=Wire(result.wire_bytes_sent, result.wire_bytes_received, result.bad_frames, result.bad_frames_back),
         bits_per_second=stream.bits_per_second,
         bits_per_sample=stream.bits_per_second / header.rate_hz / header.channels,
-        felt_error=_felt_error(traces, header) if encoding else None,
-        snr_db=quality.snr_db,
-        snr_db_per_channel=quality.snr_db_per_channel,
-        highpass_hz=quality.highpass_hz,
-        removed_below=None if stream.quality is None else quality.removed_below,
-        lowpass_hz=quality.lowpass_hz,
-        removed_above=None if stream.quality is None else quality.removed_above,
-        quality_note=quality.note,
-        latency_ms=Latency(
-            algorithmic=1e3 * algorithmic_s,
-            buffered=1e3 * result.buffered_s,
-            end_to_end=1e3 * (algorithmic_s + result.buffered_s + drive_s + card_s),
+        quality=Quality(
+            snr_db=quality.snr_db,
+            snr_db_per_channel=quality.snr_db_per_channel,
+            highpass_hz=quality.highpass_hz,
+            removed_below=None if stream.quality is None else quality.removed_below,
+            lowpass_hz=quality.lowpass_hz,
+            removed_above=None if stream.quality is None else quality.removed_above,
+            felt_error=_felt_error(traces, header) if encoding else None,
+            note=quality.note,
+            skin=at_end.skin,
+            skin_note=at_end.skin_note,
+            touch=touch_of(session.skin, played_codes),
+        ),
+        timing=Timing(
+            algorithmic_ms=1e3 * algorithmic_s,
+            buffered_ms=1e3 * result.buffered_s,
+            end_to_end_ms=1e3 * (algorithmic_s + result.buffered_s + drive_s + card_s),
         ),
         underruns=result.underruns,
         packets=loops * len(stream.packets),
         lost_packets=result.lost_packets,
-        bad_frames=result.bad_frames,
-        bad_frames_back=result.bad_frames_back,
         reconnects=result.reconnects,
-        touch=touch_of(session.skin, played_codes),
         decoded_equals_offline=_equal(result, result.decoded, offline, loops) if comparable else None,
         dac_equals_offline=_equal(result, result.dac_codes, codes) if comparable else None,
         comparison_note=_comparison_note(session, stream, loops, result),

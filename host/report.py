@@ -40,21 +40,34 @@ class Provenance:
     versions: dict[str, str] = field(default_factory=_versions)
 
 
-SCHEMA = 4
+SCHEMA = 5
 """Of the JSON of playbacks."""
 
 
 @dataclass(frozen=True)
-class Latency:
-    """Delays in ms; None: not known.
+class Timing:
+    """Delays in ms, and the controller's clock; None: not known.
 
-    `algorithmic`: of the codec. `buffered`: the mean wait of samples in the controller. `end_to_end`: from when a
-    sample is taken to when the skin moves by it.
+    `algorithmic_ms`: of the codec. `buffered_ms`: the mean wait of samples in the controller. `end_to_end_ms`: from
+    when a sample is taken to when the skin moves by it. `jitter_ms`: of the arrivals of packets. `drift_ppm`: by how
+    much the controller's clock is faster.
     """
 
-    algorithmic: float | None = None
-    buffered: float | None = None
-    end_to_end: float | None = None
+    algorithmic_ms: float | None = None
+    buffered_ms: float | None = None
+    end_to_end_ms: float | None = None
+    jitter_ms: float | None = None
+    drift_ppm: float | None = None
+
+
+@dataclass(frozen=True)
+class Wire:
+    """What crossed the wire: bytes, where they were counted, and damaged frames, to the controller and from it."""
+
+    bytes_sent: int | None = None
+    bytes_received: int | None = None
+    bad_frames: int = 0
+    bad_frames_back: int = 0
 
 
 @dataclass(frozen=True)
@@ -86,6 +99,23 @@ class Touch:
 
     level_db: float
     frequency_hz: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quality:
+    """How near the decoded signal and the skin come to the texture; docs/reference/report.md explains each."""
+
+    snr_db: float | None = None
+    snr_db_per_channel: tuple[float | None, ...] | None = None
+    highpass_hz: float | None = None
+    removed_below: float | None = None
+    lowpass_hz: float | None = None
+    removed_above: float | None = None
+    felt_error: FeltError | None = None
+    note: str | None = None
+    skin: SkinQuality | None = None
+    skin_note: str | None = None
+    touch: Touch | None = None
 
 
 @dataclass(frozen=True)
@@ -135,8 +165,6 @@ class LiveFigures:
     wire_adds: float
     dropped_packets: int
     streams: int
-    jitter_ms: float | None
-    drift_ppm: float | None
     minutes: tuple[Minute, ...]
 
 
@@ -168,31 +196,18 @@ class Report:
     loops: int = 1
     seconds: float
     stream_bytes: int | None = None
-    wire_bytes: int | None = None
-    wire_bytes_back: int | None = None
     bits_per_second: float | None = None
     bits_per_sample: float | None = None
-    snr_db: float | None = None
-    snr_db_per_channel: tuple[float | None, ...] | None = None
-    highpass_hz: float | None = None
-    removed_below: float | None = None
-    lowpass_hz: float | None = None
-    removed_above: float | None = None
-    felt_error: FeltError | None = None
-    quality_note: str | None = None
-    skin: SkinQuality | None
-    skin_note: str | None
-    latency_ms: Latency = Latency()
     underruns: int
     packets: int
     lost_packets: int
-    bad_frames: int
-    bad_frames_back: int
     reconnects: int = 0
+    wire: Wire = Wire()
+    quality: Quality = Quality()
+    timing: Timing = Timing()
     device: DeviceDescription
     sound_card: CardUse | None
     actuator: ActuatorUse
-    touch: Touch | None = None
     decoded_equals_offline: bool | None = None
     dac_equals_offline: bool | None = None
     comparison_note: str | None = None
@@ -210,16 +225,16 @@ class Report:
         if self.position is not None:
             lost = 0.0 if self.dac_equals_offline else None
         else:
-            yield Value("latency_ms", place, self.latency_ms.end_to_end)
+            yield Value("latency_ms", place, self.timing.end_to_end_ms)
         if self.live is not None:
-            yield Value("jitter_ms", place, self.live.jitter_ms)
-            yield Value("drift_ppm", place, self.live.drift_ppm)
+            yield Value("jitter_ms", place, self.timing.jitter_ms)
+            yield Value("drift_ppm", place, self.timing.drift_ppm)
         yield Value("as_decoded", place, self.decoded_equals_offline)
         yield Value("as_computed", place, self.dac_equals_offline)
         yield Value("underruns", place, self.underruns)
         yield Value("lost_percent", place, lost)
-        yield Value("bad_frames", place, self.bad_frames + self.bad_frames_back)
-        skin = self.skin if self.live is None or self.dac_equals_offline else None
+        yield Value("bad_frames", place, self.wire.bad_frames + self.wire.bad_frames_back)
+        skin = self.quality.skin if self.live is None or self.dac_equals_offline else None
         for key in ("snr_db", "playing_snr_db", "st_sim", "gain"):
             yield Value(key, place, getattr(skin, key, None))
 

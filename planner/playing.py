@@ -240,7 +240,7 @@ class _Player:
             error_over_threshold_db=band.played_error_over_threshold_db(
                 sent, recording, codes, driven, self._session.skin, self._threshold
             ),
-            delay_ms=report.latency_ms.end_to_end,
+            delay_ms=report.timing.end_to_end_ms,
         )
         return Played(texture, measured, report)
 

@@ -111,13 +111,13 @@ def played_parts(path: Path) -> dict[str, float]:
     with vibrocast.connect("sim") as controller:
         reports: list[Report] = [controller.play(stream) for _ in range(RUNS)]
         dac_ms = 1e3 / controller.controller.description.actuator.dac_rate_hz
-    latency = sorted((report.latency_ms for report in reports), key=lambda each: each.end_to_end or 0.0)[RUNS // 2]
-    assert latency.algorithmic and latency.buffered and latency.end_to_end, "it was played to its end"
+    latency = sorted((report.timing for report in reports), key=lambda each: each.end_to_end_ms or 0.0)[RUNS // 2]
+    assert latency.algorithmic_ms and latency.buffered_ms and latency.end_to_end_ms, "it was played to its end"
     return {
-        "buffer": latency.buffered,
+        "buffer": latency.buffered_ms,
         "packet": 1e3 * stream.packet_samples / stream.header.rate_hz,
         "overlap": 1e3 * stream.delay_samples / stream.header.rate_hz,
-        "drive": latency.end_to_end - latency.algorithmic - latency.buffered - dac_ms,
+        "drive": latency.end_to_end_ms - latency.algorithmic_ms - latency.buffered_ms - dac_ms,
         "dac": dac_ms,
     }
 

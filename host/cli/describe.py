@@ -11,7 +11,7 @@ from vibrocast.host.cli.answers import wants_json
 from vibrocast.host.cli.steps import show
 from vibrocast.host.controller import ControllerError
 from vibrocast.host.figures import FIGURES
-from vibrocast.host.report import ActuatorUse, LiveFigures, Report, Touch
+from vibrocast.host.report import ActuatorUse, LiveFigures, Quality, Report, Touch
 from vibrocast.host.skin_quality import SkinQuality
 from vibrocast.output.actuator import FOLLOWED_DB
 from vibrocast.output.sound_card import CardUse
@@ -25,8 +25,10 @@ SILENT_DB = -200.0
 def summary(report: Report, packets: str | None = None) -> dict[str, object]:
     """Return the lines that a command prints at the end of a playback, by their names; `packets` is one of them."""
     lines = {
-        "coded": describe_quality(report) if report.position is None else None,
-        "felt error": describe_felt_error(report.felt_error) if report.stream_bytes and not report.position else None,
+        "coded": describe_quality(report.quality) if report.position is None else None,
+        "felt error": describe_felt_error(report.quality.felt_error)
+        if report.stream_bytes and not report.position
+        else None,
         "actuator": describe_actuator(report),
         "played": describe_played(report),
         "stream": describe_stream(report),
@@ -36,7 +38,7 @@ def summary(report: Report, packets: str | None = None) -> dict[str, object]:
         FIGURES["underruns"].label: describe_losses(report),
         "sound card": None if report.sound_card is None else describe_card(report.sound_card),
         "limits": describe_limits(report.actuator),
-        "touch": None if report.touch is None else describe_touch(report.touch),
+        "touch": None if report.quality.touch is None else describe_touch(report.quality.touch),
         "losses": None if report.live is None else describe_minutes(report.live),
         FIGURES["as_decoded"].label: None
         if report.position
@@ -75,24 +77,26 @@ def describe_stream(report: Report) -> str:
 def describe_wire(report: Report) -> str:
     """Return what crossed the wire, and what was damaged on it, in words."""
     sizes = (
-        "" if report.wire_bytes_back is None else f"{report.wire_bytes} bytes sent, {report.wire_bytes_back} received, "
+        ""
+        if report.wire.bytes_received is None
+        else f"{report.wire.bytes_sent} bytes sent, {report.wire.bytes_received} received, "
     )
-    return f"{sizes}damaged frames {report.bad_frames} there, {report.bad_frames_back} back"
+    return f"{sizes}damaged frames {report.wire.bad_frames} there, {report.wire.bad_frames_back} back"
 
 
 def describe_latency(report: Report) -> str | None:
     """Return the delay and its parts, in words; None where nothing is known of it."""
-    latency = report.latency_ms
+    timing = report.timing
     if report.live is not None:
         delay = f"playout delay {report.live.playout_delay_ms:.0f} ms"
-        if latency.end_to_end is None:
+        if timing.end_to_end_ms is None:
             return delay
-        jitter = "" if report.live.jitter_ms is None else f", jitter of arrivals {report.live.jitter_ms:.1f} ms"
-        return f"{latency.end_to_end:.1f} ms to the skin{jitter}; {delay}"
-    if latency.end_to_end is None:
+        jitter = "" if report.timing.jitter_ms is None else f", jitter of arrivals {report.timing.jitter_ms:.1f} ms"
+        return f"{timing.end_to_end_ms:.1f} ms to the skin{jitter}; {delay}"
+    if timing.end_to_end_ms is None:
         return None
-    parts = f"{latency.algorithmic:.1f} ms codec + {latency.buffered:.1f} ms buffer"
-    return f"{parts}, {latency.end_to_end:.1f} ms to the skin"
+    parts = f"{timing.algorithmic_ms:.1f} ms codec + {timing.buffered_ms:.1f} ms buffer"
+    return f"{parts}, {timing.end_to_end_ms:.1f} ms to the skin"
 
 
 def describe_losses(report: Report) -> str:
@@ -120,11 +124,11 @@ def describe_minutes(live: LiveFigures) -> list[str]:
 
 def warnings(report: Report) -> Iterator[str]:
     """Yield what a person should know of a playback: nothing to feel, a busy computer, a bad wire."""
-    if report.touch is not None and report.touch.level_db <= 0:
+    if report.quality.touch is not None and report.quality.touch.level_db <= 0:
         yield "nobody would feel this; raise --gain-db, or encode it with the right --unit"
     if (card := report.sound_card) is not None and card.underruns:
         yield f"{card.name} had nothing to play {card.underruns} time(s) and came to rest; close other programs"
-    if report.live is not None and (report.bad_frames or report.bad_frames_back):
+    if report.live is not None and (report.wire.bad_frames or report.wire.bad_frames_back):
         yield "frames were damaged on the wire; check cable, connectors and baud rate"
     elif report.live is not None and report.lost_packets:
         least_ms = report.live.playout_delay_ms
@@ -174,7 +178,7 @@ def describe_packets(stream: Stream, given_samples: int) -> str:
     return f"{1000 * packet_s:.1f} ms each, {often} can be decoded alone{split}"
 
 
-def describe_quality(quality: CodingQuality | Report) -> str:
+def describe_quality(quality: CodingQuality | Quality) -> str:
     """Return the SNR of a coded recording, and the parts of its energy that were removed before, in words."""
     if quality.snr_db is None:
         text = "SNR unknown (silent, lossless, or coded before)"
@@ -221,7 +225,8 @@ def describe_actuator(report: Report) -> str:
     """Return in words the band that the actuator follows, and the quality at the skin."""
     use = report.actuator
     band = "in no band" if use.follows_hz is None else "from {:.0f} to {:.0f} Hz".format(*use.follows_hz)
-    return f"{use.name} follows within {FOLLOWED_DB:g} dB {band}; {describe_skin(report.skin, report.skin_note)}"
+    skin = describe_skin(report.quality.skin, report.quality.skin_note)
+    return f"{use.name} follows within {FOLLOWED_DB:g} dB {band}; {skin}"
 
 
 def describe_limits(use: ActuatorUse) -> str:

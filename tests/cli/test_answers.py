@@ -70,7 +70,7 @@ def test_an_interrupted_command_answers_with_the_figures_so_far(
     with monkeypatch.context() as patch:
         patch.setattr("vibrocast.host.live_playback.LivePlayback._note", interrupted)
         told = cut("live", "rough", "--seconds", "30")
-        assert 0 < told["seconds"] < 30 and told["snr_db"] is None
+        assert 0 < told["seconds"] < 30 and told["quality"]["snr_db"] is None
     out = tmp_path / "out"
     out.mkdir()
     (out / "measured.json").write_text('{"earlier": "run"}')

@@ -90,12 +90,12 @@ def test_play_reports_and_draws(texture: Path, tmp_path: Path) -> None:
     assert report["decoded_equals_offline"] is True
     assert report["dac_equals_offline"] is True
     assert (report["underruns"], report["lost_packets"], report["reconnects"]) == (0, 0, 0)
-    assert report["snr_db"] == pytest.approx(14.8, abs=0.2)
+    assert report["quality"]["snr_db"] == pytest.approx(14.8, abs=0.2)
     assert report["bits_per_second"] == 8 * report["stream_bytes"] / 0.2
     assert report["bits_per_sample"] == pytest.approx(report["bits_per_second"] / RATE_HZ)
-    assert report["wire_bytes"] > report["stream_bytes"]
-    latency = report["latency_ms"]
-    assert latency["end_to_end"] > latency["algorithmic"] + latency["buffered"] > 0
+    assert report["wire"]["bytes_sent"] > report["stream_bytes"]
+    timing = report["timing"]
+    assert timing["end_to_end_ms"] > timing["algorithmic_ms"] + timing["buffered_ms"] > 0
     assert report["device"]["address"] == "sim"
     assert report["actuator"]["name"] == "piezo-stack"
     assert plot_path.stat().st_size > 10_000
@@ -132,7 +132,7 @@ def test_plays_extremes(samples: int, level: float, loops: int, tmp_path: Path) 
     soundfile.write(path, np.full((samples, 2), level), RATE_HZ, subtype="FLOAT")
     report = answer("play", path, "--unit", "drive", "--loop", loops, "--plot", tmp_path / "plot.svg")
     assert (report["loops"], report["channels"], report["dac_equals_offline"]) == (loops, 2, True)
-    assert (report["snr_db"] is None) == (level == 0)
+    assert (report["quality"]["snr_db"] is None) == (level == 0)
 
 
 def test_plays_a_coded_file(coded: Path, tmp_path: Path) -> None:
@@ -141,7 +141,7 @@ def test_plays_a_coded_file(coded: Path, tmp_path: Path) -> None:
     assert "each, only the first can be decoded alone" in output
     report = json.loads(report_path.read_text())
     assert report["stream_bytes"] == coded.stat().st_size
-    assert report["snr_db"] is None
+    assert report["quality"]["snr_db"] is None
     assert report["decoded_equals_offline"] is True
     longer = tmp_path / "longer.wav"
     textures.save(longer, textures.GENERATORS["rough"](seconds=0.5))
@@ -566,12 +566,12 @@ def test_play_tells_what_is_coded_what_is_felt_and_what_the_actuator_follows(tmp
     follows = r"piezo-stack follows within 1 dB from 20 to \d+ Hz"
     assert re.fullmatch(rf"actuator +{follows}; weighted SNR [\d.]+ dB with the codec, [\d.]+ dB without.*", actuator)
     report = json.loads(report_path.read_text())
-    skin = report["skin"]
+    skin = report["quality"]["skin"]
     assert skin["snr_db"] == pytest.approx(skin["decoded_snr_db"], abs=0.5)
     assert skin["weighted_snr_db"] == pytest.approx(skin["weighted_decoded_snr_db"], abs=0.3)
     assert skin["playing_snr_db"] > 30 < skin["weighted_playing_snr_db"]
-    assert report["skin_note"] is None
-    assert (report["schema"], report["bad_frames"], report["run"]["bench_sha256"]) == (SCHEMA, 0, None)
+    assert report["quality"]["skin_note"] is None
+    assert (report["schema"], report["wire"]["bad_frames"], report["run"]["bench_sha256"]) == (SCHEMA, 0, None)
 
 
 def test_a_recording_is_coded_for_touch(tmp_path: Path) -> None:

@@ -134,7 +134,7 @@ def test_lost_packets_and_damaged_frames_fail_and_are_named(put: Put) -> None:
     result = live("rough", "--seconds", 2, "--json")
     written = json.loads(result.stdout)
     assert written["lost_packets"] > 0.01 * written["packets"]
-    assert written["bad_frames"] > 0
+    assert written["wire"]["bad_frames"] > 0
     assert result.exit_code == LIMIT_MISSED
     assert "warning: frames were damaged on the wire; check cable" in result.stderr
     assert re.search(r"error: limits missed: live: lost_percent = [\d.]+, max_lost_percent = 1;", result.stderr)
@@ -153,7 +153,8 @@ def test_a_bench_file_gives_controller_and_limits(tmp_path: Path, put: Put) -> N
 def test_the_quality_of_the_codec_stands_next_to_that_at_the_skin() -> None:
     told = r"coded +SNR [\d.]+ dB\nactuator .* weighted SNR [\d.]+ dB with the codec"
     assert re.search(told, succeeds("live", "wood", "--seconds", 1.5, *PATIENT))
-    quality = answer("live", "wood", "--seconds", 1.5, *PATIENT, "--rate-bps", 6000, "--snr-db", 12)
+    report = answer("live", "wood", "--seconds", 1.5, *PATIENT, "--rate-bps", 6000, "--snr-db", 12)
+    quality = report["quality"]
     assert quality["skin"]["weighted_snr_db"] > quality["skin"]["snr_db"]
 
 

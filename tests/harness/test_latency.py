@@ -17,7 +17,7 @@ from vibrocast.harness.sensors import TimedRecording
 from vibrocast.host import live
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.live_playback import DeviceClock
-from vibrocast.host.report import Latency as LatencyParts
+from vibrocast.host.report import Timing
 from vibrocast.host.session import session_with
 from vibrocast.output.actuator import PIEZO_STACK, Codes
 from vibrocast.simulated_device.controller import Controller as SimulatedController
@@ -136,7 +136,7 @@ FLAWS = [
 def flawed(changes: dict[str, Any], buffer_ms: float) -> Latency:
     """Return a measurement whose packets waited so long in the buffer."""
     parts = dict.fromkeys(latency.PARTS, latency.Spread(1.0, 2.0)) | {"buffer": latency.Spread(buffer_ms, buffer_ms)}
-    report = replace(LATENCY.report, latency_ms=LatencyParts(end_to_end=buffer_ms), **changes)
+    report = replace(LATENCY.report, timing=Timing(end_to_end_ms=buffer_ms), **changes)
     return replace(LATENCY, parts=parts, report=report)
 
 

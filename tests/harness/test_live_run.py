@@ -74,18 +74,18 @@ def test_a_stream_with_losses_is_not_compared() -> None:
 
 def test_a_stream_too_short_to_be_decoded_has_no_quality() -> None:
     report = play_live(on(SimulatedController()), textures.Recording(ROUGH.samples[:4], 2800, "um", "short")).report
-    assert report.snr_db is None and report.skin is None and not report.differs
+    assert report.quality.snr_db is None and report.quality.skin is None and not report.differs
 
 
 def test_the_times_are_those_that_the_measurement_of_latency_finds() -> None:
     session = on(SimulatedController())
     report = play_live(session, looped(ROUGH, 2.0, 2800), playout_delay_s=0.02).report
     latency = measure_latency(session, ROUGH, seconds=2.0, playout_delay_s=0.02)
-    assert report.latency_ms.end_to_end == pytest.approx(latency.total_ms, abs=0.1)
+    assert report.timing.end_to_end_ms == pytest.approx(latency.total_ms, abs=0.1)
     assert report.live is not None
     assert latency.report.live is not None
-    assert report.live.jitter_ms == pytest.approx(latency.report.live.jitter_ms, abs=1)
-    assert report.live.drift_ppm == pytest.approx(latency.clock.drift_ppm, abs=1)
+    assert report.timing.jitter_ms == pytest.approx(latency.report.timing.jitter_ms, abs=1)
+    assert report.timing.drift_ppm == pytest.approx(latency.clock.drift_ppm, abs=1)
 
 
 @pytest.mark.parametrize("cut_s", [0.5, 1.0])

@@ -16,7 +16,7 @@ from vibrocast.device_protocol.transports import TransportError
 from vibrocast.errors import LIMIT_MISSED, NO_DEVICE, REGRESSION
 from vibrocast.harness import measurements, response
 from vibrocast.harness.load import Throughput
-from vibrocast.host.report import Latency
+from vibrocast.host.report import Timing
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import ACTUATORS
 from vibrocast.simulated_device.controller import Controller, Settings
@@ -49,7 +49,7 @@ def test_a_run_is_written_and_compared_with_itself_and_a_better_one(tmp_path: Pa
     assert (tmp_path / "out" / "measured.html").read_text().startswith("<!doctype html>")
     assert run(*arguments, "--compare", written).exit_code == 0
     document = json.loads(written.read_text())
-    document["measured"]["fidelity"][0]["report"]["skin"]["playing_snr_db"] += 20
+    document["measured"]["fidelity"][0]["report"]["quality"]["skin"]["playing_snr_db"] += 20
     earlier = tmp_path / "earlier.json"
     earlier.write_text(json.dumps(document))
     worse = run(*arguments, "--compare", earlier)
@@ -119,7 +119,7 @@ def test_what_is_worse_as_the_computer_was_busy_is_measured_again(
 def test_losses_of_a_first_take_stay_where_times_are_measured_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    late = replace(LATENCY.report, latency_ms=Latency(end_to_end=99.0), lost_packets=3)
+    late = replace(LATENCY.report, timing=Timing(end_to_end_ms=99.0), lost_packets=3)
     takes = iter([LATENCY, replace(LATENCY, report=late), LATENCY])
     monkeypatch.setattr(measurements, "MEASUREMENTS", {"latency": lambda *_: next(takes)})
     monkeypatch.setattr("vibrocast.harness.page.write", lambda *_: None)

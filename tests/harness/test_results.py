@@ -51,16 +51,16 @@ LATENCY = ("measured", "latency")
         (("measured", "throughput", "to_host_bytes_per_s"), 7e4, {}),
         ((*REPORT, "dac_equals_offline"), False, {"rough: DAC as computed": "worse"}),
         ((*REPORT, "dac_equals_offline"), None, {"rough: DAC as computed": "not known now"}),
-        ((*REPORT, "skin", "playing_snr_db"), 20.0, {"rough: SNR without the codec, dB": "worse"}),
-        ((*REPORT, "skin", "playing_snr_db"), 40.0, {}),
-        ((*REPORT, "skin", "snr_db"), None, {"rough: SNR, dB": "not known now"}),
-        ((*REPORT, "skin", "gain"), 1.2, {"rough: gain": "worse"}),
-        ((*REPORT, "skin", "gain"), float("nan"), {"rough: gain": "not known now"}),
+        ((*REPORT, "quality", "skin", "playing_snr_db"), 20.0, {"rough: SNR without the codec, dB": "worse"}),
+        ((*REPORT, "quality", "skin", "playing_snr_db"), 40.0, {}),
+        ((*REPORT, "quality", "skin", "snr_db"), None, {"rough: SNR, dB": "not known now"}),
+        ((*REPORT, "quality", "skin", "gain"), 1.2, {"rough: gain": "worse"}),
+        ((*REPORT, "quality", "skin", "gain"), float("nan"), {"rough: gain": "not known now"}),
         (("measured", "fidelity", 0, "lag_ms"), 300.0, {"rough: lag, ms": "worse"}),
         ((*REPORT, "underruns"), 1, {"rough: underruns": "worse"}),
         ((*REPORT, "lost_packets"), 1, {"rough: lost packets, %": "worse"}),
         ((*LATENCY, "to_sensor_ms"), 40.0, {"live: latency to the sensor, ms": "not known in the earlier run"}),
-        ((*LATENCY, "report", "latency_ms", "end_to_end"), 99.0, {"live: latency, ms": "worse"}),
+        ((*LATENCY, "report", "timing", "end_to_end_ms"), 99.0, {"live: latency, ms": "worse"}),
         ((*LATENCY, "report", "decoded_equals_offline"), False, {"live: decoded as sent": "worse"}),
         ((*LATENCY, "report", "lost_packets"), 5, {"live: lost packets, %": "worse"}),
         ((*LATENCY, "report", "underruns"), 1, {"live: underruns": "worse"}),
@@ -118,7 +118,7 @@ def test_limits_name_the_figures_that_miss_them() -> None:
         "rough: gain = 1, max_gain = 0.5",
         "link: bad_frames = 1, max_bad_frames = 0",
     ]
-    unknown = changed(*REPORT, "skin", "gain", value=None)
+    unknown = changed(*REPORT, "quality", "skin", "gain", value=None)
     assert missed(BenchLimits(min_gain=0.9), unknown.figures()) == ["rough: gain is not known, min_gain = 0.9"]
     assert missed(BenchLimits(), RUN.figures()) == []
 

@@ -38,7 +38,7 @@ def test_encodes_stores_decodes_measures_and_plays(tmp_path: Path, capfd: pytest
         report = controller.play(stream)
         assert controller.status()["hardware"]
     assert stream.quality is not None
-    assert report.dac_equals_offline and report.snr_db == stream.quality.snr_db
+    assert report.dac_equals_offline and report.quality.snr_db == stream.quality.snr_db
     assert capfd.readouterr() == ("", ""), "a library prints nothing"
 
 

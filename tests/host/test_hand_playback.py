@@ -256,7 +256,11 @@ def test_a_bench_file_judges_a_profile_under_a_hand(tmp_path: Path) -> None:
     told = json.loads(report.read_text())
     assert json.loads(done.stdout) == told
     assert told["run"]["bench_sha256"] and told["device"]["address"] == "serial:port"
-    assert told["position"]["positions"] > 200 and told["dac_equals_offline"] is True and told["skin"]["snr_db"] > 5
+    assert (
+        told["position"]["positions"] > 200
+        and told["dac_equals_offline"] is True
+        and told["quality"]["skin"]["snr_db"] > 5
+    )
     done = stroked(tmp_path, "min_snr_db = 100")
     assert done.exit_code == 4 and "min_snr_db = 100" in done.stderr
     done = stroked(tmp_path, "", actuator="lra")

@@ -60,7 +60,7 @@ def test_any_length_of_a_recording_is_compared(rate_hz: int) -> None:
     for samples in (7593, 1999, 333):
         encoding = encode_recording(texture(noise(samples / RATE_HZ), "m/s^2", rate_hz), rate_hz, live=True)
         outcome = playback.play(session_with(linked()[1], "sim"), "odd", encoding.stream, encoding)
-        assert outcome.report.felt_error is not None
+        assert outcome.report.quality.felt_error is not None
 
 
 def test_a_skin_that_does_not_follow_has_no_figures() -> None:
@@ -79,7 +79,7 @@ def test_a_resonance_is_aligned_where_it_moves_as_asked(actuator: str) -> None:
     encoding = encode_recording(texture(samples / 20, "m/s^2"), live=True)
     _, controller = linked(Settings(actuator=ACTUATORS[actuator]))
     report = playback.play(session_with(controller, "sim"), "rough", encoding.stream, encoding).report
-    skin = report.skin
+    skin = report.quality.skin
     assert skin is not None and skin.gain is not None and skin.weighted_playing_snr_db is not None
     assert 0.2 < skin.gain < 2
     assert report.actuator.follows_hz == followed_band_hz(ACTUATORS[actuator])

@@ -36,12 +36,12 @@ def test_a_texture_plays_without_a_gap_while_it_is_read_back(settings: Settings)
     encoding = encode_recording(textures.load(OAK), live=True)
     began_s = link.clock()
     report = playback.play(session_with(controller, "slow"), OAK.name, encoding.stream, encoding).report
-    assert (report.underruns, report.lost_packets, report.bad_frames, report.bad_frames_back) == (0, 0, 0, 0)
+    assert (report.underruns, report.lost_packets, report.wire.bad_frames, report.wire.bad_frames_back) == (0, 0, 0, 0)
     assert report.reconnects == 0
     assert not report.differs
     # Hardly a frame is sent twice, there or back.
-    assert (report.wire_bytes or 0) < 2.5 * (report.stream_bytes or 0)
-    assert (report.wire_bytes_back or 0) < 56_000
+    assert (report.wire.bytes_sent or 0) < 2.5 * (report.stream_bytes or 0)
+    assert (report.wire.bytes_received or 0) < 56_000
     if settings is STM32F405:
         assert report.comparison_note is not None
         assert "the link or this computer is too slow" in report.comparison_note

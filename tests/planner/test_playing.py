@@ -131,7 +131,7 @@ def test_a_plan_and_a_live_stream_state_one_delay(tmp_path: Path) -> None:
     )
     with playing.opened("sim-usb", plan.bench().actuator("one")) as (session, _):
         report = play_live(session, wood.recording(), coding=coding, playout_delay_s=wood.buffer_ms / 1e3).report
-    assert report.latency_ms.end_to_end == pytest.approx(played.measured["delay_ms"], abs=0.1)
+    assert report.timing.end_to_end_ms == pytest.approx(played.measured["delay_ms"], abs=0.1)
 
 
 @pytest.mark.slow
