@@ -4,8 +4,10 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vibrocast.textures.axes import AXES, order_of_axes
 from vibrocast.textures.recording import (
@@ -121,7 +123,7 @@ def signal_of(
     times = [
         TimeColumn(table.names[column], table.own_units[column], table.values[:, column], table.lines)
         for column in table.times
-        if column not in channels and not np.isnan(table.values[:, column]).all()
+        if column not in channels and not _is_constant(table.values[:, column])
     ]
     if times:
         stated_hz, samples, more = rate_of(times, samples, path, table.rate_hz, rate_hz, resample)
@@ -174,6 +176,26 @@ def _channels(table: Table, path: Path) -> list[int]:
         f"choose columns by name or number with `columns`; there are {table.listed()}",
         "columns",
     )
+
+
+def table_of_frame(frame: Any) -> Table:
+    """Return a DataFrame of pandas or Polars as a table, with its index where this holds times."""
+    columns = {str(name): np.asarray(frame[name]) for name in frame.columns}
+    index = np.asarray(getattr(frame, "index", ()))
+    if index.dtype.kind in "mM":
+        columns = {"time": index, **columns}
+    fields = [name_and_unit(name) for name in columns]
+    named = any(isinstance(name, str) for name in frame.columns)
+    values = np.column_stack([_numbers(each) for each in columns.values()]) if columns else np.zeros((0, 0))
+    units = ["s" if each.dtype.kind in "mM" else unit for each, (_, unit) in zip(columns.values(), fields, strict=True)]
+    return Table(values, tuple(name if named else "" for name, _ in fields), tuple(units))
+
+
+def _numbers(values: NDArray[Any]) -> Signal:
+    """Return a column as float64, moments in s since the first; NaN for text."""
+    if values.dtype.kind in "mM":
+        return np.asarray((values - values[:1]) / np.timedelta64(1, "s"), np.float64)
+    return values.astype(np.float64) if values.dtype.kind in "iuf" else np.full(len(values), np.nan)
 
 
 def _chosen(name: str, table: Table, path: Path) -> int:
@@ -239,6 +261,11 @@ def name_and_unit(field: str) -> tuple[str, str | None]:
     return field, in_words.pop() if len(in_words) == 1 else None
 
 
+def _is_constant(values: Signal) -> bool:
+    """Return whether a column of times says nothing: text, or the same step in several lines."""
+    return bool(np.isnan(values).all() or (len(values) > 1 and np.all(values == values[0])))
+
+
 def _counts_lines(values: Signal) -> bool:
     return bool(np.array_equal(values, values[0] + np.arange(len(values))))
 
@@ -250,6 +277,15 @@ def _reject_rising(table: Table, columns: Sequence[int], path: Path) -> None:
         steps = np.diff(values)
         rises = bool(np.all(steps > 0)) and len(values) >= RISING_LINES
         even = not table.names[column] and len(steps) > 1 and is_uniform(values, float(np.mean(steps)))
+        if table.own_units[column] is None and (rises or even) and table.words[column] in INDEX_NAMES[1:]:
+            gap = int(np.argmax(steps != np.median(steps)))
+            raise unusable(
+                path,
+                f"column {table.names[column]!r} counts the samples, and goes from {values[gap]:g} to "
+                f"{values[gap + 1]:g}: samples are missing",
+                "choose the other columns with `columns` to take the samples as they are",
+                "columns",
+            )
         if table.own_units[column] is None and (rises or even):
             raise unusable(
                 path,

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from vibrocast.textures import apart, arguments, arrays, clips, hdf5, laboratory, mat, p1918, wav
 from vibrocast.textures.axes import DFT321, REDUCTIONS, reduced
-from vibrocast.textures.columns import Table, select, signal_of
+from vibrocast.textures.columns import Table, select, signal_of, table_of_frame
 from vibrocast.textures.doubts import doubts_of
 from vibrocast.textures.profiles import Profile
 from vibrocast.textures.recording import (
@@ -161,19 +161,38 @@ def load_for_actuators(
 
 
 def from_array(
-    samples: ArrayLike, rate_hz: float, unit: str, full_scale: float | None = None, name: str = "samples"
+    samples: ArrayLike,
+    rate_hz: float | None,
+    unit: str | None,
+    full_scale: float | None = None,
+    name: str = "samples",
+    columns: str | int | Sequence[str | int] | None = None,
 ) -> Recording:
     """Return samples (n,) or (n, channels), integers or floats of any size, as a recording.
 
-    `rate_hz`, `unit` (one of INPUT_UNITS), `full_scale`: as for an NPY file in `load`. Raises TextureError.
+    A DataFrame of pandas or Polars is a table with column names, as a text file is. `rate_hz`, `unit` (one of
+    INPUT_UNITS), `full_scale`, `columns`: as for a file in `load`; without a unit, the samples are in "full scale".
+    Raises TextureError.
     """
+    chosen, path = names_of(columns), Path(name)
+    table = None
     try:
-        array = np.asarray(samples)
+        if hasattr(samples, "columns"):
+            table = table_of_frame(samples)
+        else:
+            array = np.asarray(samples)
     except ValueError as error:
         raise TextureError(f"{name}: no array of numbers ({error}); pass shape (n,) or (n, channels)") from error
-    contents = arrays.contents_of(array, Path(name))
-    output_unit, scale = _scale(contents, unit, full_scale, Path(name))
-    return Recording(contents.samples * scale, rate_hz, output_unit, name)
+    contents = signal_of(table, path, rate_hz, chosen) if table else arrays.contents_of(array, path)
+    if chosen and not table:
+        contents = select(contents, chosen, path)
+    rate_hz = rate_hz or contents.rate_hz
+    if rate_hz is None:
+        raise TextureError("`rate_hz` is missing", action="pass the sample rate of the samples", parameter="rate_hz")
+    if unit is None and contents.unit is None:
+        unit = "full scale"
+    output_unit, scale = _scale(contents, unit, full_scale, path)
+    return Recording(contents.samples * scale, rate_hz, output_unit, name, contents.axes, notes=contents.notes)
 
 
 def load_profile(path: str | Path) -> Profile:

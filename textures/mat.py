@@ -3,6 +3,7 @@
 import re
 import warnings
 from collections.abc import Iterator
+from dataclasses import replace
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 
 from vibrocast import extras
 from vibrocast.textures import arrays, hdf5
-from vibrocast.textures.columns import Table
+from vibrocast.textures.columns import Table, table_of_frame
 from vibrocast.textures.recording import Contents, Recording, TextureError
 
 NUMBERS = ("single", "double", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)))
@@ -102,13 +103,8 @@ def _read_objects(path: Path, key: str | None) -> Table:
         frame = tables[arrays.chosen_key(list(tables), name or None, path)]
         columns = frame.select_dtypes("number")
         columns = columns[[arrays.chosen_key(list(columns), column, path)]] if column else columns
-        names, values = [str(each) for each in columns], columns.to_numpy(np.float64)
-        if frame.index.dtype.kind in "mM":  # a timetable
-            names, seconds = ["time", *names], (frame.index - frame.index[0]).total_seconds()
-            values = np.column_stack([seconds, values])
-        units = tuple("s" if each == "time" else None for each in names)
         rates = [float(np.squeeze(each)) for name, each in variables.items() if name.lower() in arrays.RATE_NAMES]
-        return Table(values, tuple(names), units, None, next(iter(rates), None))
+        return replace(table_of_frame(columns), rate_hz=next(iter(rates), None))
 
 
 def write(path: Path, recording: Recording) -> None:

@@ -163,5 +163,5 @@ def check_rate(rate_hz: float, name: str) -> None:
     if not MIN_RATE_HZ <= rate_hz <= MAX_RATE_HZ:
         raise TextureError(
             f"{name}: sample rate {rate_hz:g} Hz; it must be {MIN_RATE_HZ:g} to {MAX_RATE_HZ:g} Hz: correct the rate, "
-            "or the hand speed over a height profile"
+            "the unit of the times, or the hand speed over a height profile"
         )

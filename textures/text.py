@@ -25,6 +25,7 @@ MAX_TRAILER_LINES = 20
 
 _STATEMENT = re.compile(r"[#\s]*(rate_hz|unit)\s*[:=]\s*(.*?)\s*", re.IGNORECASE)
 _NUMBER, _TIME, _TEXT, _EMPTY = "n", "d", "t", "e"
+_TIME_OF_DAY = re.compile(r"\b([01]?\d|2[0-3])(:[0-5]\d:[0-5]\d(?:[.,]\d{1,9})?)\b")
 _DECIMAL_COMMA = r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?"
 _BLANKS_BETWEEN = re.compile(rf"\s*(?:{_DECIMAL_COMMA}|[+-]?\d+)(?:\s+(?:{_DECIMAL_COMMA}|[+-]?\d+))+\s*")
 _DECIMAL_COMMAS = re.compile(rf"{_DECIMAL_COMMA}(?:[;,\s]\s*{_DECIMAL_COMMA})*")
@@ -277,12 +278,16 @@ def _kind(field: str) -> str:
 
 
 def _moment(field: str) -> datetime | None:
-    """Return a date with a time, or a time of a day, as ISO 8601 writes them; None for any other text."""
+    """Return a date with a time as ISO 8601 writes them, or any time of a day; None for any other text."""
     text = field.strip()
     try:
-        moment = datetime.fromisoformat(f"1970-01-01 {text}" if re.match(r"\d\d:", text) else text)
+        moment = datetime.fromisoformat(text)
     except ValueError:
-        return None
+        time = _TIME_OF_DAY.search(text)
+        if time is None:
+            return None
+        hour, rest = time.groups()
+        moment = datetime.fromisoformat(f"1970-01-01 {int(hour):02}{rest}")
     return moment if moment.tzinfo else moment.replace(tzinfo=UTC)
 
 

@@ -1,7 +1,7 @@
 """Times of samples: the rate that they give, what is wrong with them, and samples put on a uniform grid."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,7 @@ _FEW = 100  # one flaw in so many lines is an exception
 _COARSEST, _FINEST = 3, -10  # powers of ten to which times are rounded
 _ROUNDING = 1.1  # of the unit to which times are rounded: the most by which they scatter about a fitted line
 _LEAST_ROUNDED = 16  # lines; fewer say nothing of their rounding
+_COUNTERS = (16, 32)  # bits
 _FEW_DIGITS = 0.01  # of a rate: if rounded times leave more open, the user must say
 _EPOCH_S = (1e9, 3e9)  # since 1970: the years 2001 to 2065
 
@@ -89,13 +90,14 @@ def rate_of(
     notes: tuple[str, ...] = ()
     for column in columns:
         try:
+            column = replace(column, values=_unwrapped(column.values))
             grid = _grid_of(column, samples, path, commented_hz or given_hz)
             rate_hz = _rate(column, grid, path, commented_hz, given_hz)
         except TextureError as error:
             errors.append(error)
             continue
         if not rates_hz and grid.note:
-            notes = (f"{path}: {column.place} {grid.note}: {rate_hz:g} Hz",)
+            notes = (f"{path}: {column.place} {grid.note}; its mean step says {rate_hz:g} Hz",)
         rates_hz[column.name] = rate_hz
     if rates_hz:
         if max(rates_hz.values()) > (1 + CLOCK_TOLERANCE) * min(rates_hz.values()):
@@ -104,7 +106,7 @@ def rate_of(
         return next(iter(rates_hz.values())), samples, notes
     for column in columns if resample else ():
         try:
-            return _resampled(column, samples, path, commented_hz, given_hz)
+            return _resampled(replace(column, values=_unwrapped(column.values)), samples, path, commented_hz, given_hz)
         except TextureError as error:
             errors.insert(0, error)
     raise errors[0]
@@ -182,7 +184,7 @@ def _flaw(values: Signal, place: str, lines: int, remedy: str) -> TextureError:
         return TextureError(f"{place}: repeats in line {first}", action="remove the lines that repeat")
     lost, mean = _lost(steps)
     if lost.any():
-        gap, others = int(steps.argmax()), int(np.count_nonzero(lost)) - 1
+        gap, others = int(lost.argmax()), int(np.count_nonzero(lost)) - 1
         also = f", and {others} more" if others else ""
         return TextureError(
             f"{place}: a gap of {steps[gap]:g} after line {lines + gap + 1}{also}, where the usual step is {mean:g}",
@@ -219,7 +221,7 @@ def _grid_of(column: TimeColumn, samples: Signal, path: Path, stated_hz: float |
     intervals = np.arange(len(values))
     if is_uniform(values, step):
         return _Grid(step, float(np.ptp(values - step * intervals)) / step / intervals[-1] + RATE_TOLERANCE)
-    if rounded := _rounded(values):
+    if rounded := _rounded(values, column.unit or ""):
         return rounded
     steps = np.diff(values)
     repeated = np.flatnonzero(steps == 0)
@@ -230,13 +232,16 @@ def _grid_of(column: TimeColumn, samples: Signal, path: Path, stated_hz: float |
     ):
         return _Grid(step, CLOCK_TOLERANCE)
     same = bool(np.all(samples[repeated] == samples[repeated + 1]))
+    few = len(repeated) <= len(values) // _FEW
+    other = "samples without a time of their own" if few else "the sensor was read in bursts"
     means = " or ".join(f"{1 / step / seconds:.4g} Hz" for seconds in _seconds(column).values())
     raise unusable(
         place,
         f"{len(repeated)} of {len(values)} lines repeat the time before, the first is line "
-        f"{column.lines + int(repeated[0]) + 2}: "
-        + ("duplicates, whose samples are equal too" if same else "the sensor was read in bursts"),
-        "give `resample` to leave them out" if same else f"give the sensor's rate as `rate_hz`, about {means}",
+        f"{column.lines + int(repeated[0]) + 2}: " + ("duplicates, whose samples are equal too" if same else other),
+        "give `resample` to leave them out"
+        if same
+        else f"give the sensor's rate as `rate_hz`, about {means}, or `resample` to spread them evenly",
         "rate_hz",
         "resample",
     )
@@ -246,7 +251,7 @@ def _with_parameters(error: TextureError) -> TextureError:
     return TextureError(error.problem, error.cause, error.action, ("resample", "rate_hz"))
 
 
-def _rounded(values: Signal) -> _Grid | None:
+def _rounded(values: Signal, unit_name: str) -> _Grid | None:
     """Return the grid of rising times that are rounded to about a step or more; None if rounding does not explain them.
 
     They are whole multiples of a power of ten, and lie within it of a straight line. So do their steps.
@@ -260,13 +265,36 @@ def _rounded(values: Signal) -> _Grid | None:
     if step <= 0 or max(np.ptp(values - step * places), np.ptp(steps)) > _ROUNDING * unit:
         return None
     how = "repeats, as if rounded to or read every" if steps.min() == 0 else "is rounded to"
-    return _Grid(step, unit / step / (len(values) - 1), f"{how} {unit:g}; its mean is the rate")
+    return _Grid(step, unit / step / (len(values) - 1), f"{how} {unit:g} {unit_name}".rstrip())
+
+
+def _spread(times: Signal) -> Signal:
+    """Return times (n,) that never fall, with those that are equal spread evenly up to the next one."""
+    distinct, first, counts = np.unique(times, return_index=True, return_counts=True)
+    steps = np.append(np.diff(distinct), (distinct[-1] - distinct[0]) / max(1, first[-1]) * counts[-1])
+    part = (np.arange(len(times)) - np.repeat(first, counts)) / np.repeat(counts, counts)
+    spread: Signal = times + part * np.repeat(steps, counts)
+    return spread
+
+
+def _unwrapped(values: Signal) -> Signal:
+    """Return times (n,) of a counter of 16 or 32 bits that began again at 0, as if it had more bits."""
+    steps = np.diff(values)
+    if not len(steps) or not np.isfinite(values).all() or steps.min() >= 0:
+        return values
+    usual = float(np.median(steps))
+    for bits in _COUNTERS:
+        over = (steps < 0) & (np.abs(steps + 2.0**bits - usual) <= GAP_STEPS * usual)
+        if over.any() and not (steps[~over] < 0).any():
+            return values + 2.0**bits * np.concatenate(([0], np.cumsum(over)))
+    return values
 
 
 def _are_multiples(values: Signal, unit: float) -> bool:
     """Return whether values are whole multiples of a unit, to the rounding of float64."""
-    counts = values / unit
-    return bool(np.all(np.abs(counts - np.rint(counts)) <= 1e-3) and np.abs(counts).max() < 2**52)
+    rounding = float(np.max(np.abs(np.spacing(values)))) + RATE_TOLERANCE * unit
+    off = np.abs(values - unit * np.rint(values / unit))
+    return rounding < GRID_TOLERANCE * unit and bool(np.all(off <= rounding))
 
 
 def _seconds(column: TimeColumn) -> dict[str, float]:
@@ -329,7 +357,7 @@ def _rate(column: TimeColumn, grid: _Grid, path: Path, commented_hz: float | Non
     if grid.note and grid.error > _FEW_DIGITS:
         raise unusable(
             path,
-            f"{column.place} {grid.note.partition(';')[0]}, and its {len(column.values)} lines leave the rate open",
+            f"{column.place} {grid.note}, and its {len(column.values)} lines leave the rate open",
             f"give `rate_hz`, about {said:.3g}",
             "rate_hz",
         )
@@ -349,10 +377,10 @@ def _resampled(
     new = np.append(True, (np.diff(values) != 0) | np.any(np.diff(samples, axis=0) != 0, axis=1))
     lines = column.lines + np.flatnonzero(new)
     times, kept = values[new], samples[new]
-    steps = np.diff(times)
-    if not len(steps) or steps.min() <= 0:
-        _grid_of(column, samples, path, commented_hz or given_hz)
+    if len(times) < 2 or (np.diff(times) < 0).any() or times[0] == times[-1]:
         raise _flaw(values, place, column.lines, "")
+    times = _spread(times)
+    steps = np.diff(times)
     lost, mean = _lost(steps)
     rate_hz = _rate(column, _Grid(mean, CLOCK_TOLERANCE), path, commented_hz, given_hz)
     seconds = min(_seconds(column).values(), key=lambda each: abs(mean * each * rate_hz - 1))

@@ -46,6 +46,7 @@ def encode(  # noqa: PLR0913 - a name for each option reads better than an objec
     rate_hz: SupportsFloat | None = None,
     unit: str | None = None,
     *,
+    columns: str | Sequence[str | int] | None = None,
     codec: str | None = None,
     rate_bps: float | None = None,
     snr_db: float | None = None,
@@ -63,10 +64,12 @@ def encode(  # noqa: PLR0913 - a name for each option reads better than an objec
     the codec keeps no waveform.
 
     Args:
-        samples: A Recording, or an array (n,) or (n, channels) of any real dtype.
-        rate_hz: Sample rate of an array in Hz. A Recording states its own.
+        samples: A Recording, an array (n,) or (n, channels) of any real dtype, or a DataFrame of pandas or Polars,
+            whose columns of times, counts and axes are known by name as those of a text file.
+        rate_hz: Sample rate of an array in Hz. A Recording states its own, and so do times in a DataFrame.
         unit: Unit of an array: "m/s^2", "g", "nm", "um", "mm" or "drive", the drive signal of an actuator, where 1.0 is
             full scale. None means "full scale" of unknown size. A Recording states its own.
+        columns: Names or numbers, from 1, of the channels of a DataFrame or an array to take: "x,z", or ["x", 3].
         codec: A name in `codecs()`. None: the codec of `model`, or "mdct".
         rate_bps: Target size of the whole stream, in bits per second of signal.
         snr_db: Target SNR of every channel in dB. Give this or `rate_bps`, not both.
@@ -93,7 +96,7 @@ def encode(  # noqa: PLR0913 - a name for each option reads better than an objec
     arguments.of_type("setting", setting, Mapping, "a mapping of parameters to values")
     _check_callable(progress)
     encoding = encode_recording(
-        _recording(samples, rate_hz, unit),
+        _recording(samples, rate_hz, unit, columns),
         stream_rate_hz=arguments.whole_number("stream_rate_hz", stream_rate_hz, 1, _MAX_STREAM_RATE_HZ),
         codec_name=codec,
         rate_bps=arguments.optional_number("rate_bps", rate_bps),
@@ -440,21 +443,24 @@ def register(codec: BlockCodec | type[BlockCodec] | Codec) -> Codec:
     return registered
 
 
-def _recording(samples: ArrayLike | Recording, rate_hz: SupportsFloat | None, unit: str | None) -> Recording:
+def _recording(
+    samples: ArrayLike | Recording,
+    rate_hz: SupportsFloat | None,
+    unit: str | None,
+    columns: str | Sequence[str | int] | None = None,
+) -> Recording:
     if isinstance(samples, Recording):
-        if rate_hz is not None or unit is not None:
+        if rate_hz is not None or unit is not None or columns is not None:
             raise TextureError(
                 f"{samples.name}: the recording states its rate and unit",
-                action="leave out `rate_hz`, `unit`",
-                parameter=("rate_hz", "unit"),
+                action="leave out `rate_hz`, `unit`, `columns`",
+                parameter=("rate_hz", "unit", "columns"),
             )
         return samples
     if isinstance(samples, str | os.PathLike):
         raise TextureError(f"{samples}: `samples` is a path", action="pass `vibrocast.load` of it", parameter="samples")
-    if rate_hz is None:
-        raise TextureError("`rate_hz` is missing", action="pass the sample rate of the samples", parameter="rate_hz")
     arguments.of_type("unit", unit, str, 'text such as "m/s^2"')
-    return textures.from_array(samples, arguments.number("rate_hz", rate_hz), "full scale" if unit is None else unit)
+    return textures.from_array(samples, arguments.optional_number("rate_hz", rate_hz), unit, columns=columns)
 
 
 def _stream(name: str, data: bytes | str | Path | Stream, model: str | Path | models.Model | None) -> Stream:

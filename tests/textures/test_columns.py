@@ -1,11 +1,15 @@
 """Tests of columns: which of a text file are times, counts, axes and channels, and how you choose others."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas
+import polars
 import pytest
 
-from vibrocast.textures import TextureError, load
+from vibrocast.textures import TextureError, from_array, load
 from vibrocast.textures.recording import spelt
 
 RATE_HZ = 800
@@ -108,6 +112,28 @@ def test_columns_of_different_units_are_named(tmp_path: Path) -> None:
     with pytest.raises(TextureError, match=r"different units: 'x' in g, 'y' in mm; choose some with `columns`"):
         load(path)
     assert load(path, columns="y").unit == "um"
+
+
+@pytest.mark.parametrize("make", [pandas.DataFrame, polars.DataFrame])
+def test_the_columns_of_a_data_frame_count_as_names(make: Callable[[dict[str, Any]], Any]) -> None:
+    columns = {"seconds_elapsed": np.arange(40) / RATE_HZ, "z": NOISE[:, 0], "x": NOISE[:, 1], "y": NOISE[:, 2]}
+    recording = from_array(make(columns), None, "m/s^2")
+    assert (recording.rate_hz, recording.axes) == (RATE_HZ, ("X", "Y", "Z"))
+    np.testing.assert_array_equal(recording.samples, NOISE[:, [1, 2, 0]])
+    np.testing.assert_array_equal(from_array(make(columns), None, "m/s^2", columns="z").samples, NOISE[:, :1])
+    for more in ({"battery": np.full(40, 87)}, {"label": ["walk"] * 40}, {"gx": NOISE[:, 4]}):
+        with pytest.raises(TextureError, match=f"whether '{next(iter(more))}' is to be played; .* `columns`"):
+            from_array(make(columns | more), None, "m/s^2")
+    moments = columns | {"time": pandas.date_range("2024-05-01", periods=40, freq="1250us")}
+    assert from_array(make(moments), None, "m/s^2").rate_hz == RATE_HZ
+    with pytest.raises(TextureError, match="`rate_hz` is missing"):
+        from_array(make({"x": NOISE[:, 0]}), None, "m/s^2")
+
+
+def test_a_data_frame_may_have_times_as_index_or_no_names() -> None:
+    index = pandas.to_timedelta(np.arange(40) / RATE_HZ, unit="s")
+    assert from_array(pandas.DataFrame({"x": NOISE[:, 0]}, index=index), None, "g").rate_hz == RATE_HZ
+    assert from_array(pandas.DataFrame(NOISE), 100, None).channels == NOISE.shape[1]
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """Tests of text files: columns, names, rates, units, and whatever else a text file may hold."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -111,7 +110,7 @@ def test_a_rate_that_is_no_whole_number(tmp_path: Path, rate_hz: float) -> None:
         ("time_s,t_ms,x\n0,0,1\n1,1,1\n", {}, "say different rates: 'time' 1 Hz, 't' 1000 Hz"),
         ("index,time_s\n0,0\n1,1\n", {}, "no column of a signal"),
         ("time_s,x_um\n0,1\n1,1\n5,1\n", {}, "a gap of 4 after line 3, where the usual step is 1"),
-        ("time_s,x_um\n0,1\n0,1\n", {}, "the same in all lines"),
+        ("time_s,x_um\n0,1\n0,1\n", {}, "does not state its sample rate; give `rate_hz`"),
         ("time_s,x_um\n0,1\n", {}, "a single line"),
         ("time_s,x_um\n0,1\nnan,1\n", {}, "line 3 holds no number"),
         ("# rate_hz: 3\ntime_s,x_um\n0,1\n1,1\n", {}, "the time column says 1 Hz; a comment says 3 Hz; correct one"),
@@ -161,35 +160,6 @@ def test_a_time_column_of_another_unit_must_state_it(tmp_path: Path, step: float
         load(path, rate_hz=1.01 * rate_hz)
     assert load(written(tmp_path, f"# rate_hz: {rate_hz}\ntime,x_um\n{lines}")).rate_hz == rate_hz
     assert load(written(tmp_path, f"time_{unit},x_um\n{lines}")).rate_hz == rate_hz
-
-
-def with_steps(folder: Path, times_ms: np.ndarray, form: str = "{:.3f}") -> Path:
-    lines = (f"{form.format(time_ms)},{index % 7}" for index, time_ms in enumerate(times_ms))
-    return written(folder, "\n".join(["time_ms,x_um", *lines]))
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (
-            lambda times: np.delete(times, range(700, 732)),
-            "a gap of 33 after line 701, .* usual step is 1; give ",
-        ),
-        (lambda times: times + 0.3 * (times == 400), "line 402 is off .* by 0.3, 30% of a step: only this line; give "),
-        (lambda times: times + 0.4 * (times % 3 == 0), "line .* is off .*: 334 of 1000 lines jitter; give `resample`"),
-        (lambda times: times - 2 * (times == 400), "runs back after line 401, .* lines are out of order; sort"),
-        (lambda times: times % 600, "runs back after line 601, from 599 to 0: a second recording.* its own file"),
-        (
-            lambda times: 32.0 * (times // 32) + 0.5 * (times > 500),
-            "967 of 1000 lines repeat .* bursts; .*`rate_hz`",
-        ),
-    ],
-)
-def test_flaws_of_times_have_causes_of_their_own(
-    tmp_path: Path, change: Callable[[np.ndarray], np.ndarray], message: str
-) -> None:
-    with pytest.raises(TextureError, match=message):
-        load(with_steps(tmp_path, change(np.arange(1000.0))))
 
 
 @pytest.mark.parametrize(
