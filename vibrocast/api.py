@@ -64,8 +64,8 @@ def encode(  # noqa: PLR0913 - a name for each option reads better than an objec
     the codec keeps no waveform.
 
     Args:
-        samples: A Recording, an array (n,) or (n, channels) of any real dtype, or a DataFrame of pandas or Polars,
-            whose columns of times, counts and axes are known by name as those of a text file.
+        samples: A Recording, an array (n,) or (n, channels) of any real dtype, or a DataFrame of pandas or Polars. Its
+            columns of times, counts and axes are known by name, as in a text file.
         rate_hz: Sample rate of an array in Hz. A Recording states its own, and so do times in a DataFrame.
         unit: Unit of an array: "m/s^2", "g", "nm", "um", "mm" or "drive", the drive signal of an actuator, where 1.0 is
             full scale. None means "full scale" of unknown size. A Recording states its own.
