@@ -55,4 +55,10 @@ def test_a_folder_with_clips_and_recordings_plays(tmp_path: Path) -> None:
     for path in (KNOCK, ROOT / "examples" / "taps.wav"):
         (tmp_path / path.name).write_bytes(path.read_bytes())
     assert "played 2 track(s)" in succeeds("play", tmp_path)
-    assert "decoded as sent  yes" in succeeds("play", KNOCK)
+
+
+@pytest.mark.usefixtures("simulated_time")
+@pytest.mark.parametrize("path", sorted(KNOCK.parent.iterdir()), ids=lambda path: path.name)
+def test_a_clip_of_each_format_plays(path: Path) -> None:
+    told = succeeds("play", path)
+    assert "decoded as sent  yes" in told and "DAC as computed  yes" in told

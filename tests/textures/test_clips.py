@@ -359,6 +359,15 @@ def test_references_cannot_multiply_without_end(loaded: Callable[..., Recording]
         loaded(".hjif", content)
 
 
+def test_each_band_of_hjif_is_limited_by_itself(loaded: Callable[..., Recording]) -> None:
+    flat = effect(0, (0, 0.8, None), (10, 0.8, None))
+    document = hjif("Curve", flat, flat, curve_type="Linear")
+    (channel,) = document["perceptions"][0]["channels"]
+    down = hjif("Curve", effect(5, (0, -0.5, None), (5, -0.5, None)), curve_type="Linear")
+    channel["bands"] += down["perceptions"][0]["channels"][0]["bands"]
+    np.testing.assert_allclose(loaded(".hjif", document).samples[:, 0], [1.0] * 40 + [0.5] * 40, atol=1e-9)
+
+
 def test_an_emphasis_ends_where_the_next_one_begins(loaded: Callable[..., Recording]) -> None:
     points = [point(0, 0), point(0.1, 0, 1, 0), point(0.105, 0, 0.5, 1), point(0.11, 0)]
     samples = loaded(".haptic", haptic(points, [])).samples[:, 0]
@@ -424,7 +433,8 @@ def test_notes_name_what_is_left_out_of_haps(loaded: Callable[..., Recording]) -
         (".hjif", hjif("Curve", effect(0, (2, 1, None), (1, 1, None))), "the times of its keyframes fall"),
         (".hjif", hjif("Curve", effect(0, (2, 1, None)), timescale=0), ">= 1"),
         (".hjif", hjif("Curve", effect(700_000, (2, 1, None), (3, 1, None))), "a clip of 700 s with 1 parts"),
-        (".hjif", {"perceptions": [{"channels": [{}] * 17}]}, "length <= 16"),
+        (".hjif", {"perceptions": [{"channels": [{}] * 17}]}, "a clip of 17 channels; give one of at most 16"),
+        (".hjif", {"perceptions": [{}] * 17}, "length <= 16"),
     ],
 )
 def test_other_clips_that_cannot_be_rendered(

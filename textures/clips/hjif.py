@@ -47,7 +47,7 @@ class Band(Struct):
     curve_type: Literal["Unknown", "Cubic", "Linear", "Akima", "Bezier", "Bspline"] = "Unknown"
     lower_frequency_limit: float = 0.0
     upper_frequency_limit: float = MAX_FREQUENCY_HZ
-    effects: list[Effect] = []
+    effects: Annotated[list[Effect], Meta(max_length=MAX_PARTS)] = []
 
 
 class ClipChannel(Struct):
@@ -65,14 +65,14 @@ class Perception(Struct):
     perception_modality: str = "Vibrotactile"
     perception_unit_exponent: Annotated[int, Meta(ge=-128, le=127)] = 0
     effect_library: list[Effect] = []
-    channels: Annotated[list[ClipChannel], Meta(max_length=MAX_CHANNELS)] = []
-    tracks: Annotated[list[ClipChannel], Meta(max_length=MAX_CHANNELS)] = []
+    channels: list[ClipChannel] = []
+    tracks: list[ClipChannel] = []
 
 
 class Document(Struct):
     """What a clip describes. `timescale`: ticks per second of all positions."""
 
-    perceptions: list[Perception]
+    perceptions: Annotated[list[Perception], Meta(max_length=MAX_CHANNELS)]
     timescale: Annotated[int, Meta(ge=1, le=2**32)] = 1000
 
 

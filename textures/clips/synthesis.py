@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from vibrocast.textures.memory import shortage
-from vibrocast.textures.recording import Contents, Signal, unusable
+from vibrocast.textures.recording import MAX_CHANNELS, Contents, Signal, unusable
 
 RATE_HZ = 8000.0
 """Of a clip's signal, unless you give another: that of the reference software of ISO/IEC 23090-31."""
@@ -68,6 +68,8 @@ def rendered(clip: Clip, rate_hz: float, path: Path) -> Contents:
         raise unusable(
             path, f"a clip, and {rate_hz:g} Hz", f"give {MIN_RATE_HZ:g} to {MAX_RATE_HZ:g} Hz, or nothing", "rate_hz"
         )
+    if len(clip.channels) > MAX_CHANNELS:
+        raise unusable(path, f"a clip of {len(clip.channels)} channels", f"give one of at most {MAX_CHANNELS}")
     parts = [part for channel in clip.channels for band in channel.bands for part in band]
     if not any(part.end_s > 0 for part in parts):
         raise unusable(path, "a clip without a vibration", "give another file")
@@ -87,12 +89,13 @@ def rendered(clip: Clip, rate_hz: float, path: Path) -> Contents:
     signal = np.zeros((samples, len(clip.channels)))
     for column, channel in zip(signal.T, clip.channels, strict=True):
         for band in channel.bands:
-            for part in band:
-                first, end = _first_sample(part.start_s, rate_hz), _first_sample(part.end_s, rate_hz)
+            spans = [(_first_sample(part.start_s, rate_hz), _first_sample(part.end_s, rate_hz)) for part in band]
+            for part, (first, end) in zip(band, spans, strict=True):
                 if first < end:
                     since_start: Signal = np.arange(first, end) - np.float64(part.start_s * rate_hz)
                     column[first:end] += part.values(np.maximum(since_start, 0) / rate_hz)
-            np.clip(column, -1, 1, out=column)
+            for first, end in spans:
+                np.clip(column[first:end], -1, 1, out=column[first:end])
         np.clip(column * channel.gain, -1, 1, out=column)
     return Contents(signal, rate_hz, "drive", notes=(f"rendered at {rate_hz:g} Hz", *clip.notes))
 
