@@ -163,9 +163,10 @@ def test_ahap_of_people_and_programs_is_read(loaded: Callable[..., Recording]) -
 
 def test_notes_name_the_constants_of_ahap_and_what_is_left_out(loaded: Callable[..., Recording]) -> None:
     hum = event("HapticContinuous", 0, 0.1, AttackTime=0.3, DecayTime=0, Sustained=1)
-    notes = loaded(".ahap", ahap(hum, event("AudioCustom", 0), step("AudioVolumeControl", 0, 1))).notes
+    endless = event("HapticContinuous", 0)
+    notes = loaded(".ahap", ahap(hum, endless, event("AudioCustom", 0), step("AudioVolumeControl", 0, 1))).notes
     assert notes[:2] == ("rendered at 8000 Hz", "amplitude = intensity ^ 2; sharpness 0 to 1 = 65 to 300 Hz")
-    assert notes[-1] == "left out: AttackTime, AudioCustom, AudioVolumeControl"
+    assert notes[-1] == "left out: AttackTime, AudioCustom, AudioVolumeControl, HapticContinuous without EventDuration"
 
 
 def test_a_haptic_clip_follows_its_envelopes(loaded: Callable[..., Recording]) -> None:

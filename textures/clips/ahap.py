@@ -7,15 +7,22 @@ import numpy as np
 from msgspec import Meta, Struct, field, json
 
 from vibrocast.textures.clips.documents import Seconds, left_out, polyline, read_json
-from vibrocast.textures.clips.synthesis import MAX_PARTS, Channel, Clip, Envelope, Part, transient, wave
+from vibrocast.textures.clips.synthesis import (
+    MAX_PARTS,
+    TRANSIENT_CYCLES,
+    Channel,
+    Clip,
+    Envelope,
+    Part,
+    transient,
+    wave,
+)
 from vibrocast.textures.recording import Signal
 
 INTENSITY_EXPONENT = 2.0
 """The amplitude is the intensity to this power: Meta's Haptics SDK writes the root of the amplitude."""
 LOWEST_HZ, HIGHEST_HZ = 65.0, 300.0
 """Of sharpness 0 and 1, linear between: the reference software of ISO/IEC 23090-31, and Interhaptics."""
-TRANSIENT_CYCLES = 2.0
-"""As in that software, and in Meta's Haptics SDK."""
 DEFAULTS = {"HapticIntensity": 1.0, "HapticSharpness": 0.5}
 """Of an event that states none. Apple does not publish its own; most programs write these."""
 MAX_EVENT_S, MAX_CURVE_POINTS = 30.0, 16
@@ -110,11 +117,13 @@ def read(data: bytes) -> Clip:
                 if each.parameter_id not in DEFAULTS and each.parameter_value != (each.parameter_id == "Sustained")
             }
             parts.append(_part(event, *controls.values()))
+            if event.event_type == "HapticContinuous" and parts[-1].end_s == event.time:
+                skipped.add("HapticContinuous without EventDuration")
         else:
             skipped.add(event.event_type)
     constants = (
         f"amplitude = intensity ^ {INTENSITY_EXPONENT:g}; sharpness 0 to 1 = {LOWEST_HZ:g} to {HIGHEST_HZ:g} Hz",
-        f"a transient = {TRANSIENT_CYCLES:g} cycles; without parameters, intensity {DEFAULTS['HapticIntensity']:g} and "
+        f"a transient = {TRANSIENT_CYCLES} cycles; without parameters, intensity {DEFAULTS['HapticIntensity']:g} and "
         f"sharpness {DEFAULTS['HapticSharpness']:g}",
     )
     return Clip([Channel([parts])], (*constants, *left_out(skipped)))
@@ -159,7 +168,7 @@ def _part(event: _Event, intensity_control: _Control, sharpness_control: _Contro
 
     if event.event_type == "HapticTransient":  # only its intensity is controlled
         (amplitude,), (frequency_hz,) = amplitudes(np.zeros(1)), frequencies_hz(np.array([sharpness]))
-        return transient(event.time, amplitude, frequency_hz, TRANSIENT_CYCLES)
+        return transient(event.time, amplitude, TRANSIENT_CYCLES / frequency_hz)
 
     def values(times_s: Signal) -> Signal:
         sharpnesses = sharpness + sharpness_control(event.time + times_s)

@@ -6,12 +6,19 @@ import numpy as np
 from msgspec import Meta, Struct, field
 
 from vibrocast.textures.clips.documents import Seconds, left_out, polyline, read_json
-from vibrocast.textures.clips.synthesis import MAX_PARTS, Channel, Clip, Part, transient, wave
+from vibrocast.textures.clips.synthesis import (
+    MAX_PARTS,
+    TRANSIENT_CYCLES,
+    TRANSIENT_S,
+    Channel,
+    Clip,
+    Part,
+    transient,
+    wave,
+)
 from vibrocast.textures.recording import Signal, TextureError
 
 VERSION = "5"
-TRANSIENT_S, TRANSIENT_CYCLES = 0.022, 2.0
-"""As in the reference software of ISO/IEC 23090-31, whose transients stem from this format."""
 MISSING_HZ = 182.5
 """Of a note without frequencies: the middle of the usual range, 65 to 300 Hz."""
 
@@ -96,7 +103,7 @@ def read(data: bytes) -> Clip:
         for note in () if melody.mute else melody.notes:
             parts.append(_part(note, document.gain * vibration.gain * melody.gain * note.gain, skipped))
     constants = (
-        f"a transient = {TRANSIENT_CYCLES:g} cycles in {1000 * TRANSIENT_S:g} ms; all gains multiply; a note without "
+        f"a transient = {TRANSIENT_CYCLES} cycles in {1000 * TRANSIENT_S:g} ms; all gains multiply; a note without "
         f"frequencies has {MISSING_HZ:g} Hz"
     )
     return Clip([Channel([parts])], (constants, *left_out(skipped)))
@@ -106,7 +113,7 @@ def _part(note: _Note, gain: float, skipped: set[str]) -> Part:
     """Return a note as a part; add to the names of what was left out."""
     effect = note.haptic_effect
     if effect.amplitude_modulation is None:
-        return transient(note.starting_point, gain, TRANSIENT_CYCLES / TRANSIENT_S, TRANSIENT_CYCLES)
+        return transient(note.starting_point, gain)
     keyframes = (effect.amplitude_modulation.keyframes, effect.frequency_modulation.keyframes)
     if any(each.in_slope or each.out_slope for modulation in keyframes for each in modulation):
         skipped.add("m_inSlope and m_outSlope")

@@ -9,11 +9,18 @@ from msgspec import Meta, Struct
 from scipy.interpolate import Akima1DInterpolator
 
 from vibrocast.textures.clips.documents import left_out, polyline, read_json
-from vibrocast.textures.clips.synthesis import MAX_FREQUENCY_HZ, MAX_PARTS, Channel, Clip, Part, transient
+from vibrocast.textures.clips.synthesis import (
+    MAX_FREQUENCY_HZ,
+    MAX_PARTS,
+    TRANSIENT_CYCLES,
+    TRANSIENT_S,
+    Channel,
+    Clip,
+    Part,
+    transient,
+)
 from vibrocast.textures.recording import MAX_CHANNELS, Signal, TextureError
 
-TRANSIENT_S, TRANSIENT_CYCLES = 0.022, 2.0
-"""As in the standard's reference software, whatever frequency the file states."""
 SPATIAL = ("Vibrotactile Texture", "Texture", "Stiffness", "Friction")
 """Modalities over position; all others are over time."""
 
@@ -105,7 +112,7 @@ def clip_of(document: Document) -> Clip:
             gain = channel.gain * 10.0**perception.perception_unit_exponent
             least_s = channel.sample_count / channel.frequency_sampling if channel.frequency_sampling else 0.0
             channels.append(Channel(bands, gain, least_s))
-    constants = f"a transient = {TRANSIENT_CYCLES:g} cycles in {1000 * TRANSIENT_S:g} ms, whatever its frequency"
+    constants = f"a transient = {TRANSIENT_CYCLES} cycles in {1000 * TRANSIENT_S:g} ms, whatever its frequency"
     return Clip(channels, (constants, *left_out(skipped)))
 
 
@@ -139,12 +146,7 @@ def _parts(band: Band, library: dict[int, Effect], timescale: int, most: int, sk
 def _transients(effect: Effect, band: Band, timescale: int) -> list[Part]:
     """Return a transient for each keyframe of an effect, their times from its start."""
     return [
-        transient(
-            each.relative_position / timescale,
-            each.amplitude_modulation,
-            TRANSIENT_CYCLES / TRANSIENT_S,
-            TRANSIENT_CYCLES,
-        )
+        transient(each.relative_position / timescale, each.amplitude_modulation)
         for each in effect.keyframes
         if each.amplitude_modulation
     ]

@@ -15,6 +15,8 @@ RATE_HZ = 8000.0
 MIN_RATE_HZ, MAX_RATE_HZ = 2000.0, 200_000.0
 MAX_FREQUENCY_HZ = 1000.0
 """Waves from it on are left out: touch does not reach it, and a rate of MIN_RATE_HZ does not hold it."""
+TRANSIENT_CYCLES, TRANSIENT_S = 2, 0.022
+"""Of a sine, in the reference software of ISO/IEC 23090-31. Meta's Haptics SDK has as many cycles."""
 MAX_SECONDS = 600.0
 MAX_PARTS = 20_000
 MAX_SUM_SECONDS = 3600.0
@@ -113,8 +115,7 @@ def wave(times_s: Signal, amplitudes: Signal, frequencies_hz: Signal) -> Signal:
     return sine
 
 
-def transient(start_s: float, amplitude: float, frequency_hz: float, cycles: float) -> Part:
-    """Return some cycles of a sine."""
-    return Part(
-        start_s, start_s + cycles / frequency_hz, lambda times_s: amplitude * np.sin(2 * np.pi * frequency_hz * times_s)
-    )
+def transient(start_s: float, amplitude: float, duration_s: float = TRANSIENT_S) -> Part:
+    """Return TRANSIENT_CYCLES of a sine."""
+    radians_per_s = 2 * np.pi * TRANSIENT_CYCLES / duration_s
+    return Part(start_s, start_s + duration_s, lambda times_s: amplitude * np.sin(radians_per_s * times_s))
