@@ -26,13 +26,11 @@ class PlayedCodes:
 
     Attributes:
         key: Of the signal.
-        first: Its first frame that was played.
-        frames: How many were played, from that one on.
+        frames: How many were played.
         started_s: When the first one left the card, as `time.time` counts, as far as the card's buffer tells.
     """
 
     key: str
-    first: int
     frames: int
     started_s: float
 
@@ -113,11 +111,11 @@ class SamplePlayer(Closing):
         assert self._playback is not None
         return self._playback
 
-    def start(self, key: str, codes: Codes, offset: int = 0) -> None:
-        """Play a signal from frame `offset` on; whatever plays fades out. Raises TransportError."""
+    def start(self, key: str, codes: Codes) -> None:
+        """Play a signal from its beginning; whatever plays fades out. Raises TransportError."""
         self._card.check()
         with self._lock:
-            self._begin(key, codes, offset)
+            self._begin(key, codes, 0)
 
     def switch(self, key: str, codes: Codes) -> None:
         """Go on in another signal at the same frame; from the beginning where nothing plays. Raises TransportError."""
@@ -127,7 +125,7 @@ class SamplePlayer(Closing):
 
     def _begin(self, key: str, codes: Codes, offset: int) -> None:
         self._fade_out()
-        # Codes begin at rest: only in their middle do they need to fade in.
+        # Codes begin at rest: only in their middle, or next to others, do they need to fade in.
         self._voices.append(_Voice(key, codes, offset, 0.0 if offset or self._voices else 1.0))
 
     def _fade_out(self) -> None:
@@ -147,11 +145,6 @@ class SamplePlayer(Closing):
         with self._lock:
             return next((each.key for each in self._voices if each.target), None)
 
-    def position(self) -> int:
-        """Return the next frame of the signal that plays; 0 where none does."""
-        with self._lock:
-            return next((each.at for each in self._voices if each.target), 0)
-
     def take_played(self) -> list[PlayedCodes]:
         """Return what has been played to its end, up to a switch or up to a stop since the last call."""
         with self._lock:
@@ -168,7 +161,7 @@ class SamplePlayer(Closing):
 
     def _note(self, voice: _Voice) -> None:
         if voice.started_s is not None:
-            self._played.append(PlayedCodes(voice.key, voice.first, voice.at - voice.first, voice.started_s))
+            self._played.append(PlayedCodes(voice.key, voice.at - voice.first, voice.started_s))
 
     def _fill(self, frames: int) -> Codes:
         with self._lock:
