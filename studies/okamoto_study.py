@@ -5,13 +5,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain, product
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import msgspec
 import numpy as np
+import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -27,7 +28,7 @@ from vibrocast.output.actuator import ACTUATORS
 from vibrocast.study import statistics, stimuli
 from vibrocast.study.analysis import ALPHA
 from vibrocast.study.methods import MAIN, Answered, design
-from vibrocast.study.observer import INTEGRATION_S, Observer, Skin
+from vibrocast.study.observer import INTEGRATION_S, Observer
 from vibrocast.study.simulation import SkinOf
 from vibrocast.study.study_file import Study, StudyTexture, read_study
 from vibrocast.study.trials import Answer
@@ -243,31 +244,33 @@ class Stage:
         for name, profile in generated_profiles().items():
             count = round(1000 * STRETCH_MM / profile.spacing_um)
             textures.save_profile(folder / f"{name}.csv", replace(profile, heights_um=profile.heights_um[:count]))
+        # The surfaces of the page on the texture paper.
+        named = tuple(StudyTexture(name=name, file=f"{name}.csv", hand_speed_mm_s=HAND_SPEED_MM_S) for name in TEXTURES)
         self.graded, self.compared = (
-            _with_profiles(read_study(EXAMPLES / name), folder) for name in ("okamoto.toml", "okamoto_pairs.toml")
+            msgspec.structs.replace(read_study(EXAMPLES / name), textures=named, folder=str(folder))
+            for name in ("okamoto.toml", "okamoto_pairs.toml")
         )
-        prepared = stimuli.prepare(self.graded, actuator)
-        skin_of = SkinOf(prepared, actuator)
-        self.facts = {(each.texture, each.condition): each.facts for each in prepared}
-        self._skins = {each.key: skin_of(each.key, 0.0) for each in prepared}
-        self._heights = {
-            (each.texture, each.condition): each.stream.with_gain(-each.gain_db).decode() for each in prepared
+        prepared = {(each.texture, each.condition): each for each in stimuli.prepare(self.graded, actuator)}
+        skin_of = SkinOf(tuple(prepared.values()), actuator)
+        self._skins = {each.key: skin_of(each.key, 0.0) for each in prepared.values()}
+        self.snr_db = {key: each.facts["snr_db"] or 0.0 for key, each in prepared.items()}
+        self._energies = {
+            key: float(np.sum(each.stream.with_gain(-each.gain_db).decode() ** 2)) for key, each in prepared.items()
         }
 
     def energy_db(self, key: Key) -> float:
         """Return the energy of a coded texture over that of the uncompressed one."""
-        coded, whole = (float(np.sum(self._heights[key[0], name] ** 2)) for name in (key[1], UNCOMPRESSED))
+        coded, whole = self._energies[key], self._energies[key[0], UNCOMPRESSED]
         return 10 * float(np.log10(coded / whole)) if coded else -np.inf
 
-    def simulate(
-        self, study: Study, seeds: Sequence[int], integration_s: float
-    ) -> dict[Key, list[dict[int, list[int]]]]:
-        """Let PARTICIPANTS take part once for each seed; return answers of each stimulus by study and participant."""
-        skins: Mapping[str, Skin] = {
-            key: replace(skin, integration_s=integration_s) for key, skin in self._skins.items()
-        }
-        found: dict[Key, list[dict[int, list[int]]]] = {}
-        for (number, seed), participant in product(enumerate(seeds), range(1, PARTICIPANTS + 1)):
+    def simulate(self, study: Study, seeds: Sequence[int], integration_s: float) -> pl.DataFrame:
+        """Let PARTICIPANTS take part once for each seed; return the answers.
+
+        Columns: `seed`, `participant`, `texture`, `condition`, and `value` of the answer.
+        """
+        skins = {key: replace(skin, integration_s=integration_s) for key, skin in self._skins.items()}
+        rows = []
+        for seed, participant in product(seeds, range(1, PARTICIPANTS + 1)):
             observer = Observer(seed, participant)
             trials = design(msgspec.structs.replace(study, seed=seed), participant)
             history: list[Answered] = []
@@ -276,45 +279,32 @@ class Stage:
                 values = observer.answer(study.method, trial, felt)
                 history.append(Answered(trial, Answer(values, 0.0, {})))
                 if trial.phase == MAIN:
-                    key = trial.texture, str(trial.facts["condition"])
-                    by_study = found.setdefault(key, [{} for _ in seeds])
-                    by_study[number].setdefault(participant, []).append(values[0])
-        return found
+                    rows.append((seed, participant, trial.texture, trial.facts["condition"], values[0]))
+        return pl.DataFrame(rows, ["seed", "participant", "texture", "condition", "value"], orient="row")
 
     def grades(self, seeds: Sequence[int], integration_s: float = INTEGRATION_S) -> Simulated:
         """Return the grades of simulated studies, one for each seed."""
         answers = self.simulate(self.graded, seeds, integration_s)
-        return Simulated(
-            {
-                key: np.array([[np.mean(own) for _, own in sorted(people.items())] for people in by_study])
-                for key, by_study in answers.items()
-            }
-        )
+        person = answers.group_by("texture", "condition", "seed", "participant").agg(pl.col("value").mean())
+        stimulus = person.sort("seed", "participant").group_by("texture", "condition", maintain_order=True)
+        grades = {key: own["value"].to_numpy().reshape(len(seeds), -1) for key, own in stimulus}
+        return Simulated({(str(texture), str(condition)): own for (texture, condition), own in grades.items()})
 
     def sensitivities(self, seeds: Sequence[int]) -> list[Sensitivity]:
         """Return d' at the paper's limits by each formula, from pairs that are the same and that differ."""
         answers = self.simulate(self.compared, seeds, INTEGRATION_S)
+        stimulus = answers.group_by("texture", "condition", "seed").agg(pl.col("value").sum(), pl.len())
         rows = []
         for texture, family in product(TEXTURES, (LINEAR, CUT)):
-            ((condition, by_study),) = (
-                (name, own) for (of, name), own in answers.items() if of == texture and name.startswith(family)
-            )
-            pairs = [
-                [list(chain(*people.values())) for people in pair]
-                for pair in zip(by_study, answers[texture, UNCOMPRESSED], strict=True)
-            ]
-            rates = [statistics.rates(sum(hit), len(hit), sum(alarm), len(alarm)) for hit, alarm in pairs]
+            own = stimulus.filter(texture=texture).sort("seed")
+            different = own.filter(pl.col("condition").str.starts_with(family))
+            counts = [each.select("value", "len").rows() for each in (different, own.filter(condition=UNCOMPRESSED))]
+            rates = [statistics.rates(*hits, *false_alarms) for hits, false_alarms in zip(*counts, strict=True)]
             for model in MODELS:
                 found = [statistics.sensitivity_same_different(*each, model) for each in rates]
-                value, spread = float(condition.split()[1]), np.percentile(found, SPREAD).tolist()
+                value, spread = float(different["condition"][0].split()[1]), np.percentile(found, SPREAD).tolist()
                 rows.append(Sensitivity(texture, family, value, model, *SENSITIVITIES[family], *spread))
         return rows
-
-
-def _with_profiles(study: Study, folder: Path) -> Study:
-    """Return a study with the surfaces of the page on the texture paper."""
-    named = tuple(StudyTexture(name=name, file=f"{name}.csv", hand_speed_mm_s=HAND_SPEED_MM_S) for name in TEXTURES)
-    return msgspec.structs.replace(study, textures=named, folder=str(folder))
 
 
 def results(stage: Stage, simulated: Simulated, table: Sequence[Published]) -> list[Result]:
@@ -324,7 +314,7 @@ def results(stage: Stage, simulated: Simulated, table: Sequence[Published]) -> l
         t, noticed = simulated.tests[row.key]
         low, median, high = np.percentile(t, SPREAD).tolist()
         noticed_percent, grade = 100 * float(np.mean(noticed)), float(np.mean(simulated.grades[row.key]))
-        paper, quality = (row.t, row.p), (stage.energy_db(row.key), stage.facts[row.key]["snr_db"] or 0.0)
+        paper, quality = (row.t, row.p), (stage.energy_db(row.key), stage.snr_db[row.key])
         key = row.texture, row.family, row.parameter
         rows.append(Result(*key, *paper, low, median, high, noticed_percent, grade, *quality))
     return rows
