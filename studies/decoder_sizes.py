@@ -8,15 +8,16 @@ import sys
 import tempfile
 from dataclasses import asdict
 from importlib import metadata
-from importlib.util import find_spec
 from pathlib import Path
 
 import click
 
-from vibrocast import codec
+from studies import page
+from vibrocast import codec, extras
 from vibrocast.evaluation.cost import DECODER_SIZES, DecoderSize
 from vibrocast.evaluation.peers import measured_codecs
 from vibrocast.files import atomic_write
+from vibrocast.firmware.native_core import BuildError
 
 _LIBRARIES = {"opus": "libopus", "amr-nb": "libopencore-amrnb"}
 """How the names of files in PyAV's wheel begin that hold the decoder of one codec alone."""
@@ -37,21 +38,20 @@ _FLAGS = (
 def count_decoder_size(codec_name: str) -> DecoderSize:
     """Count the bytes of a codec's decoder: compiled where it is in the C core, else in PyAV's wheel.
 
-    Raises click.ClickException where the core cannot be compiled.
+    Raises BuildError where the core cannot be compiled.
     """
     if functions := _decoder_functions(codec_name):
         compiler = f"ziglang {metadata.version('ziglang')} {_FLAGS[0]}"
         note = f"for Cortex-M4 by {compiler}, without memcpy, memset and the compiler's arithmetic routines"
         return DecoderSize(_linked_bytes(functions), note)
-    library = _LIBRARIES.get(codec_name)
-    if library is None:
+    if codec_name not in _LIBRARIES:
         reason = "one of many in libavcodec" if codec_name in codec.PEERS else "not in the C core"
         return DecoderSize(None, f"decoder not counted: {reason}")
+    library = _LIBRARIES[codec_name]
     files = [file for file in metadata.files("av") or () if file.name.startswith(library)]
     size = sum(Path(str(file.locate())).stat().st_size for file in files)
-    return DecoderSize(
-        size or None, f"{library} of PyAV {metadata.version('av')}, {platform.machine()}, encoder included"
-    )
+    note = f"{library} of PyAV {metadata.version('av')}, {platform.machine()}, encoder included"
+    return DecoderSize(size or None, note)
 
 
 def _decoder_functions(codec_name: str) -> list[str]:
@@ -76,7 +76,7 @@ def _linked_bytes(functions: list[str]) -> int:
 def _run(command: list[str], folder: str) -> None:
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
     if done.returncode:
-        raise click.ClickException(f"the core cannot be compiled:\n{done.stderr}")
+        raise BuildError(f"the core cannot be compiled:\n{done.stderr}")
 
 
 @click.command()
@@ -85,14 +85,11 @@ def _run(command: list[str], folder: str) -> None:
 )
 def main(out: Path) -> None:
     """Count the bytes of every codec's decoder and write them as JSON; needs ziglang."""
-    if find_spec("ziglang") is None:
-        raise click.ClickException("the core is compiled to count it: run `pip install ziglang` first")
-    sizes = {name: asdict(count_decoder_size(name)) for name in measured_codecs()}
-    try:
+    with page.errors_in_one_line():
+        extras.require("firmware", "ziglang")
+        sizes = {name: asdict(count_decoder_size(name)) for name in measured_codecs()}
         with atomic_write(out) as path:
             path.write_text(json.dumps(sizes, indent=1) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise click.ClickException(f"{out}: cannot be written: {error.strerror}") from error
     for name, size in sizes.items():
         click.echo(f"{name}: {size['bytes'] or 'no'} bytes ({size['note']})")
 

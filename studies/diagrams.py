@@ -1,6 +1,5 @@
 """Draws the pictures of the pages, as SVG in docs/figures: `python -m studies.diagrams`."""
 
-import csv
 import re
 from collections.abc import Callable, Sequence
 from itertools import pairwise
@@ -15,11 +14,13 @@ from schemdraw.segments import SegmentText
 from schemdraw.types import Halign
 
 import vibrocast
-from studies.page import errors_in_one_line
+from studies import page
+from studies.latency import Row
 from tests.test_architecture import CORE, PRODUCTS
 from vibrocast.device_protocol import frames, messages
 from vibrocast.device_protocol.layout import wire_fields
 from vibrocast.device_protocol.messages import SlotState, State
+from vibrocast.evaluation.points import read_rows
 from vibrocast.files import atomic_write
 from vibrocast.output.actuator import PIEZO_STACK
 
@@ -285,8 +286,11 @@ def states() -> Picture:
     return picture
 
 
-Step = tuple[str, type[messages.Message] | None, str]
-"""Who sends, "host" or "controller", a message, and its contents. "loop" and "end" enclose what repeats."""
+Step = tuple[type[messages.Message] | None, str]
+"""A message and its contents; without a message, "" ends what another text has begun to repeat."""
+_OF_CONTROLLER = messages.HelloResponse, messages.Status, messages.CaptureData, messages.FlashStatus
+"""All others are the host's."""
+_UNANSWERED = messages.StreamData, messages.SinglePacket
 
 
 def sequence(steps: Sequence[Step], note: str) -> Picture:
@@ -297,20 +301,20 @@ def sequence(steps: Sequence[Step], note: str) -> Picture:
     picture = Picture(top + 1.1)
     looped = 0.0
     asked = False
-    for who, message, contents in steps:
+    for message, contents in steps:
         at -= 0.85
-        if who == "loop":
+        if message is not None:
+            answers = message in _OF_CONTROLLER
+            start, end = (controller, host) if answers else (host, controller)
+            picture.line((start, at), (end, at), dashed=answers and not asked)
+            picture.text(((host + controller) / 2, at + 0.28), f"{message.__name__}: {contents}")
+            asked = not answers and message not in _UNANSWERED
+        elif contents:
             looped = at
             picture.text((host + 0.2, at + 0.1), contents, align="left")
-        elif who == "end":
+        else:
             at += 0.45
             picture.area((0.3, at + 0.1), (18.9, looped + 0.5), color="#777777")
-        else:
-            assert message is not None
-            start, end = (host, controller) if who == "host" else (controller, host)
-            picture.line((start, at), (end, at), dashed=not asked and who == "controller")
-            picture.text(((host + controller) / 2, at + 0.28), f"{message.__name__}: {contents}")
-            asked = who == "host" and message not in (messages.StreamData, messages.SinglePacket)
     for x, name, fill in ((host, "Host", HOST), (controller, "Controller", CONTROLLER)):
         picture.box((x, top + 0.5), 3.8, 0.9, name, fill)
         picture.line((x, top + 0.05), (x, bottom + 0.1), arrow="")
@@ -322,21 +326,21 @@ def session() -> Picture:
     """How a recording is played."""
     return sequence(
         [
-            ("host", messages.Hello, "protocol version"),
-            ("controller", messages.HelloResponse, "limits, actuator, codecs, model images"),
-            ("host", messages.Configure, "stream header, prebuffer, number of packets"),
-            ("controller", messages.Status, f"{State.BUFFERING.name}, first credit"),
-            ("host", messages.Start, "device time"),
-            ("controller", messages.Status, State.ARMED.name),
-            ("loop", None, "until all packets are sent"),
-            ("host", messages.StreamData, "packets, as far as the credit reaches"),
-            ("controller", messages.Status, f"{State.PLAYING.name}, position, more credit"),
-            ("end", None, ""),
-            ("controller", messages.Status, State.FINISHED.name),
-            ("loop", None, "while it plays and after, until all is read back"),
-            ("host", messages.CaptureRead, "tap, offset, count"),
-            ("controller", messages.CaptureData, "decoded samples or DAC codes"),
-            ("end", None, ""),
+            (messages.Hello, "protocol version"),
+            (messages.HelloResponse, "limits, actuator, codecs, model images"),
+            (messages.Configure, "stream header, prebuffer, number of packets"),
+            (messages.Status, f"{State.BUFFERING.name}, first credit"),
+            (messages.Start, "device time"),
+            (messages.Status, State.ARMED.name),
+            (None, "until all packets are sent"),
+            (messages.StreamData, "packets, as far as the credit reaches"),
+            (messages.Status, f"{State.PLAYING.name}, position, more credit"),
+            (None, ""),
+            (messages.Status, State.FINISHED.name),
+            (None, "while it plays and after, until all is read back"),
+            (messages.CaptureRead, "tap, offset, count"),
+            (messages.CaptureData, "decoded samples or DAC codes"),
+            (None, ""),
         ],
         "Dashed: notifications. A live stream sends its first packet before Start, and ends with EndStream.",
     )
@@ -346,24 +350,20 @@ def upload() -> Picture:
     """How a model image is uploaded, tested and confirmed."""
     return sequence(
         [
-            ("host", messages.FlashBegin, "slot, size, SHA-256, hardware id"),
-            ("controller", messages.FlashStatus, f"{SlotState.WRITING.name}, next offset"),
-            ("loop", None, "until the slot has all bytes"),
-            ("host", messages.FlashData, "offset, piece of the image"),
-            ("controller", messages.FlashStatus, f"{SlotState.WRITING.name}, next offset"),
-            ("end", None, ""),
-            ("host", messages.FlashVerify, "slot"),
-            ("controller", messages.FlashStatus, f"{SlotState.VERIFIED.name}, SHA-256 of the slot"),
-            ("host", messages.FlashActivate, "slot"),
-            (
-                "controller",
-                messages.FlashStatus,
-                f"{SlotState.TESTING.name}; then the controller restarts into the slot",
-            ),
-            ("host", messages.Hello, "repeated until it is answered"),
-            ("controller", messages.HelloResponse, f"slot {SlotState.TESTING.name}"),
-            ("host", messages.FlashConfirm, "slot"),
-            ("controller", messages.FlashStatus, SlotState.CONFIRMED.name),
+            (messages.FlashBegin, "slot, size, SHA-256, hardware id"),
+            (messages.FlashStatus, f"{SlotState.WRITING.name}, next offset"),
+            (None, "until the slot has all bytes"),
+            (messages.FlashData, "offset, piece of the image"),
+            (messages.FlashStatus, f"{SlotState.WRITING.name}, next offset"),
+            (None, ""),
+            (messages.FlashVerify, "slot"),
+            (messages.FlashStatus, f"{SlotState.VERIFIED.name}, SHA-256 of the slot"),
+            (messages.FlashActivate, "slot"),
+            (messages.FlashStatus, f"{SlotState.TESTING.name}; then the controller restarts into the slot"),
+            (messages.Hello, "repeated until it is answered"),
+            (messages.HelloResponse, f"slot {SlotState.TESTING.name}"),
+            (messages.FlashConfirm, "slot"),
+            (messages.FlashStatus, SlotState.CONFIRMED.name),
         ],
         "Without FlashConfirm, the next restart reverts to the slot that was confirmed before.",
     )
@@ -422,11 +422,10 @@ _BARS = (
 
 def delays(path: Path = DELAYS) -> dict[str, dict[str, float]]:
     """Return the delays on the simulated controller, ms, by command and part."""
-    found: dict[str, dict[str, float]] = {}
-    with path.open(newline="", encoding="utf-8") as file:
-        for row in csv.DictReader(file):
-            if row["device"] == "sim":
-                found.setdefault(row["command"], {})[row["part"]] = float(row["delay_ms"])
+    found: dict[str, dict[str, float]] = {"live": {}, "play": {}}
+    for row in read_rows(path, Row):
+        if row.device == "sim":
+            found[row.command][row.part] = row.delay_ms
     return found
 
 
@@ -473,21 +472,14 @@ PICTURES: dict[str, Callable[[], Picture]] = {
 }
 
 
-@click.command()
-@click.option(
-    "--out",
-    type=click.Path(file_okay=False, path_type=Path),
-    default=FIGURES,
-    help="Draw into this folder. Default: docs/figures.",
-)
+@page.drawing(FIGURES)
 def main(out: Path) -> None:
     """Draw every picture."""
-    with errors_in_one_line():
-        out.mkdir(parents=True, exist_ok=True)
-        for name, draw in PICTURES.items():
-            with atomic_write(out / f"{name}.svg") as partial:
-                partial.write_text(draw().save(), encoding="utf-8")
-            click.echo(out / f"{name}.svg")
+    out.mkdir(parents=True, exist_ok=True)
+    for name, draw in PICTURES.items():
+        with atomic_write(out / f"{name}.svg") as partial:
+            partial.write_text(draw().save(), encoding="utf-8")
+        click.echo(out / f"{name}.svg")
 
 
 if __name__ == "__main__":

@@ -68,6 +68,22 @@ OTHER_DATA = (
 OTHER_MACHINE = "Other programs on another processor. The paper does not say how many cores worked."
 OTHER_SURFACES = "Other surfaces: generated ones, alike in kind. The page on this codec explains each difference."
 OTHER_THRESHOLD = "Other surfaces, and another detection threshold, which is from memory."
+OTHER_SPLIT = "The set does not ship with this project, and the paper publishes no list of its split."
+NO_PEOPLE = "No people took part. Another page shows what simulated observers answer."
+BY_CHANCE = "The energy rises at every L. By chance a third of the stretches would peak here."
+IN_A_MODEL = "Computed from the model of the actuator. No recording has been played on a real one."
+PEOPLE_DECIDE = (
+    ("the least L that listeners did not notice", "wood 14, sandpaper 14, leather 12"),
+    ("the least L of log levels that listeners did not notice", "wood 14, sandpaper 12"),
+    ("levels unexpectedly like the original", "wood 8, sandpaper 10, leather 12"),
+    ("t and p of grades in 51 conditions, 10 listeners a texture", "Tables 2 to 4"),
+    ("d' of two listeners, linear levels: wood 12, sandpaper 12, leather 10", "0.67 to 0.87"),
+    ("d' of two listeners, cut: wood -4, sandpaper 0, leather 8 dB", "0.60 to 1.15"),
+    ("the highest b0 that listeners did not notice", "wood -8 dB, sandpaper -4 dB, leather 4 dB"),
+    ("listeners noticed a cut at b0 = 0 dB", "noticed"),
+    ("quality is not monotone in L for listeners", "not monotone"),
+)
+"""Claims of the texture paper that only people can decide, and what it states."""
 
 
 @dataclass(frozen=True)
@@ -139,75 +155,52 @@ def eva_claims(measurements: Measurements) -> Iterator[Claim]:
     names = families(measurements)[:1]
     rows = list(pvc_slp.sensitivity(measurements, names))
     by_scale = {scale: [row for row in rows if row.quality == scale.field] for scale in PAPER_SCALES}
-    for scale, stated in ((PSNR, -14.98), (ST_SIM_2800, -13.08)):
+    for scale, percent in ((PSNR, -14.98), (ST_SIM_2800, -13.08)):
         found = {row.anchor: row.cubic_percent for row in by_scale[scale]}
         window = _range([row.percent for row in by_scale[scale]], "+.1f", " % in this project's window")
-        yield _savings(f"BD-rate against PVC-SLP, {scale.name}", stated, found, window)
+        yield _savings(f"BD-rate against PVC-SLP, {scale.name}", percent, found, window)
     found = {row.anchor: row.best_percent for row in by_scale[PSNR]}
     yield _savings("BD-rate of the best recording, PSNR", -38.7, found, "")
-    won = [row.won / row.traces for row in by_scale[PSNR]]
-    yield Claim(
-        EVA,
-        "fewer bits than PVC-SLP at equal PSNR for almost all recordings",
-        "almost all",
-        _range([row.won for row in by_scale[PSNR]], "d", f" of {by_scale[PSNR][0].traces}") if won else "",
-        None,
-        _verdict([share >= ALMOST_ALL for share in won]),
-        OTHER_DATA,
-    )
-    low = _at_low_rates(rows)
-    yield Claim(
-        EVA,
-        "saves bits especially at low rates",
-        "especially at low rates",
-        f"at {pvc_slp.BANDS[0].label} SNR fewer bits, and fewer than at {pvc_slp.BANDS[-1].label}: against "
-        f"{sum(low)} of {len(low)} readings of PVC-SLP"
+    of_psnr = by_scale[PSNR]
+    won = _range([row.won for row in of_psnr], "d", f" of {of_psnr[0].traces}") if of_psnr else ""
+    holds = _verdict([row.won / row.traces >= ALMOST_ALL for row in of_psnr])
+    claim = "fewer bits than PVC-SLP at equal PSNR for almost all recordings"
+    yield Claim(EVA, claim, "almost all", won, None, holds, OTHER_DATA)
+    low, (first, *_, last) = _at_low_rates(rows), (band.label for band in pvc_slp.BANDS)
+    here = (
+        f"at {first} SNR fewer bits, and fewer than at {last}: against {sum(low)} of {len(low)} readings of PVC-SLP"
         if low
-        else "",
-        None,
-        _verdict(low),
-        OTHER_DATA,
+        else ""
     )
+    stated = "especially at low rates"
+    yield Claim(EVA, "saves bits especially at low rates", stated, here, None, _verdict(low), OTHER_DATA)
     models = {point.setting.partition("model=")[2] for point in measurements.points if point.codec in names}
-    counted = YES if len(models) == LAMBDAS else NO
-    trained_text = f"{len(models)} models" if models else ""
-    yield Claim(
-        EVA,
-        "one training for each lambda",
-        f"{LAMBDAS} lambdas",
-        trained_text,
-        None,
-        counted if models else NOT_YET,
-        "A model for each lambda.",
-    )
+    here, holds = f"{len(models)} models" if models else "", _verdict([len(models) == LAMBDAS] if models else [])
+    why = "A model for each lambda."
+    yield Claim(EVA, "one training for each lambda", f"{LAMBDAS} lambdas", here, None, holds, why)
     for what, eva_s, reference_s in (("encode", 24.99, 7.14), ("decode", 21.42, 3.57)):
-        stated_s = f"{eva_s} s, PVC-SLP {reference_s} s: {eva_s / reference_s:.1f} times"
-        spent = {name: [_spent(what, speed) for speed in _speeds(measurements, name)] for name in (*names, REFERENCE)}
-        reference = spent[REFERENCE][0] if spent[REFERENCE] else math.nan
+        stated = f"{eva_s} s, PVC-SLP {reference_s} s: {eva_s / reference_s:.1f} times"
+        reference = next((_spent(what, speed) for speed in _speeds(measurements, REFERENCE)), None)
         times = [
             f"{name} {_spent(what, speed):.3g} s{f' ({speed.runtime})' if speed.runtime else ''}"
-            + (f", {_spent(what, speed) / reference:.2g} times" if name != REFERENCE and spent[REFERENCE] else "")
+            + (f", {_spent(what, speed) / reference:.2g} times" if name != REFERENCE and reference else "")
             for name in (REFERENCE, *names)
             for speed in _speeds(measurements, name)
         ]
         claim = f"time to {what} a million samples at compression ratio {RATIO:g}"
-        verdict = NOT_COMPARABLE if times and names else NOT_YET
-        yield Claim(EVA, claim, stated_s, "; ".join(times), None, verdict, OTHER_MACHINE)
-    yield Claim(
-        EVA,
-        "56 test recordings of IEEE P1918.1.1, a fifth of them",
-        "280 recordings at 2800 Hz",
-        f"{len(measurements.compared)} recordings, {_count_of_set(measurements)} of that set",
-        None,
-        NO,
-        "The set does not ship with this project, and the paper publishes no list of its split.",
-    )
+        holds = NOT_COMPARABLE if times and names else NOT_YET
+        yield Claim(EVA, claim, stated, "; ".join(times), None, holds, OTHER_MACHINE)
+    of_set = sum(trace.startswith("p1918") for trace in measurements.compared)
+    here = f"{len(measurements.compared)} recordings, {of_set} of that set"
+    claim = "56 test recordings of IEEE P1918.1.1, a fifth of them"
+    yield Claim(EVA, claim, "280 recordings at 2800 Hz", here, None, NO, OTHER_SPLIT)
 
 
 def dct_claims(rows: Sequence[Result]) -> Iterator[Claim]:
     """Yield the claims of the texture paper, with the results of texture_paper.csv and the actuator."""
     yield from _compression_claims(rows)
-    yield from _listener_claims()
+    for claim, stated in PEOPLE_DECIDE:
+        yield Claim(DCT, claim, stated, "", None, NOT_YET, NO_PEOPLE)
     yield from _display_claims()
 
 
@@ -215,93 +208,49 @@ def _compression_claims(rows: Sequence[Result]) -> Iterator[Claim]:
     """Yield the claims that coding alone decides."""
     ratios = {row.levels: row.paper_percent for row in rows if row.quantiser == "linear" and row.b0_db is None}
     worst = max((abs(ratio - 100 * math.log2(levels) / 16) for levels, ratio in ratios.items()), default=None)
-    yield Claim(
-        DCT,
-        "compression ratio log2(L) / 16",
-        "23.8 % at L = 14 to 12.5 % at L = 4",
-        ", ".join(f"{ratios[levels]:.1f} % at L = {levels}" for levels in (14, 4) if levels in ratios),
-        worst,
-        NOT_YET if worst is None else YES if worst < TOLERANCE else NO,
-        "It is arithmetic: bits of a level, no file.",
-    )
+    here = ", ".join(f"{ratios[levels]:.1f} % at L = {levels}" for levels in (14, 4) if levels in ratios)
+    stated, why = "23.8 % at L = 14 to 12.5 % at L = 4", "It is arithmetic: bits of a level, no file."
+    holds = _verdict([] if worst is None else [worst < TOLERANCE])
+    yield Claim(DCT, "compression ratio log2(L) / 16", stated, here, worst, holds, why)
+    linear = {(row.surface, row.levels, row.b0_db): row for row in rows if row.quantiser == "linear"}
+    small = []
     for surface, published in PUBLISHED.items():
-        coded = _the_row(rows, surface, published.levels, None)
-        cut = _the_row(rows, surface, SIXTEEN_BITS, published.b0_db)
-        here = None if coded is None else coded.huffman_percent
+        coded, cut = linear.get((surface, published.levels, None)), linear.get((surface, SIXTEEN_BITS, published.b0_db))
+        ratio = None if coded is None else coded.huffman_percent
+        small += [] if ratio is None else [ratio]
         claim = f"{surface}: ratio with Huffman codes, L = {published.levels}"
-        yield _percent(claim, published.huffman_percent, here, "tables not counted", OTHER_SURFACES)
-        here = None if cut is None else cut.zeros_percent
+        yield _percent(claim, published.huffman_percent, ratio, ", tables not counted", OTHER_SURFACES)
         claim = f"{surface}: zeros by the cut, b0 = {published.b0_db:g} dB"
-        yield _percent(claim, published.zeros_percent, here, "", OTHER_THRESHOLD)
-    small = [
-        row.huffman_percent
-        for surface, published in PUBLISHED.items()
-        if (row := _the_row(rows, surface, published.levels, None))
-    ]
+        yield _percent(claim, published.zeros_percent, None if cut is None else cut.zeros_percent, "", OTHER_THRESHOLD)
     lowest, highest = ABSTRACT_PERCENT
-    within = [lowest - TOLERANCE <= percent <= highest + TOLERANCE for percent in small]
-    yield Claim(
-        DCT,
-        "size with Huffman codes, at the least L that listeners did not notice",
-        f"{lowest:g} to {highest:g} %",
-        _range(small, ".1f", " %") if small else "",
-        None,
-        NOT_YET if not small else YES if all(within) else NO,
-        "All surfaces, tables not counted.",
-    )
-    zeros = _the_row(rows, "sandpaper", SIXTEEN_BITS, 0.0)
-    zeros_percent = None if zeros is None else zeros.zeros_percent
-    yield _percent("sandpaper: zeros by the cut, b0 = 0 dB (Fig. 6)", 45.0, zeros_percent, "", OTHER_THRESHOLD)
+    within = [all(lowest - TOLERANCE <= percent <= highest + TOLERANCE for percent in small)] if small else []
+    claim = "size with Huffman codes, at the least L that listeners did not notice"
+    here, stated = _range(small, ".1f", " %") if small else "", f"{lowest:g} to {highest:g} %"
+    yield Claim(DCT, claim, stated, here, None, _verdict(within), "All surfaces, tables not counted.")
+    at_threshold = linear.get(("sandpaper", SIXTEEN_BITS, 0.0))
+    claim = "sandpaper: zeros by the cut, b0 = 0 dB (Fig. 6)"
+    yield _percent(claim, 45.0, None if at_threshold is None else at_threshold.zeros_percent, "", OTHER_THRESHOLD)
     for surface, (mean_db, peaks, stretches) in louder().items():
         levels = LOUDER_LEVELS[surface]
-        yield Claim(
-            DCT,
-            f"{surface}: L = {levels} raises the energy, and so seems like the original (section 6.3)",
-            "suspected",
-            f"{mean_db:+.2f} dB; more than at both neighbours in {peaks} of {stretches} stretches",
-            None,
-            YES if 2 * peaks > stretches else NO,
-            "The energy rises at every L. By chance a third of the stretches would peak here.",
-        )
-
-
-def _listener_claims() -> Iterator[Claim]:
-    """Yield the claims that only people can decide."""
-    levels = ", ".join(f"{surface} {published.levels}" for surface, published in PUBLISHED.items())
-    cuts = ", ".join(f"{surface} {published.b0_db:g} dB" for surface, published in PUBLISHED.items())
-    why = "No people took part. Another page shows what simulated observers answer."
-    for claim, stated in (
-        ("the least L that listeners did not notice", levels),
-        ("the least L of log levels that listeners did not notice", "wood 14, sandpaper 12"),
-        ("levels unexpectedly like the original", "wood 8, sandpaper 10, leather 12"),
-        ("t and p of grades in 51 conditions, 10 listeners a texture", "Tables 2 to 4"),
-        ("d' of two listeners, linear levels: wood 12, sandpaper 12, leather 10", "0.67 to 0.87"),
-        ("d' of two listeners, cut: wood -4, sandpaper 0, leather 8 dB", "0.60 to 1.15"),
-        ("the highest b0 that listeners did not notice", cuts),
-        ("listeners noticed a cut at b0 = 0 dB", "noticed"),
-        ("quality is not monotone in L for listeners", "not monotone"),
-    ):
-        yield Claim(DCT, claim, stated, "", None, NOT_YET, why)
+        claim = f"{surface}: L = {levels} raises the energy, and so seems like the original (section 6.3)"
+        here = f"{mean_db:+.2f} dB; more than at both neighbours in {peaks} of {stretches} stretches"
+        yield Claim(DCT, claim, "suspected", here, None, YES if 2 * peaks > stretches else NO, BY_CHANCE)
 
 
 def _display_claims() -> Iterator[Claim]:
     """Yield the claims about the display, held by the model of its actuator."""
     corner_db, falls, deviation_db = display()
-    driven = (
-        f"{PIEZO_STACK.dac_rate_hz / 1000:g} kHz; within {deviation_db:.2f} dB up to {HIGHEST_HZ:g} Hz, with the hold"
-    )
-    why = "Computed from the model of the actuator. No recording has been played on a real one."
+    rate_khz = PIEZO_STACK.dac_rate_hz / 1000
+    driven = f"{rate_khz:g} kHz; within {deviation_db:.2f} dB up to {HIGHEST_HZ:g} Hz, with the hold"
+    sensing = f"rounding the positions of a stroke so changes the heights by {sensed():.0f} dB"
+    falling = "its gain falls throughout" if falls else "its gain rises"
     for claim, stated, here in (
         ("display: -3 dB at 270 Hz", "-3 dB", f"{corner_db:.2f} dB at 270 Hz"),
-        ("display: no resonance up to 400 Hz", "none", "its gain falls throughout" if falls else "its gain rises"),
+        ("display: no resonance up to 400 Hz", "none", falling),
         ("driven at 3.0 kHz through the inverse of its response", "3.0 kHz", driven),
-        (
-            "position sensed to 0.4 um",
-            "0.4 um",
-            f"rounding the positions of a stroke so changes the heights by {sensed():.0f} dB",
-        ),
+        ("position sensed to 0.4 um", "0.4 um", sensing),
     ):
-        yield Claim(DCT, claim, stated, here, None, MODEL, why)
+        yield Claim(DCT, claim, stated, here, None, MODEL, IN_A_MODEL)
     unloaded = "a finger does not load the display"
     yield Claim(DCT, unloaded, "some 800 N", "", None, NOT_YET, "The model has no finger.")
 
@@ -439,10 +388,8 @@ def _percent(claim: str, stated: float, here: float | None, words: str, why: str
     """Return a claim of a percentage of the texture paper."""
     if here is None:
         return Claim(DCT, claim, f"{stated:.1f} %", "", None, NOT_YET, "Not measured.")
-    difference = here - stated
-    text = f"{here:.1f} %{f', {words}' if words else ''}"
-    verdict = YES if abs(difference) <= TOLERANCE else NO
-    return Claim(DCT, claim, f"{stated:.1f} %", text, round(difference, 1), verdict, why)
+    holds = _verdict([abs(here - stated) <= TOLERANCE])
+    return Claim(DCT, claim, f"{stated:.1f} %", f"{here:.1f} %{words}", round(here - stated, 1), holds, why)
 
 
 def _savings(claim: str, stated: float, found: Mapping[str, float], words: str) -> Claim:
@@ -482,15 +429,6 @@ def _spent(what: str, speed: Speed) -> float:
 
 def _speeds(measurements: Measurements, name: str) -> list[Speed]:
     return [speed for speed in measurements.speeds if (speed.codec, speed.rate) == (name, RATES[0])]
-
-
-def _count_of_set(measurements: Measurements) -> int:
-    return sum(trace.startswith("p1918") for trace in measurements.compared)
-
-
-def _the_row(rows: Sequence[Result], surface: str, levels: int, b0_db: float | None) -> Result | None:
-    wanted = (surface, "linear", levels, b0_db)
-    return next((row for row in rows if (row.surface, row.quantiser, row.levels, row.b0_db) == wanted), None)
 
 
 @page.study

@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 from playwright.sync_api import Browser, Error, Page, ViewportSize, sync_playwright
 
-from studies.page import errors_in_one_line
+from studies import page
 from tests.study.stub_run import StubRun, chromium, mushra, served, trial
 from vibrocast.files import atomic_write
 from vibrocast.study.server import Aids
@@ -16,28 +16,28 @@ FIGURES = Path(__file__).resolve().parents[1] / "docs" / "figures"
 SIZE = ViewportSize(width=1024, height=640)
 
 
-def _grade(page: Page, address: str, _secret: str) -> None:
-    page.goto(address)
-    page.click("[data-label='R']")
-    page.get_by_role("button", name="Stop").click()
-    page.click("[data-label='A']")
-    page.wait_for_selector("[data-label='A'].playing")
-    page.wait_for_timeout(2000)  # a part of the texture has played
+def _grade(shown: Page, address: str, _secret: str) -> None:
+    shown.goto(address)
+    shown.click("[data-label='R']")
+    shown.get_by_role("button", name="Stop").click()
+    shown.click("[data-label='A']")
+    shown.wait_for_selector("[data-label='A'].playing")
+    shown.wait_for_timeout(2000)  # a part of the texture has played
 
 
-def _rate(page: Page, address: str, _secret: str) -> None:
-    page.goto(address)
+def _rate(shown: Page, address: str, _secret: str) -> None:
+    shown.goto(address)
     for label, steps in (("reference", 0), ("A", 4), ("B", -3), ("C", 2)):
-        page.click(f"[data-label='{label}']")
-        page.wait_for_selector(f"[data-label='{label}'].playing")
+        shown.click(f"[data-label='{label}']")
+        shown.wait_for_selector(f"[data-label='{label}'].playing")
         for _ in range(abs(steps)):
-            page.keyboard.press("PageUp" if steps > 0 else "PageDown")
+            shown.keyboard.press("PageUp" if steps > 0 else "PageDown")
 
 
-def _watch(page: Page, address: str, secret: str) -> None:
-    _grade(page.context.new_page(), address, secret)
-    page.goto(secret)
-    page.get_by_text("connected", exact=True).wait_for()
+def _watch(shown: Page, address: str, secret: str) -> None:
+    _grade(shown.context.new_page(), address, secret)
+    shown.goto(secret)
+    shown.get_by_text("connected", exact=True).wait_for()
 
 
 SCREENSHOTS: dict[str, tuple[Screen, Callable[[Page, str, str], None]]] = {
@@ -54,21 +54,15 @@ def take(browser: Browser, name: str) -> bytes:
         served(StubRun([screen]), Aids(stimulus_seconds=5)) as (address, secret),
         browser.new_context(viewport=SIZE) as context,
     ):
-        page = context.new_page()
-        act(page, address, secret)
-        return page.screenshot()
+        shown = context.new_page()
+        act(shown, address, secret)
+        return shown.screenshot()
 
 
-@click.command()
-@click.option(
-    "--out",
-    type=click.Path(file_okay=False, path_type=Path),
-    default=FIGURES,
-    help="Write into this folder. Default: docs/figures.",
-)
+@page.drawing(FIGURES)
 def main(out: Path) -> None:
     """Take every screenshot."""
-    with errors_in_one_line(), sync_playwright() as playwright:
+    with sync_playwright() as playwright:
         try:
             browser = playwright.chromium.launch(executable_path=chromium(), args=["--no-sandbox"])
         except Error as error:
