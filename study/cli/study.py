@@ -16,11 +16,9 @@ from vibrocast.host.cli.options import device_option
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import Actuator
 from vibrocast.study import stimuli as stimuli_module
+from vibrocast.study.analysis import STIMULI, STUDY_FILE
 from vibrocast.study.study_file import Study, read_study
 from vibrocast.study.trials import Stimulus, StimulusPlayer
-
-STUDY_FILE = "study.toml"
-STIMULI = "stimuli"
 
 study_argument = click.argument("study_path", metavar="STUDY", type=INPUT)
 out_option = click.option("--out", type=FOLDER, required=True, help="Keep stimuli and results in this folder.")
@@ -186,15 +184,10 @@ def prepared_once(read: Study, actuator: Actuator, study_path: Path, out: Path) 
         return stimuli_module.load(folder, actuator)
     prepared = prepare(read, actuator)
     reject_problems(read, actuator, prepared)
-    keep(out, study_path, prepared, actuator)
-    return prepared
-
-
-def keep(out: Path, study_path: Path, prepared: tuple[Stimulus, ...], actuator: Actuator) -> None:
-    """Write the stimuli and a copy of the study file into a results folder."""
-    stimuli_module.save(out / STIMULI, prepared, actuator)
-    with atomic_write(out / STUDY_FILE) as partial:
+    stimuli_module.save(folder, prepared, actuator)
+    with atomic_write(kept) as partial:
         partial.write_bytes(study_path.read_bytes())
+    return prepared
 
 
 def reject_problems(read: Study, actuator: Actuator, prepared: tuple[Stimulus, ...]) -> None:
