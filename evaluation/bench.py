@@ -115,7 +115,7 @@ def run(
     written, and as the workers.
     """
     results: dict[int, Measured | Failure] = {}
-    cells_of_trace = sum(len(method.settings) for method in chosen)
+    cells_of_trace = sum(len(method.rate_points) for method in chosen)
     counts = CellCounts(len(traces) * cells_of_trace)
 
     def note(place: int, result: Measured | Failure, cells: int = 1) -> None:
@@ -154,10 +154,10 @@ def run(
 
 def _cells(trace: DatasetEntry, recording: textures.Recording, chosen: Sequence[Method], repeats: int) -> list[Cell]:
     return [
-        Cell(trace.name, recording, method, setting, repeats, model)
+        Cell(trace.name, recording, method, rate_point, repeats)
         for method in chosen
         if not method.physical or recording.unit != "full scale"
-        for setting, model in method.rate_points
+        for rate_point in method.rate_points
     ]
 
 

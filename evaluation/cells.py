@@ -1,11 +1,10 @@
 """The cells of a benchmark, one recording at one setting of one codec, and how each is measured."""
 
 import hashlib
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache, partial
 from importlib.util import find_spec
-from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -30,24 +29,97 @@ DECIMALS = 6
 _OWN = {*codec.BUILT_IN, *codec.PEERS}
 
 
+@dataclass(frozen=True, eq=False)
+class RatePoint:
+    """A codec, by its name, at a setting, perhaps with a trained model; or a program of the user's with a setting.
+
+    Equal where all three are equal.
+    """
+
+    coder: str | external.Program
+    setting: Setting | str
+    model: Model | None = None
+
+    @property
+    def text(self) -> str:
+        """The setting as text."""
+        return self.setting if isinstance(self.setting, str) else setting_text(self.setting)
+
+    @property
+    def parameters(self) -> Setting:
+        """The setting of a codec."""
+        assert not isinstance(self.setting, str), "programs have no parameters"
+        return self.setting
+
+    @property
+    def codec(self) -> str:
+        """The name of a codec."""
+        assert isinstance(self.coder, str), "a program is no codec"
+        return self.coder
+
+    @property
+    def image(self) -> bytes | None:
+        """The packed model image, None without a model."""
+        return self.model.image if self.model else None
+
+    @property
+    def trained(self) -> Model:
+        """The model, at a rate point of a learned method."""
+        assert self.model is not None, "a learned method has models"
+        return self.model
+
+    def encode(self, recording: textures.Recording) -> bytes:
+        """Return a recording coded by the codec, as the bytes of a .vct file. Raises CodecError."""
+        samples, rate_hz, model = recording.samples, round(recording.rate_hz), self.model
+        return bytes(
+            codec.encode(samples, rate_hz, self.parameters, codec=self.codec, unit=recording.unit, model=model)
+        )
+
+    def decode(self, file: bytes, runtime: str | None = None) -> Signal:
+        """Return the samples of a .vct file, in their unit; by one of codec.RUNTIMES, or as the model prefers.
+
+        Raises CodecError, or StreamError.
+        """
+        header, packets = coded_stream.unpack_file(file)
+        return Stream(header, tuple(packets), self.image, runtime).decode()
+
+    @property
+    def key(self) -> tuple[str | external.Program, str, tuple[str, str] | None]:
+        """What decides the figures: codec or program, setting, and name and digest of the model."""
+        model = None if self.model is None else (self.model.name, trained.digest(self.model))
+        return self.coder, self.text, model
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, RatePoint) and self.key == other.key
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+
 @dataclass(frozen=True)
 class Method:
-    """One curve: the settings of a codec, by its name, or of a program that the user has.
+    """One curve: the rate points of a codec, of a family of models, or of a program that the user has.
 
-    `physical`: it is for traces in a physical unit, and left out for others. `models`: the trained model of each
-    setting; none where the codec uses its built-in tables.
+    `physical`: it is for traces in a physical unit, and left out for others.
     """
 
     name: str
-    settings: tuple[Setting | str, ...]
-    coder: str | external.Program
+    rate_points: tuple[RatePoint, ...]
     physical: bool = False
-    models: tuple[Model, ...] = ()
 
     @property
-    def rate_points(self) -> Iterator[tuple[Setting | str, Model | None]]:
-        """Each setting with its model, if any."""
-        return zip_longest(self.settings, self.models)
+    def coder(self) -> str | external.Program:
+        """The codec, by its name, or the program."""
+        return self.rate_points[0].coder
+
+    @property
+    def models(self) -> dict[str, Model]:
+        """The trained models of the rate points by name; none where the codec uses its built-in tables."""
+        return {each.model.name: each.model for each in self.rate_points if each.model}
+
+    def text(self, rate_point: RatePoint) -> str:
+        """Return a rate point's setting as text; with the model, where the method has several."""
+        return f"{rate_point.text} model={rate_point.trained.name}" if len(self.models) > 1 else rate_point.text
 
 
 @dataclass(frozen=True)
@@ -68,14 +140,13 @@ class Cell:
     trace: str
     recording: textures.Recording
     method: Method
-    setting: Setting | str
+    rate_point: RatePoint
     repeats: int
-    model: Model | None = None
 
     @property
     def names(self) -> tuple[str, str, str]:
         """Trace, method and setting as they stand in tables; with the model, where the method has several."""
-        return self.trace, self.method.name, rate_point_text(self.method, self.setting, self.model)
+        return self.trace, self.method.name, self.method.text(self.rate_point)
 
     @property
     def key(self) -> str:
@@ -83,10 +154,9 @@ class Cell:
         recording = self.recording
         digest = hashlib.sha256(recording.samples.tobytes())
         signal_format = recording.samples.shape, recording.rate_hz, recording.unit
-        model = self.model and (self.model.name, trained.digest(self.model))
-        coder = self.method.coder
+        coder = self.rate_point.coder
         source = "" if isinstance(coder, external.Program) or coder in _OWN else _other_packages()
-        work = self.method.name, coder, source, self.setting, model, self.repeats
+        work = self.method.name, source, self.rate_point.key, self.rate_point.setting, self.repeats
         digest.update(repr((self.trace, signal_format, work, program_version(), _core())).encode())
         return digest.hexdigest()
 
@@ -95,54 +165,31 @@ class Cell:
 
         Raises whatever the codec or program raises.
         """
-        recording, coder = self.recording, self.method.coder
+        recording, rate_point = self.recording, self.rate_point
         samples, rate_hz = recording.samples, round(recording.rate_hz)
         delay_ms = times = None
-        if isinstance(coder, external.Program):
-            coded = external.run(coder, str(self.setting), samples, rate_hz)
+        if isinstance(rate_point.coder, external.Program):
+            coded = external.run(rate_point.coder, rate_point.text, samples, rate_hz)
             decoded, size_bytes = coded.decoded, coded.size_bytes
             times = coded.encode_s * 1e6 / samples.size, coded.decode_s * 1e6 / samples.size
         else:
-            assert not isinstance(self.setting, str), "codecs have parameters"
-            encode = partial(encode_file, recording, coder, self.setting, self.model)
-            decode = partial(decode_file, model=self.model)
+            encode = partial(rate_point.encode, recording)
             file = encode()
-            decoded, size_bytes = decode(file), len(file)
-            settled = codec.Source.of(samples, rate_hz, coder, recording.unit, model=self.model).resolved(self.setting)
-            delay_ms = cost.delay_ms(coder, settled, rate_hz, recording.channels, recording.unit, self.model)
+            decoded, size_bytes = rate_point.decode(file), len(file)
+            source = codec.Source.of(samples, rate_hz, rate_point.coder, recording.unit, model=rate_point.model)
+            settled = source.resolved(rate_point.parameters)
+            delay_ms = cost.delay_ms(
+                rate_point.coder, settled, rate_hz, recording.channels, recording.unit, rate_point.model
+            )
             if self.repeats:
-                times = time_coding(encode, decode, samples.size, self.repeats)
+                times = time_coding(encode, rate_point.decode, samples.size, self.repeats)
         figures = {**asdict(metrics.measure(samples, decoded, rate_hz, recording.unit)), "delay_ms": delay_ms}
         rounded: dict[str, Any] = {
             name: None if value is None else round(value, DECIMALS) for name, value in figures.items()
         }
-        source = PROGRAM if isinstance(coder, external.Program) else MEASURED
-        point = Point(*self.names, samples.size, size_bytes, rate_hz=rate_hz, source=source, **rounded)
-        return Measured(point, Timing(*self.names, *times, source) if times and self.repeats else None)
-
-
-def encode_file(recording: textures.Recording, codec_name: str, setting: Setting, model: Model | None) -> bytes:
-    """Return a recording coded at a setting, by a trained model if given, as the bytes of a .vct file.
-
-    Raises CodecError.
-    """
-    rate_hz = round(recording.rate_hz)
-    return bytes(codec.encode(recording.samples, rate_hz, setting, codec=codec_name, unit=recording.unit, model=model))
-
-
-def decode_file(file: bytes, model: Model | None, runtime: str | None = None) -> Signal:
-    """Return the samples of a .vct file, in their unit; by one of codec.RUNTIMES, or as the model prefers.
-
-    Raises CodecError, or StreamError.
-    """
-    header, packets = coded_stream.unpack_file(file)
-    return Stream(header, tuple(packets), model.image if model else None, runtime).decode()
-
-
-def rate_point_text(method: Method, setting: Setting | str, model: Model | None) -> str:
-    """Return a setting of a method as text; with the model, where the method has several."""
-    text = setting if isinstance(setting, str) else setting_text(setting)
-    return f"{text} model={model.name}" if model and len({each.name for each in method.models}) > 1 else text
+        origin = PROGRAM if isinstance(rate_point.coder, external.Program) else MEASURED
+        point = Point(*self.names, samples.size, size_bytes, rate_hz=rate_hz, source=origin, **rounded)
+        return Measured(point, Timing(*self.names, *times, origin) if times and self.repeats else None)
 
 
 def setting_text(setting: Setting) -> str:
@@ -167,7 +214,11 @@ def methods(
     set of rate points.
     """
     of_codecs = [
-        Method(rate_point_set, points.settings, known.name, points.is_physical and rate_point_set not in names)
+        Method(
+            rate_point_set,
+            tuple(RatePoint(known.name, setting) for setting in points.settings),
+            points.is_physical and rate_point_set not in names,
+        )
         for known in measured_codecs().values()
         if not known.needs_model
         for rate_point_set, points in known.rate_point_sets.items()
@@ -190,25 +241,24 @@ def methods(
             known_names = sorted({*measured_codecs(), *(method.name for method in every)})
             raise InputError(f"there is no codec or set of rate points {name!r}; choose from {', '.join(known_names)}")
     chosen = [method for method in every if not names or method.name in names or method.coder in names]
-    return [*chosen, *(Method(program.name, program.settings, program) for program in programs)]
+    of_programs = (
+        Method(program.name, tuple(RatePoint(program, setting) for setting in program.settings)) for program in programs
+    )
+    return [*chosen, *of_programs]
 
 
 def families(models: Sequence[Model]) -> list[Method]:
     """Return a method for each family of models, in their order: its models by name, of each all rate points that
     differ.
     """
-    grouped: dict[tuple[str, str], list[tuple[Setting, Model]]] = {
+    rate_points: dict[tuple[str, str], list[RatePoint]] = {
         (model.family, trained.codec_name(model)): [] for model in models
     }
     for model in sorted(models, key=lambda model: model.name):
-        own = grouped[model.family, trained.codec_name(model)]
-        own += [(setting, model) for setting in trained.rate_point_set(model)]
-    return [
-        Method(
-            family, tuple(setting for setting, _ in rate_points), coder, models=tuple(model for _, model in rate_points)
-        )
-        for (family, coder), rate_points in grouped.items()
-    ]
+        coder = trained.codec_name(model)
+        own = (RatePoint(coder, setting, model) for setting in trained.rate_point_set(model))
+        rate_points[model.family, coder].extend(own)
+    return [Method(family, tuple(points)) for (family, _), points in rate_points.items()]
 
 
 def coders(chosen: Sequence[Method]) -> dict[str, tuple[str, list[Model]]]:
@@ -216,8 +266,7 @@ def coders(chosen: Sequence[Method]) -> dict[str, tuple[str, list[Model]]]:
     found: dict[str, tuple[str, list[Model]]] = {}
     for method in chosen:
         if isinstance(method.coder, str):
-            own = {model.name: model for model in method.models}
-            found[method.name if own else method.coder] = method.coder, list(own.values())
+            found[method.name if method.models else method.coder] = method.coder, list(method.models.values())
     return found
 
 

@@ -70,13 +70,9 @@ _CURVE_COSTS = (
     *("codec", "source", "runtime", "settings", "setting", "bits_per_sample", "snr_db", *TIMES, "real_time_factor"),
     *("delay_ms", "decoder_bytes", "model_bytes", "flash_bytes", "peak_memory_bytes", "width", "note"),
 )
-_REGIONS: Mapping[str, Any] = {
-    **dict.fromkeys(("quality", "trace", "codec", "source"), pl.String),
-    **dict.fromkeys(("value", "bits_per_sample"), pl.Float64),
-    "in_region": pl.Boolean,
-    "percent": pl.Float64,
-}
-_PAIR = {"quality": pl.String, "anchor": pl.String, "codec": pl.String, "source": pl.String}
+_REGIONS = "quality:text trace:text codec:text source:text value bits_per_sample in_region:bool percent"
+_PAIR = ("quality", "anchor", "codec", "source")
+_COLUMN_TYPES: Mapping[str, Any] = {"text": pl.String, "whole": pl.Int64, "bool": pl.Boolean, "": pl.Float64}
 
 
 @dataclass(frozen=True)
@@ -230,8 +226,7 @@ def mean_curves(measurements: Measurements, scale: Scale) -> pl.DataFrame:
         if (curves := measurements.everywhere(codec, scale)) is not None
         for point in _mean_curve(curves)
     ]
-    numbers = dict.fromkeys(("bits_per_sample", "mean", "low", "high"), pl.Float64)
-    return _table(found, {"codec": pl.String, "source": pl.String, **numbers, "traces": pl.Int64})
+    return _table(found, "codec:text source:text bits_per_sample mean low high traces:whole")
 
 
 def _mean_curve(curves: Sequence[Curve]) -> list[tuple[float, float, float, float]]:
@@ -283,8 +278,7 @@ def ratio_points(measurements: Measurements, scales: Iterable[Scale]) -> pl.Data
                 fit = np.polynomial.Polynomial.fit(logarithms, [value for *_, value in pairs], degree)
                 pairs += [(FIT, 2**x, float(fit(x))) for x in np.linspace(distinct[0], distinct[-1], FIT_POINTS)]
             found += [(scale.field, codec, measurements.source(codec), *pair) for pair in pairs]
-    text = dict.fromkeys(("quality", "codec", "source", "trace"), pl.String)
-    return _table(found, {**text, "compression_ratio": pl.Float64, "value": pl.Float64})
+    return _table(found, "quality:text codec:text source:text trace:text compression_ratio value")
 
 
 def bd_regions(measurements: Measurements, scales: Iterable[Scale]) -> pl.DataFrame:
@@ -332,8 +326,7 @@ def cost_points(measurements: Measurements, scale: Scale, names: Sequence[str]) 
             for name in names
             if (value := getattr(cost, name)) is not None
         ]
-    columns = {"bits_per_sample": pl.Float64, "codec": pl.String, "source": pl.String, "quality": pl.Float64}
-    table = _table(found, {**columns, "cost": pl.String, "value": pl.Float64, "flash_bytes": pl.Int64})
+    table = _table(found, "bits_per_sample codec:text source:text quality cost:text value flash_bytes:whole")
     keys = ("bits_per_sample", "cost")
     fronts = {
         key: best_of(own.select("value", "quality").rows())
@@ -382,9 +375,8 @@ def rate_excesses(measurements: Measurements) -> pl.DataFrame:
         for codec, by_trace in measurements.curves.items()
         if math.isfinite(bits := float(bits_per_sample_at(SNR.curve(by_trace.get(trace, [])), EQUAL_SNR_DB)))
     ]
-    text = dict.fromkeys(("trace", "codec", "source"), pl.String)
     fewest = pl.col("bits_per_sample").min().over("trace")
-    return _table(found, {**text, "bits_per_sample": pl.Float64}).with_columns(
+    return _table(found, "trace:text codec:text source:text bits_per_sample").with_columns(
         excess_percent=100 * (pl.col("bits_per_sample") / fewest - 1)
     )
 
@@ -408,7 +400,8 @@ def pair_bd_rates(measurements: Measurements, pairs: Iterable[tuple[Scale, str, 
         if codec != anchor
         for trace, rate in bd_rates(measurements.of(anchor, scale), measurements.of(codec, scale), scale).items()
     ]
-    return _table(found, {**_PAIR, **columns(BdRate), "trace": pl.String})
+    pair = dict.fromkeys(_PAIR, pl.String)
+    return pl.DataFrame(found, {**pair, **columns(BdRate), "trace": pl.String}, orient="row")
 
 
 def mean_bd_rates(rates: pl.DataFrame, kinds: Mapping[str, str] | None = None) -> pl.DataFrame:
@@ -430,7 +423,8 @@ def mean_bd_rates(rates: pl.DataFrame, kinds: Mapping[str, str] | None = None) -
         )
         for (*pair, kind), some in parts
     ]
-    table = _table(found, {**_PAIR, **columns(Summary), "won": pl.Int64, "kind": pl.String}).with_row_index("place")
+    schema = {**dict.fromkeys(_PAIR, pl.String), **columns(Summary), "won": pl.Int64, "kind": pl.String}
+    table = pl.DataFrame(found, schema, orient="row").with_row_index("place")
     first_place = pl.col("place").min().over("anchor", "quality")
     return table.sort(first_place, "kind", "mean", maintain_order=True).drop("place")
 
@@ -465,7 +459,7 @@ def curve_costs(measurements: Measurements, rate: float = BITS_PER_SAMPLE) -> pl
 
 def _costs_at(measurements: Measurements, rates: Mapping[str, float]) -> pl.DataFrame:
     """Return the costs of codecs, each at the rate given, by timings of single recordings at the nearest setting."""
-    targets = _table(rates.items(), {"codec": pl.String, "rate": pl.Float64})
+    targets = _table(rates.items(), "codec:text rate")
     nearest = (
         measurements.timed.join(targets, on="codec", maintain_order="left")
         .with_columns(distance=(pl.col("bits_per_sample") / pl.col("rate")).log(2).abs())
@@ -505,15 +499,7 @@ def marginal_costs(measurements: Measurements) -> pl.DataFrame:
         )
         if gained_db is None or gained_db > 0:
             best = row
-    numbers = dict.fromkeys(("gained_db", *names), pl.Float64)
-    text = {
-        "codec": pl.String,
-        "runtime": pl.String,
-        "snr_db": pl.Float64,
-        "bytes_percent": pl.Float64,
-        "than": pl.String,
-    }
-    return _table(found, {**text, **numbers})
+    return _table(found, f"codec:text runtime:text snr_db bytes_percent than:text gained_db {' '.join(names)}")
 
 
 def _per_decibel(row: Any, than: Any, name: str, gained_db: float) -> float | None:
@@ -565,10 +551,11 @@ def at_needed_snr(measurements: Measurements) -> pl.DataFrame:
         bits_per_second = bits * rate_hz if rate_hz else None
         about = (codec, peer.name, measurements.source(codec), software)
         found.append((*about, bits, bits_per_second, *delay_ms, delay_from, *percents.get(codec, (None, None))))
-    text = dict.fromkeys(("codec", "name", "source", "software"), pl.String)
-    numbers = dict.fromkeys(("bits_per_sample", "bits_per_second", "delay_low_ms", "delay_high_ms"), pl.Float64)
-    last = {"delay_from": pl.String, "anchor_percent": pl.Float64, "recordings": pl.Int64}
-    return _table(found, {**text, **numbers, **last})
+    return _table(
+        found,
+        "codec:text name:text source:text software:text bits_per_sample bits_per_second delay_low_ms delay_high_ms "
+        "delay_from:text anchor_percent recordings:whole",
+    )
 
 
 def recommendations(measurements: Measurements) -> pl.DataFrame:
@@ -615,5 +602,7 @@ def _with_real_time(table: pl.DataFrame) -> pl.DataFrame:
     return table.with_columns(real_time_factor=pl.Series(factors, dtype=pl.Float64))
 
 
-def _table(found: Iterable[Sequence[object]], schema: Mapping[str, Any]) -> pl.DataFrame:
-    return pl.DataFrame(list(found), schema, orient="row")
+def _table(found: Iterable[Sequence[object]], names: str) -> pl.DataFrame:
+    """Return rows as a table. `names`: of its columns, each with one of _COLUMN_TYPES behind a colon."""
+    parts = (name.partition(":") for name in names.split())
+    return pl.DataFrame(list(found), {name: _COLUMN_TYPES[kind] for name, _, kind in parts}, orient="row")

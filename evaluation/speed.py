@@ -9,12 +9,10 @@ from statistics import fmean
 import numpy as np
 
 from vibrocast import codec, textures
-from vibrocast.codec import Setting
 from vibrocast.codec.timing import time_coding
 from vibrocast.evaluation import trained
-from vibrocast.evaluation.cells import Method, decode_file, encode_file, rate_point_text
+from vibrocast.evaluation.cells import Method, RatePoint
 from vibrocast.evaluation.points import Failure, Point
-from vibrocast.models import Model
 
 RATIO = 10.0
 """Compression ratio against 16 bits per sample at which the EVA paper states its times."""
@@ -64,16 +62,13 @@ def measure(
         for point in points:
             if point.codec == method.name:
                 bits.setdefault(point.setting, []).append(point.bits_per_sample)
-        means = {text: fmean(of_setting) for text, of_setting in bits.items()}
-        rate_points = [rate_point for rate_point in method.rate_points if rate_point_text(method, *rate_point) in means]
-        for rate in RATES if rate_points and isinstance(method.coder, str) else ():
-            nearest = min(
-                rate_points, key=lambda rate_point: abs(math.log2(means[rate_point_text(method, *rate_point)] / rate))
-            )
+        means = {each: fmean(bits[method.text(each)]) for each in method.rate_points if method.text(each) in bits}
+        for rate in RATES if means and isinstance(method.coder, str) else ():
+            nearest = min(means, key=lambda rate_point: abs(math.log2(means[rate_point] / rate)))
             try:
-                found += _speeds(method, *nearest, rate, recording, repeats)
+                found += _speeds(method, nearest, rate, recording, repeats)
             except Exception as error:  # whatever one codec raises, the others' speeds are wanted
-                found.append(Failure.of(error, recording.name, method.name, rate_point_text(method, *nearest)))
+                found.append(Failure.of(error, recording.name, method.name, method.text(nearest)))
         progress(place / len(methods), method.name)
     return found
 
@@ -99,26 +94,20 @@ def one_signal(recordings: Iterable[textures.Recording], samples: int) -> textur
 
 
 def _speeds(
-    method: Method,
-    setting: Setting | str,
-    model: Model | None,
-    rate: float,
-    recording: textures.Recording,
-    repeats: int,
+    method: Method, rate_point: RatePoint, rate: float, recording: textures.Recording, repeats: int
 ) -> list[Speed]:
     """Return the speeds of a codec at one setting, by each runtime that it has."""
-    assert isinstance(method.coder, str) and not isinstance(setting, str), "programs have no speed"
-    encode = partial(encode_file, recording, method.coder, setting, model)
+    encode = partial(rate_point.encode, recording)
     file = encode()
     speeds = []
-    for runtime in trained.runtimes(model) if model else ("",):
-        decode = partial(decode_file, model=model, runtime=runtime or None)
+    for runtime in trained.runtimes(rate_point.model) if rate_point.model else ("",):
+        decode = partial(rate_point.decode, runtime=runtime or None)
         speeds.append(
             Speed(
                 method.name,
                 rate,
                 runtime,
-                rate_point_text(method, setting, model),
+                method.text(rate_point),
                 recording.samples.size,
                 8 * len(file) / recording.samples.size,
                 codec.snr_db(recording.samples, decode(file)),

@@ -321,15 +321,10 @@ def waveforms(folder: Path, measurements: Measurements, model_folders: Sequence[
     methods = {method.name: method for method in cells.methods(pair, models=trained.known_models(model_folders))}
     for method in (methods[name] for name in pair):
         ratios = {point.setting: point.compression_ratio for point in measurements.curves[method.name][trace]}
-        rate_points = {cells.rate_point_text(method, *rate_point): rate_point for rate_point in method.rate_points}
+        rate_points = {method.text(rate_point): rate_point for rate_point in method.rate_points}
         for ratio in WAVEFORM_RATIOS:
             nearest = min(set(ratios) & set(rate_points), key=lambda text: abs(math.log2(ratios[text] / ratio)))
-            setting, model = rate_points[nearest]
-            assert isinstance(method.coder, str) and not isinstance(setting, str), (
-                "programs are no codecs of the papers"
-            )
-            file = cells.encode_file(recording, method.coder, setting, model)
-            decoded = cells.decode_file(file, model)
+            decoded = rate_points[nearest].decode(rate_points[nearest].encode(recording))
             first = (len(samples) - WAVEFORM_SAMPLES) // 2
             for place in range(max(0, first), min(len(samples), first + WAVEFORM_SAMPLES)):
                 yield WaveformSample(

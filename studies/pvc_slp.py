@@ -65,8 +65,8 @@ def points(folder: Path, measurements: Measurements) -> Iterator[Point]:
     for trace in measurements.compared:
         recording = load(folder, trace)
         for method in methods:
-            for setting in method.settings:
-                yield cells.Cell(trace, recording, method, setting, 0).measure().point
+            for rate_point in method.rate_points:
+                yield cells.Cell(trace, recording, method, rate_point, 0).measure().point
 
 
 def with_points(measurements: Measurements, more: Sequence[Point]) -> Measurements:

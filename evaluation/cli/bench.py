@@ -204,7 +204,7 @@ def bench(
         check_imported(peers, found.entries, {entry.name for entry in entries}, own.load)
     results = bench.results_folder(out)
     write_rows(results / "skipped.csv", found.skipped, dataset.Skipped)
-    settings = sum(len(each.settings) for each in chosen)
+    settings = sum(len(each.rate_points) for each in chosen)
     tell(
         f"{len(entries)} recordings, {len(chosen)} curves, {settings} settings",
         recordings=len(entries),

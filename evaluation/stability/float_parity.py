@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from vibrocast.codec.eva_image import EvaImage
 from vibrocast.codec.graphs import HOP, LATENTS, SIGNAL
+from vibrocast.evaluation.cells import RatePoint
 from vibrocast.evaluation.stability.maps import Map, Row, Scope, at_level
 from vibrocast.evaluation.stability.signals import RATE_HZ, encoded, texture
-from vibrocast.evaluation.stability.trials import Measured, Outcome, RatePoint, Trial, graded
+from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, graded
 from vibrocast.evaluation.trained import runtimes
 
 Values = NDArray[np.float32]

@@ -12,10 +12,11 @@ from vibrocast import codec
 from vibrocast.codec import CODECS, Setting, Signal
 from vibrocast.codec.stream import Stream
 from vibrocast.evaluation.bd_rate import fewest_bits
+from vibrocast.evaluation.cells import RatePoint
 from vibrocast.evaluation.stability import maps, signals
-from vibrocast.evaluation.stability.maps import Map, Row, Scope, at_level, rate_points
+from vibrocast.evaluation.stability.maps import Map, Row, Scope, at_level
 from vibrocast.evaluation.stability.signals import FAILED_SNR_DB, FAR_LOUDER_DB, RATE_HZ, SECONDS, encoded, texture
-from vibrocast.evaluation.stability.trials import Measured, Outcome, RatePoint, Trial, graded
+from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, graded
 from vibrocast.evaluation.trained import runtimes
 from vibrocast.textures.generate import grating, ridges, rough, stick_slip, taps, wood
 
@@ -86,7 +87,7 @@ def signal(name: str) -> Signal:
 
 @lru_cache
 def _own_bits(name: str) -> float:
-    return bits_to_reach(rate_points(*maps.methods([OWN], ())), signal(name), WANTED_SNR_DB)
+    return bits_to_reach(maps.methods([OWN], ())[0].rate_points, signal(name), WANTED_SNR_DB)
 
 
 def measure_kind(trial: Trial) -> Measured:
@@ -142,11 +143,11 @@ def _by_runtime(stream: Stream, runtime: str) -> Signal:
 
 
 def _levelled(rate_point: RatePoint, off_db: float) -> Setting:
-    return {**rate_point.setting, "level": 10 ** (off_db / 20)}
+    return {**rate_point.parameters, "level": 10 ** (off_db / 20)}
 
 
 def _families(scope: Scope) -> Iterator[Trial]:
-    return (Trial(method.name, rate_points=rate_points(method)) for method in scope.learned)
+    return (Trial(method.name, rate_points=method.rate_points) for method in scope.learned)
 
 
 def _compared(scope: Scope) -> Iterator[Trial]:

@@ -10,9 +10,9 @@ import polars as pl
 
 from vibrocast.codec import CODECS
 from vibrocast.errors import InputError
-from vibrocast.evaluation.cells import Method, families
+from vibrocast.evaluation.cells import Method, RatePoint, families
 from vibrocast.evaluation.stability.known_causes import explanation
-from vibrocast.evaluation.stability.trials import Measured, Outcome, RatePoint, Trial
+from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial
 from vibrocast.models import Model
 from vibrocast.pages import listed
 from vibrocast.textures import Recording
@@ -224,7 +224,11 @@ def methods(names: Collection[str] | None, models: Sequence[Model]) -> tuple[Met
     A name is that of a family, or of a codec, which includes its families; None means all. Raises InputError for other
     names, and where no method is left.
     """
-    of_codecs = [Method(name, codec.rate_points, name) for name, codec in CODECS.items() if not codec.needs_model]
+    of_codecs = [
+        Method(name, tuple(RatePoint(name, setting) for setting in codec.rate_points))
+        for name, codec in CODECS.items()
+        if not codec.needs_model
+    ]
     every = [*of_codecs, *families(models)]
     known = {name for method in every for name in (method.name, str(method.coder))}
     if names is not None and not (names and set(names) <= known):
@@ -232,16 +236,9 @@ def methods(names: Collection[str] | None, models: Sequence[Model]) -> tuple[Met
     return tuple(method for method in every if names is None or {method.name, method.coder} & set(names))
 
 
-def rate_points(method: Method) -> tuple[RatePoint, ...]:
-    """Return all rate points of a codec's method, the coarsest first."""
-    assert isinstance(method.coder, str), "programs are not tried"
-    points = ((setting, model) for setting, model in method.rate_points if not isinstance(setting, str))
-    return tuple(RatePoint(method.coder, *each) for each in points)
-
-
 def three_rate_points(method: Method) -> dict[str, RatePoint]:
     """Return rate points of a method by LEVELS."""
-    points = rate_points(method)
+    points = method.rate_points
     return dict(zip(LEVELS, (points[len(points) // 4], points[len(points) // 2], points[-1]), strict=True))
 
 

@@ -11,10 +11,11 @@ from vibrocast import codec, models
 from vibrocast.codec import Signal
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.model_image import ModelImage
+from vibrocast.evaluation.cells import RatePoint
 from vibrocast.evaluation.stability.maps import Map, Row, Scope, at_level
 from vibrocast.evaluation.stability.signals import RATE_HZ, encoded, texture
 from vibrocast.evaluation.stability.transport import flash_with
-from vibrocast.evaluation.stability.trials import Measured, Outcome, RatePoint, Trial
+from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial
 from vibrocast.evaluation.trained import runtimes
 from vibrocast.host.controller import Controller as Host
 from vibrocast.host.player import play

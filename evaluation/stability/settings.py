@@ -10,11 +10,12 @@ from scipy.fft import idct
 
 from vibrocast import codec
 from vibrocast.codec.interface import Setting
+from vibrocast.evaluation.cells import RatePoint
 from vibrocast.evaluation.stability import maps
 from vibrocast.evaluation.stability.filters import FILTERS
 from vibrocast.evaluation.stability.maps import Cells, Map, Row, Scope
 from vibrocast.evaluation.stability.signals import FAILED_SNR_DB, RATE_HZ, Signal, decoded
-from vibrocast.evaluation.stability.trials import Measured, Outcome, RatePoint, Trial, graded
+from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, graded
 from vibrocast.textures import Recording
 from vibrocast.textures.generate import rough, stick_slip, wood, wood_surface
 
@@ -91,7 +92,7 @@ def _swept(method: str, points: Iterable[tuple[float, RatePoint]]) -> Iterator[T
 
 def _rate_points(scope: Scope) -> Iterator[Trial]:
     for method in scope.methods:
-        rate_point_sets: dict[str, Sequence[RatePoint]] = {method.name: maps.rate_points(method)}
+        rate_point_sets: dict[str, Sequence[RatePoint]] = {method.name: method.rate_points}
         if not method.models:
             known = codec.CODECS[method.name]
             rate_point_sets = {

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from vibrocast import codec
 from vibrocast.codec.stream import Stream
+from vibrocast.evaluation.cells import RatePoint
 from vibrocast.evaluation.stability.maps import Map, Row, Scope, at_levels, at_middle
-from vibrocast.evaluation.stability.trials import Measured, Outcome, RatePoint, Trial, graded
+from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, graded
 from vibrocast.textures import HIGHPASS_HZ, Recording, highpass  # noqa: F401 - the words of SIGNALS name the first
 from vibrocast.textures.generate import wood
 
@@ -170,7 +171,7 @@ def encoded(
 ) -> Stream:
     """Code a signal into a whole stream. Raises as codec.encode."""
     return codec.encode(
-        samples, rate_hz, rate_point.setting, codec=rate_point.codec, unit=unit, live=live, model=rate_point.model
+        samples, rate_hz, rate_point.parameters, codec=rate_point.codec, unit=unit, live=live, model=rate_point.model
     )
 
 

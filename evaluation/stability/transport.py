@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import Configure, Start, Status, StreamData
+from vibrocast.evaluation.cells import RatePoint
 from vibrocast.evaluation.stability.maps import Map, Row, Scope, at_level
 from vibrocast.evaluation.stability.signals import RATE_HZ, encoded, texture
-from vibrocast.evaluation.stability.trials import Measured, Outcome, RatePoint, Trial, graded
+from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, graded
 from vibrocast.host import uploader
 from vibrocast.host.controller import Controller as Host
 from vibrocast.host.player import BUFFER_S, PlaybackSettings, play

@@ -7,14 +7,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 
-from vibrocast.codec.interface import Setting
 from vibrocast.device_protocol.messages import MessageError
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.errors import InputError
-from vibrocast.evaluation import trained
-from vibrocast.evaluation.cells import setting_text
+from vibrocast.evaluation.cells import RatePoint
 from vibrocast.host.controller import ControllerError
-from vibrocast.models import Model
 from vibrocast.textures import Recording
 from vibrocast.workers import cores, on_cores
 
@@ -36,40 +33,6 @@ class Outcome(StrEnum):
     def letter(self) -> str:
         """The letter of the maps."""
         return self.value[0].upper()
-
-
-@dataclass(frozen=True, eq=False)
-class RatePoint:
-    """A codec at a setting, perhaps with a trained model; equal where all three are equal."""
-
-    codec: str
-    setting: Setting
-    model: Model | None = None
-
-    @property
-    def text(self) -> str:
-        """The setting as text."""
-        return setting_text(self.setting)
-
-    @property
-    def image(self) -> bytes | None:
-        """The packed model image, None without a model."""
-        return self.model.image if self.model else None
-
-    @property
-    def trained(self) -> Model:
-        """The model, at a rate point of a learned method."""
-        assert self.model is not None, "a learned method has models"
-        return self.model
-
-    def _key(self) -> tuple[str, str, str]:
-        return self.codec, self.text, trained.digest(self.model) if self.model else ""
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, RatePoint) and self._key() == other._key()
-
-    def __hash__(self) -> int:
-        return hash(self._key())
 
 
 @dataclass(frozen=True)

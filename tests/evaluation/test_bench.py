@@ -17,13 +17,14 @@ from vibrocast.codec.encoding import encode_recording
 from vibrocast.errors import InputError
 from vibrocast.evaluation import bench, cells
 from vibrocast.evaluation.bench import CellCounts, Journal
-from vibrocast.evaluation.cells import Cell, Measured, Method
+from vibrocast.evaluation.cells import Cell, Measured, Method, RatePoint
 from vibrocast.evaluation.comparison import Measurements
 from vibrocast.evaluation.points import Failure, Point, read_rows
 from vibrocast.textures import Recording
 from vibrocast.textures.dataset import entries, load
 
-METHODS = [Method("mdct", ({"step": 1.0}, {"step": 0.25}), "mdct"), Method("flac", ({},), "flac")]
+COARSE, FINE, LOSSLESS = RatePoint("mdct", {"step": 1.0}), RatePoint("mdct", {"step": 0.25}), RatePoint("flac", {})
+METHODS = [Method("mdct", (COARSE, FINE)), Method("flac", (LOSSLESS,))]
 Results = list[Measured | Failure]
 
 
@@ -168,10 +169,10 @@ def test_recordings_that_cannot_be_read_cost_only_themselves(folder: Path, resul
 
 
 def test_silence_has_no_quality_and_an_exact_copy_has_infinite_snr(results: Path) -> None:
-    silence = Cell("silence", Recording(np.zeros((600, 1)), 2800.0, "um", "silence"), METHODS[0], {"step": 1.0}, 0)
+    silence = Cell("silence", Recording(np.zeros((600, 1)), 2800.0, "um", "silence"), METHODS[0], COARSE, 0)
     assert silence.measure().point.snr_db is None
     samples = np.random.default_rng(0).integers(-32768, 32768, (600, 2)) / 32768
-    copy = Cell("copy", Recording(samples, 2800.0, "full scale", "copy"), METHODS[1], {}, 0).measure()
+    copy = Cell("copy", Recording(samples, 2800.0, "full scale", "copy"), METHODS[1], LOSSLESS, 0).measure()
     assert copy.point.snr_db == np.inf and copy.point.samples == 1200
     bench.write(results, Measurements([copy.point], [], [], []))
     assert read_rows(results / "points.csv", Point) == [copy.point]
@@ -179,14 +180,14 @@ def test_silence_has_no_quality_and_an_exact_copy_has_infinite_snr(results: Path
 
 def test_what_decides_the_figures_is_in_the_key(monkeypatch: pytest.MonkeyPatch) -> None:
     recording = Recording(np.ones((4, 1)), 2800.0, "um", "ones")
-    cell = Cell("trace", recording, METHODS[0], {"step": 1.0}, 0)
+    cell = Cell("trace", recording, METHODS[0], COARSE, 0)
     changes: list[dict[str, Any]] = [
         {"trace": "other"},
         {"recording": replace(recording, samples=np.ones((2, 2)))},
         {"recording": replace(recording, rate_hz=8000.0)},
         {"recording": replace(recording, unit="m/s^2")},
         {"method": replace(METHODS[0], name="other")},
-        {"setting": {"step": 2.0}},
+        {"rate_point": FINE},
         {"repeats": 3},
     ]
     others = [replace(cell, **change) for change in changes]

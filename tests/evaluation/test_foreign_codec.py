@@ -56,7 +56,7 @@ def test_a_cell_is_measured_again_where_its_module_changes(monkeypatch: pytest.M
     def keys() -> list[str]:
         cells._other_packages.cache_clear()
         chosen = cells.methods([NAME, "flac"])
-        return [cells.Cell("wood", wood(0, 0.1), method, method.settings[0], 0).key for method in chosen]
+        return [cells.Cell("wood", wood(0, 0.1), method, method.rate_points[0], 0).key for method in chosen]
 
     before = keys()
     assert keys() == before

@@ -17,6 +17,7 @@ from tests.command import run as run_command
 from tests.command import succeeds
 from vibrocast import codec
 from vibrocast.errors import InputError, VibrocastError
+from vibrocast.evaluation.cells import RatePoint
 from vibrocast.evaluation.cli import stability_page
 from vibrocast.evaluation.stability import (
     all_maps,
@@ -34,7 +35,7 @@ from vibrocast.evaluation.stability import (
 )
 from vibrocast.evaluation.stability.known_causes import explanation
 from vibrocast.evaluation.stability.maps import Cells, Scope, explained, methods, table
-from vibrocast.evaluation.stability.trials import Measured, Outcome, RatePoint, Trial, attempt, run
+from vibrocast.evaluation.stability.trials import Measured, Outcome, Trial, attempt, run
 from vibrocast.textures import Recording, save
 from vibrocast.textures.generate import wood
 

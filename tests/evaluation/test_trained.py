@@ -14,7 +14,7 @@ from vibrocast.codec.eva_image import EvaImage
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.errors import InputError
 from vibrocast.evaluation import bench, cells, cost, speed, trained
-from vibrocast.evaluation.cells import Cell, Measured, Method
+from vibrocast.evaluation.cells import Cell, Measured, Method, RatePoint
 from vibrocast.evaluation.points import Failure, Point
 from vibrocast.evaluation.speed import Speed
 from vibrocast.models import Model
@@ -40,15 +40,16 @@ def member(number: int) -> Model:
 def test_the_model_is_in_the_key() -> None:
     tiny = tiny_model()
     (method,) = cells.families([tiny])
-    cell = Cell("wood", RECORDING, method, {"level": 1.0}, 0, tiny)
-    others = [
-        replace(cell, model=replace(tiny, name="other")),
-        replace(cell, model=replace(tiny, analysis=tiny.analysis + b"\0")),
-        replace(cell, model=replace(member(0), name="tiny")),
-        replace(cell, model=None),
+    cell = Cell("wood", RECORDING, method, RatePoint("eva", {"level": 1.0}, tiny), 0)
+    models = [
+        replace(tiny, name="other"),
+        replace(tiny, analysis=tiny.analysis + b"\0"),
+        replace(member(0), name="tiny"),
+        None,
     ]
+    others = [replace(cell, rate_point=replace(cell.rate_point, model=model)) for model in models]
     assert len({each.key for each in (cell, *others)}) == 1 + len(others)
-    assert replace(cell, model=tiny_model()).key == cell.key
+    assert replace(cell, rate_point=replace(cell.rate_point, model=tiny_model())).key == cell.key
 
 
 def test_names_stand_for_codecs_rate_point_sets_and_families() -> None:
@@ -102,7 +103,7 @@ def test_speed_is_timed_at_the_setting_nearest_to_the_ratio_by_every_runtime(mon
     )
     assert found[0].snr_db == pytest.approx(found[1].snr_db, abs=1)
     assert told == [(1.0, "steps")]
-    broken = Method("broken", ({"step": 1.0},), "no such codec")
+    broken = Method("broken", (RatePoint("no such codec", {"step": 1.0}),))
     failed, *others = speed.measure(
         [broken, method], [Point("a", "broken", "step=1", 1, 1, 1.0), *points], [RECORDING], 1
     )

@@ -141,8 +141,8 @@ def test_the_command_writes_page_note_and_waveforms(tmp_path: Path) -> None:
     points = []
     for method in cells.methods(["slp", "mdct"]):
         if method.name in ("slp", "mdct"):
-            for setting in method.settings[::2]:
-                points.append(cells.Cell("wood", loaded, method, setting, 0).measure().point)
+            for rate_point in method.rate_points[::2]:
+                points.append(cells.Cell("wood", loaded, method, rate_point, 0).measure().point)
     bench.write(results, Measurements(points, [], [], []))
     (results / "texture_paper.csv").write_text(
         "surface,quantiser,levels,b0_db,paper_percent,huffman_percent,file_percent,zeros_percent,snr_db\n"
