@@ -11,7 +11,7 @@ from vibrocast.codec.timing import cpu_name
 from vibrocast.harness import fidelity, latency, load, response
 from vibrocast.harness.sensors import Recorder, recorder
 from vibrocast.host import bench_file, devices, player
-from vibrocast.host.bench_file import Bench
+from vibrocast.host.bench_file import Bench, InputSensor
 from vibrocast.host.controller import Controller
 from vibrocast.host.session import Session
 from vibrocast.host.track_player import PlayedList, TrackOptions, play_list
@@ -53,7 +53,7 @@ def subject(bench: Bench, session: Session) -> Subject:
         session,
         recorder(sensors[0]) if sensors else None,
         sensors[0].name if sensors else "",
-        bool(sensors and sensors[0].input),
+        bool(sensors) and isinstance(sensors[0], InputSensor),
         bench.scene(),
     )
 

@@ -20,7 +20,7 @@ import numpy as np
 from vibrocast import textures
 from vibrocast.errors import VibrocastError
 from vibrocast.harness.recorder import Levels, Source, open_source, pieces
-from vibrocast.host.bench_file import Sensor
+from vibrocast.host.bench_file import InputSensor, ProgramSensor, Sensor
 from vibrocast.host.controller import Controller
 from vibrocast.textures import Recording
 from vibrocast.textures.recording import Signal
@@ -55,16 +55,16 @@ def recorder(sensor: Sensor) -> Recorder:
     It begins so long before what is played that the beginning is in the recording, as the harness waits for it. The
     processes of a program have ended when the block is left, in any way.
     """
-    if sensor.command is None:
+    if isinstance(sensor, InputSensor):
         return partial(_at_input, sensor)
-    arguments = sensor.command
+    assert isinstance(sensor, ProgramSensor), "the only other kind"
 
     @contextlib.contextmanager
     def record(seconds: float) -> Iterator[Callable[[], Recording]]:
         with tempfile.TemporaryDirectory(prefix="vibrocast-", ignore_cleanup_errors=True) as folder:
             file, complaints = Path(folder) / f"recording{sensor.suffix}", Path(folder) / "complaints"
             values = {"{file}": str(file), "{seconds}": f"{seconds + _STARTS_WITHIN_S:g}"}
-            command = [_filled(part, values) for part in arguments]
+            command = [_filled(part, values) for part in sensor.command]
             with complaints.open("wb") as stderr:  # children of the program would hold a pipe open
                 process = _start(sensor, command, stderr)
             try:
@@ -93,18 +93,17 @@ def recorded(
 
 
 @contextlib.contextmanager
-def _at_input(sensor: Sensor, seconds: float) -> Iterator[Callable[[], Recording]]:
+def _at_input(sensor: InputSensor, seconds: float) -> Iterator[Callable[[], Recording]]:
     """Record these seconds at a sensor's input, from now on. Raises SensorError."""
-    assert sensor.input is not None, "required"
     with contextlib.ExitStack() as stack:
         try:
             source = stack.enter_context(
                 open_source(
                     sensor.input,
-                    None if sensor.sensitivity is None else parse(str(sensor.sensitivity)),
+                    None if sensor.sensitivity is None else parse(sensor.sensitivity),
                     sensor.volts_full_scale,
                     axes=(sensor.axis or "").lower(),
-                    rate_hz=None if sensor.rate_hz is None else int(sensor.rate_hz),
+                    rate_hz=sensor.rate_hz,
                 )
             )
         except VibrocastError as error:
@@ -187,29 +186,29 @@ def _start(sensor: Sensor, command: list[str], stderr: BinaryIO) -> "subprocess.
 
 
 def _finish(
-    sensor: Sensor, process: "subprocess.Popen[bytes]", file: Path, complaints: Path, within_s: float
+    sensor: ProgramSensor, process: "subprocess.Popen[bytes]", file: Path, complaints: Path, within_s: float
 ) -> Recording:
     """Wait for a sensor's program and return what it has recorded. Raises SensorError."""
     try:
         process.wait(within_s)
     except subprocess.TimeoutExpired as error:
         raise SensorError(
-            f"sensor {sensor.name}: {sensor.program} does not end by itself; correct its command in the bench file"
+            f"sensor {sensor.name}: {sensor.command[0]} does not end by itself; correct its command in the bench file"
         ) from error
     if process.returncode or not file.exists():
         with complaints.open("rb") as said:
             said.seek(max(0, complaints.stat().st_size - _MAX_COMPLAINT_BYTES))
             lines = said.read().decode(errors="replace").strip().splitlines() or [f"exit code {process.returncode}"]
         raise SensorError(
-            f"sensor {sensor.name}: {sensor.program} has recorded nothing ({lines[-1]}); check the sensor"
+            f"sensor {sensor.name}: {sensor.command[0]} has recorded nothing ({lines[-1]}); check the sensor"
         )
     return read_recording(sensor, file)
 
 
-def read_recording(sensor: Sensor, file: Path) -> Recording:
+def read_recording(sensor: ProgramSensor, file: Path) -> Recording:
     """Read what a sensor has recorded: one channel, m/s^2 of an accelerometer, um of a laser. Raises SensorError."""
     try:
-        full_scale = None if sensor.sensitivity is None else 1 / float(sensor.sensitivity)
+        full_scale = None if sensor.sensitivity is None else 1 / sensor.sensitivity
         recording = textures.load(
             file,
             rate_hz=sensor.rate_hz,

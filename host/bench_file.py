@@ -39,6 +39,7 @@ SENSOR_PLACEHOLDERS = ("file", "seconds")
 SUFFIXES = (".wav", ".csv", ".txt", ".tsv", ".npy", ".npz")
 RateHz = Annotated[float, within(20, 1e7, "sample rate in Hz")]
 Unit = Annotated[str, one_of(textures.INPUT_UNITS)]
+Sensitivity = Annotated[Text, Meta(description=f"a text, such as {sensitivity.EXAMPLES}")]
 Axis = Annotated[str, one_of(textures.AXES)]
 Reduction = Annotated[str, one_of(textures.REDUCTIONS)]
 DEFAULT_TEXTURE = "wood"
@@ -83,69 +84,60 @@ class BenchActuator:
 
 
 class Sensor(Table, frozen=True, kw_only=True):
-    """A sensor on an actuator, read by a program that records into a file, or at an input of this computer.
-
-    `controller`: name; in a file, None = the only one. `command`: program and arguments, with {file} and {seconds} to
-    be filled in. `suffix`: of the file's name. `rate_hz`, `unit`, `axis`, `reduce`: as `textures.load` takes them.
-    `sensitivity`: what one `unit` makes in the file's numbers, where full scale of a WAV file or of integers is 1.
-
-    `input`: in place of `command`, one of `host.recorder.FORMS`. `sensitivity` is a text then, as
-    `host.sensitivity.parse` takes it; `volts_full_scale`, `axis` and `rate_hz`: as of `host.recorder.open_source`.
-    """
+    """A sensor on an actuator. `controller`: name; in a file, None = the only one. `axis`: which it measures."""
 
     name: Text
     kind: Annotated[str, one_of(SENSOR_KINDS)]
     controller: str | None = None
     channel: Annotated[int, within(1, 16, "channel of the controller")] = 1
-    command: Program | None = None
-    input: Annotated[str, Meta(pattern=r"\A(serial:|audio:).+\Z", description=_INPUT)] | None = None
+    axis: Axis | None = None
+
+
+class ProgramSensor(Sensor, frozen=True, kw_only=True):
+    """A sensor that a program records into a file.
+
+    `command`: program and arguments, with {file} and {seconds} to be filled in. `suffix`: of the file's name.
+    `rate_hz`, `unit`, `reduce`: as `textures.load` takes them. `sensitivity`: what one `unit` makes in the file's
+    numbers, where full scale of a WAV file or of integers is 1.
+    """
+
+    command: Program
     suffix: Annotated[str, one_of(SUFFIXES)] = ".wav"
     rate_hz: RateHz | None = None
     unit: Unit | None = None
-    sensitivity: Annotated[float, Meta(gt=0, description="sensitivity per unit")] | Text | None = None
-    volts_full_scale: Annotated[float, within(1e-4, 1e4, "volts at digital full scale")] | None = None
-    axis: Axis | None = None
+    sensitivity: Annotated[float, Meta(gt=0, description="sensitivity per unit")] | None = None
     reduce: Reduction | None = None
 
-    @property
-    def program(self) -> str:
-        """The program that records; empty for an input of this computer."""
-        return self.command[0] if self.command else ""
-
     def __post_init__(self) -> None:
-        if (self.command is None) == (self.input is None):
-            raise ValueError("give either command, a program that records, or input, a sound card or serial port")
-        if self.command is None:
-            self._check_input()
-            return
-        if self.volts_full_scale is not None or isinstance(self.sensitivity, str):
-            raise ValueError("volts_full_scale and a sensitivity in text go with input; leave them out")
         named = {found for part in self.command for found in re.findall(r"\{(\w*)\}", part)}
         if "file" not in named or named - set(SENSOR_PLACEHOLDERS) or not all(map(str.isprintable, self.command)):
             raise ValueError("command must be a list of a program and its arguments, {file} among them, or {seconds}")
         if self.sensitivity is not None and self.unit is None:
             raise ValueError("sensitivity needs its unit: add unit, such as 'm/s^2'")
 
-    def _check_input(self) -> None:
-        """Raise ValueError for keys that do not go with `input`, or that it lacks."""
-        assert self.input is not None, "one of the two is given"
-        if not self.input.startswith(("serial:", "audio:")):
-            raise ValueError(f"{self.input!r} is no input; give {_INPUT}")
+
+class InputSensor(Sensor, frozen=True, kw_only=True):
+    """A sensor at an input of this computer, one of `harness.recorder.FORMS`.
+
+    `sensitivity`: as `textures.sensitivity.parse` takes it. `volts_full_scale`, `rate_hz`: as of
+    `harness.recorder.open_source`.
+    """
+
+    input: Annotated[str, Meta(pattern=r"\A(serial:|audio:).+\Z", description=_INPUT)]
+    rate_hz: Annotated[int, within(20, 10**7, "sample rate in Hz")] | None = None
+    sensitivity: Sensitivity | None = None
+    volts_full_scale: Annotated[float, within(1e-4, 1e4, "volts at digital full scale")] | None = None
+
+    def __post_init__(self) -> None:
         if self.input.startswith("serial:"):
             try:
                 serial_port(self.input)
             except TransportError as error:
                 raise ValueError(str(error)) from error
-        if self.input.startswith("audio:") and (self.sensitivity is None or self.volts_full_scale is None):
+        elif self.sensitivity is None or self.volts_full_scale is None:
             raise ValueError(f"{self.input} records volts; give sensitivity, such as '10.2mV/g', and volts_full_scale")
-        if self.unit is not None or self.reduce is not None or self.suffix != ".wav":
-            raise ValueError("unit, reduce and suffix go with command; leave them out, sensitivity states the unit")
-        if self.sensitivity is not None and not isinstance(self.sensitivity, str):
-            raise ValueError(f"sensitivity of an input is a text, such as {sensitivity.EXAMPLES}")
         if self.sensitivity is not None:
             sensitivity.parse(self.sensitivity)
-        if self.rate_hz is not None and self.rate_hz != int(self.rate_hz):
-            raise ValueError("rate_hz of an input is a whole number; round it")
 
 
 class TextureTable(Table, frozen=True, kw_only=True):
@@ -185,7 +177,7 @@ class _BenchTexture(TextureTable, frozen=True, kw_only=True):
 class _BenchFile(Table, frozen=True, kw_only=True):
     controllers: Annotated[tuple[PoweredController, ...], Meta(min_length=1)]
     actuators: tuple[ActuatorTable, ...] = ()
-    sensors: tuple[Sensor, ...] = ()
+    sensors: tuple[dict[str, Any], ...] = ()
     textures: tuple[_BenchTexture, ...] = ()
     limits: BenchLimits = BenchLimits()
 
@@ -232,12 +224,10 @@ def read_bench(path: Path, allow_programs: bool = False) -> Bench:
         file = convert(read_toml(path, "bench file"), _BenchFile)
         names = [each.name for each in file.controllers]
         check_names("controllers", names)
-        check_names("sensors", [each.name for each in file.sensors])
-        sensors = read_each(
-            "sensors", file.sensors, lambda each: structs.replace(each, controller=one_named(each.controller, names))
-        )
+        sensors = read_each("sensors", file.sensors, partial(_sensor, names))
+        check_names("sensors", [each.name for each in sensors])
         check_places("sensors", sensors)
-        programs = {f"sensor {each.name}": each.program for each in sensors if each.program}
+        programs = {f"sensor {each.name}": each.command[0] for each in sensors if isinstance(each, ProgramSensor)}
         programs |= {f"controller {each.name}": each.power_cycle[0] for each in file.controllers if each.power_cycle}
         check_programs(programs, allow_programs)
         loaders = read_each("textures", file.textures, partial(_loader, path.parent))
@@ -253,6 +243,14 @@ def read_bench(path: Path, allow_programs: bool = False) -> Bench:
             file.limits,
             hashlib.sha256(path.read_bytes()).hexdigest(),
         )
+
+
+def _sensor(names: list[str], table: dict[str, Any]) -> Sensor:
+    """Return the sensor of a table, on one of the controllers of these names. Raises ValueError."""
+    if ("command" in table) == ("input" in table):
+        raise ValueError("give either command, a program that records, or input, a sound card or serial port")
+    sensor: Sensor = convert(table, ProgramSensor if "command" in table else InputSensor)
+    return structs.replace(sensor, controller=one_named(sensor.controller, names))
 
 
 def one_named(controller: str | None, names: list[str]) -> str:

@@ -25,7 +25,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 TOML_FILES: dict[str, tuple[type, ...]] = {
     "Scene": (scene._SceneFile,),
     "Plan": (plan_file._PlanFile, plan_file._Source, plan_file.PlannedTexture),
-    "Bench file": (bench_file._BenchFile,),
+    "Bench file": (bench_file._BenchFile, bench_file.ProgramSensor, bench_file.InputSensor),
     "Actuator": (actuator_files.ActuatorTable,),
     "Training": (configuration.Configuration,),
     "Study": (study_file.StudyTables,),

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from tests.conftest import linked
 from vibrocast.harness import response, sensors
 from vibrocast.harness.sensors import SensorError, recorder
-from vibrocast.host.bench_file import Sensor
+from vibrocast.host.bench_file import InputSensor, ProgramSensor
 from vibrocast.output import sound_card
 from vibrocast.output.actuator import VOICE_COIL, Actuator, Codes
 from vibrocast.simulated_device.controller import Settings
@@ -27,9 +27,9 @@ OVERSAMPLING = 8
 REAL = replace(VOICE_COIL, corner_hz=74.0, quality=4.1, stroke_um=1.3 * VOICE_COIL.stroke_um)
 
 
-def shell(command: str) -> Sensor:
+def shell(command: str) -> ProgramSensor:
     arguments = ("sh", "-c", command, "{file}")
-    return Sensor(name="it", kind="laser", controller="left", command=arguments)
+    return ProgramSensor(name="it", kind="laser", controller="left", command=arguments)
 
 
 def has_ended(pid_file: Path) -> bool:
@@ -113,7 +113,7 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], response.Fit]
         capture = FakeCapture(codes, REAL, full_scale)
         monkeypatch.setattr(sound_card, "find", lambda name, recording: SimpleNamespace(name=name))
         monkeypatch.setattr(sound_card, "Capture", lambda card, channels, rate_hz: capture)
-        sensor = Sensor(
+        sensor = InputSensor(
             name="it",
             kind="accelerometer",
             controller="left",
