@@ -45,7 +45,8 @@ class Table:
     `values`: float64 (rows, columns), NaN in a column of text. `names`: one for each column, "" without. `own_units`:
     the unit that each column states itself, as in SPELLINGS where it is known, or None. `unit` and `rate_hz`: of all
     channels, from lines such as `# unit: m/s^2` and `# rate_hz: 2800`, or None. `lines`: how many lines of the file are
-    above the first row. `notes`: as in Recording.
+    above the first row. `texts`: the first field of each column of text, "" of others, or none. `notes`: as in
+    Recording.
     """
 
     values: Signal
@@ -54,6 +55,7 @@ class Table:
     unit: str | None = None
     rate_hz: float | None = None
     lines: int = 0
+    texts: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
     @property
@@ -109,7 +111,13 @@ def signal_of(
         table = replace(table, names=_or_axes(table.names))
         channels = [_chosen(name, table, path) for name in columns]
     if text := [column for column in channels if np.isnan(table.values[:, column]).all()]:
-        raise unusable(path, f"column {table.names[text[0]]!r} holds no numbers", "choose with `columns`", "columns")
+        example = f": {table.texts[text[0]]!r} is none" if table.texts else ""
+        raise unusable(
+            path,
+            f"column {table.names[text[0]] or text[0] + 1!r} holds no numbers{example}",
+            "choose others with `columns`, or write numbers with a decimal point",
+            "columns",
+        )
     units = {table.units[column] for column in channels}
     if len(units) > 1:
         named = ", ".join(f"{table.names[column]!r} in {table.units[column] or 'no unit'}" for column in channels)

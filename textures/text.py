@@ -30,6 +30,7 @@ _DECIMAL_COMMA = r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?"
 _BLANKS_BETWEEN = re.compile(rf"\s*(?:{_DECIMAL_COMMA}|[+-]?\d+)(?:\s+(?:{_DECIMAL_COMMA}|[+-]?\d+))+\s*")
 _DECIMAL_COMMAS = re.compile(rf"{_DECIMAL_COMMA}(?:[;,\s]\s*{_DECIMAL_COMMA})*")
 _QUOTED_CHARACTERS = 40
+_DELIMITERS = "\t;|,"  # the first one that is in a line separates its fields
 
 
 @dataclass(frozen=True)
@@ -55,17 +56,19 @@ class _Head:
     """The lines above the numbers: how many, and what they state.
 
     `fields`: names with units, or none. `misfit`: the line above the numbers, where it names other columns, or "".
+    `first`: the fields of the first line of numbers.
     """
 
     layout: _Layout
     lines: int
     fields: list[tuple[str, str | None]]
     misfit: str
+    first: list[str]
     statements: dict[str, str]
 
 
 def read_table(path: Path, skip_lines: int = 0) -> Table:
-    """Read numbers in columns separated by tab, semicolon, comma or blanks.
+    """Read numbers in columns separated by tab, semicolon, bar, comma or blanks.
 
     Above them may be lines of text: comments, names of the columns, their units. Below them, too. Numbers may be
     quoted, have a decimal comma unless commas separate them, and end in a separator. The reader drops lines that start
@@ -161,7 +164,9 @@ def _read(file: TextIO, path: Path, skip_lines: int) -> Table:
     except ValueError as error:
         raise TextureError(f"{path}: rate_hz {statements['rate_hz']!r} is not a number; correct it") from error
     values = values if len(kept) == len(layout.kinds) else values[:, kept]
-    return Table(values, tuple(fields[column][0] for column in kept), tuple(units), unit, rate_hz, head.lines, notes)
+    texts = tuple(head.first[column] if layout.kinds[column] == _TEXT else "" for column in kept)
+    names = tuple(fields[column][0] for column in kept)
+    return Table(values, names, tuple(units), unit, rate_hz, head.lines, texts, notes)
 
 
 def _head(file: TextIO, path: Path, skip_lines: int) -> _Head:
@@ -196,7 +201,8 @@ def _head(file: TextIO, path: Path, skip_lines: int) -> _Head:
     fields = _named(others, layout)
     misfit = others[-1] if others and not fields and not others[-1].lstrip().startswith("#") else ""
     several = (layout.delimiter or len(layout.kinds) == 1) and len(_names(misfit, layout)) > 1
-    return _Head(layout, start, fields, misfit if several else "", statements)
+    first = _fields(_data(lines[start]), layout.delimiter)
+    return _Head(layout, start, fields, misfit if several else "", first, statements)
 
 
 def _named(above: Sequence[str], layout: _Layout) -> list[tuple[str, str | None]]:
@@ -206,7 +212,7 @@ def _named(above: Sequence[str], layout: _Layout) -> list[tuple[str, str | None]
     """
     units: list[str | None] = []
     for line in reversed(above):
-        names = _names(line.lstrip("# "), layout)
+        names = _names(line.lstrip("#% "), layout)
         fields = [name_and_unit(name) for name in names]
         if len(names) != len(layout.kinds) or (line.startswith("#") and len(fields) == 1 and fields[0][1] is None):
             continue  # a remark
@@ -233,7 +239,7 @@ def _units(names: Sequence[str]) -> list[str | None]:
 def _names(line: str, layout: _Layout) -> list[str]:
     """Split a line above the numbers into as many names as there are fields, if it can be."""
     count = len(layout.kinds)
-    delimiter = layout.delimiter or next((each for each in "\t;," if each in line), None)
+    delimiter = layout.delimiter or next((each for each in _DELIMITERS if each in line), None)
     if delimiter is None and count == 1:
         names = [line]
     elif delimiter is None and '"' not in line:  # where blanks separate columns, "x (m/s^2)" is one name
@@ -254,7 +260,7 @@ def _layout_of(line: str, delimiter: str | None = "") -> _Layout:
     """Return the layout of one line. `delimiter`: "" finds it."""
     data = _data(line)
     if delimiter == "":
-        delimiter = next((each for each in "\t;," if each in data.strip()), None)
+        delimiter = next((each for each in _DELIMITERS if each in data.strip()), None)
         if delimiter == "," and _BLANKS_BETWEEN.fullmatch(data):
             delimiter = None
     return _Layout(delimiter, "".join(map(_kind, _fields(data, delimiter))))

@@ -103,7 +103,7 @@ def test_a_column_that_rises_is_no_axis_and_one_of_text_no_signal(tmp_path: Path
             load(path, rate_hz=100, unit="g")
         assert load(path, rate_hz=100, unit="g", columns="2").channels == 1
     path.write_text("".join(f"{place % 7},walk\n" for place in range(40)))
-    with pytest.raises(TextureError, match="column '' holds no numbers"):
+    with pytest.raises(TextureError, match="column 2 holds no numbers: 'walk' is none"):
         load(path, rate_hz=100, unit="g", columns="2")
 
 

@@ -43,6 +43,84 @@ def test_what_a_file_states(tmp_path: Path, text: str, rate_hz: float, unit: str
     np.testing.assert_allclose(recording.samples, samples)
 
 
+ROWS = [(0.0, 1.5), (0.001, -0.25), (0.002, 3.0), (0.003, 0.5)]
+
+
+def lines(delimiter: str = ",", comma: bool = False, form: str = "{:.3f}") -> str:
+    rows = (delimiter.join(form.format(number) for number in row) for row in ROWS)
+    return "".join(f"{row.replace('.', ',') if comma else row}\n" for row in rows)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Time,Channel A\n(s),(g)\n\n" + lines(),
+        "x-axis,CH1\nsecond,gs\n" + lines(),
+        "t\tx\n[s]\t[g]\n" + lines("\t"),
+        "# time x\n# s g\n" + lines(" "),
+        "sep=;\ntime_s;z_g\n" + lines(";"),
+        '"sep=|"\ntime_s|z_g\n' + lines("|"),
+        "Device: X16\nSerial,42\nRange (g),16\n\nTime (s),X (g)\n" + lines(),
+        "Log of a desk; 3 sensors; 2 of them off\ntime_s;x_g\n" + lines(";"),
+        "time_s,x_g\n" + lines() + "\n\n",
+        "% a remark\n% time_s x_g\n" + lines(" "),
+        "time_s;z_g\n" + lines(";", comma=True),
+        "time_s\tz_g\n" + lines("\t", comma=True),
+        "time_s z_g\n" + lines(" ", comma=True),
+        '"time_s","z_g"\n' + lines('","', comma=True).replace("\n", '"\n"').join(('"', ""))[:-1],
+        "sep=;\nZeit (s);z (g)\n".replace("Zeit", "Time") + lines(" ; ", comma=True, form="{:+.3e}"),
+        "time_s,z_g,label\n" + lines().replace("\n", ",walk\n"),
+    ],
+)
+def test_layouts(tmp_path: Path, text: str) -> None:
+    recording = load(written(tmp_path, text), columns=2)
+    assert (recording.rate_hz, recording.unit, recording.notes) == (1000, "m/s^2", ())
+    np.testing.assert_allclose(recording.samples[:, 0] / 9.80665, [row[1] for row in ROWS])
+
+
+@pytest.mark.parametrize(
+    ("end", "left_out"),
+    [("Rate 1344, overflows 0\n", 1), ("\nTotal,60\nEnd of file\n", 2), ("0.06,", 1), ("0.06,-1.2,", 1), ("60", 1)],
+)
+def test_lines_below_the_samples_are_left_out_with_a_note(tmp_path: Path, end: str, left_out: int) -> None:
+    body = "".join(f"{place / 1000},{place % 7},1\n" for place in range(60))
+    path = written(tmp_path, f"time_s,x_g,y_g\n{body}{end}")
+    recording = load(path)
+    assert len(recording.samples) == 60
+    place = 62 + end.startswith("\n")
+    assert f"left out {left_out} line(s) behind the samples, from line {place}, " in recording.notes[0]
+    with pytest.raises(TextureError, match=r"line 62, 'oops' is not 3 numbers as the lines above it; repair"):
+        load(written(tmp_path, f"time_s,x_g,y_g\n{body}oops\n{body}"))
+
+
+def test_lines_above_the_layout_are_passed_over_on_request(tmp_path: Path) -> None:
+    text = "".join(f"{place},{place % 3}\n" for place in range(30)) + "\ntime_s,x_g,y_g\n"
+    text += "".join(f"{place / 1000},{place % 7},1\n" for place in range(20))
+    with pytest.raises(TextureError, match=r"line 32, 'time_s,x_g,y_g' is not 2 numbers .* with `skip_lines`"):
+        load(written(tmp_path, text))
+    assert load(written(tmp_path, text), skip_lines=30).samples.shape == (20, 2)
+    prose = written(tmp_path, "words\n" * 1500 + text)
+    with pytest.raises(TextureError, match=r"'words' is not a line of numbers; .* `skip_lines`"):
+        load(prose)
+    assert load(prose, skip_lines=1530).samples.shape == (20, 2)
+
+
+@pytest.mark.parametrize(
+    ("unit", "options", "per_unit"),
+    [
+        ("mg", {}, 9.80665e-3),
+        ("mm/s²", {}, 1e-3),
+        ("V", {"sensitivity": "100mV/g"}, 98.0665),
+        ("mV", {"sensitivity": "0.1V/g"}, 0.0980665),
+        ("counts", {"sensitivity": "256/g"}, 9.80665 / 256),
+        ("", {"sensitivity": "2mV/(m/s^2)", "unit": "mV"}, 0.5),
+    ],
+)
+def test_units_of_sensors(tmp_path: Path, unit: str, options: dict[str, str], per_unit: float) -> None:
+    recording = load(written(tmp_path, f"time_s,z ({unit})\n{lines()}"), **options)  # type: ignore[arg-type]
+    np.testing.assert_allclose(recording.samples[:, 0], [per_unit * row[1] for row in ROWS])
+
+
 def test_what_a_file_does_not_state_is_given(tmp_path: Path) -> None:
     path = written(tmp_path, "1\n2\n")
     recording = load(path, rate_hz=1000, unit="g")
@@ -127,6 +205,13 @@ def test_a_rate_that_is_no_whole_number(tmp_path: Path, rate_hz: float) -> None:
         ),
         ("time_s,x_um\n0,1\n1e-318,1\n", {}, "says inf Hz, which no sensor has"),
         ("time,x_um\n0,1\n1e-318,1\n", {}, "states no unit"),
+        ("time_s,x_V\n0,1\n1,2\n", {}, "is in V; give the sensor's `sensitivity`, such as 10.2mV/g"),
+        ("time_s,x_V\n0,1\n1,2\n", {"unit": "g"}, "leave out `unit` and `full_scale`, and give .* `sensitivity`"),
+        ("time_s,x_mV\n0,1\n1,2\n", {"sensitivity": "256/g"}, "is in mV, and `sensitivity`=256/g in counts"),
+        ("time_s,x_g\n0,1\n1,2\n", {"sensitivity": "10mV/g"}, "is in g, and `sensitivity`=10mV/g in volts; correct"),
+        ("time_s,x\n0,1\n1,2\n", {"sensitivity": "10mV/g"}, "unknown unit, .*; give `unit`, one of uV, mV, V"),
+        ("time_s,x\n0,1\n1,2\n", {"sensitivity": "ten"}, "'ten' is no sensitivity; write one such as"),
+        ("t;x (g)\n0;1.234,5\n1;1.234,6\n", {}, "column 'x' holds no numbers: '1.234,5' is none; choose"),
         ("\0\0\0", {}, "not a text file"),
         ("7" * 200_000, {}, "not a text file"),
     ],
