@@ -1,5 +1,6 @@
 """Lists of tracks: what is found, the order, commands, tracks that cannot be played, several controllers in step."""
 
+import contextlib
 import socket
 from collections.abc import Callable
 from dataclasses import replace
@@ -253,3 +254,16 @@ def test_a_socket_takes_commands_and_tells_events_and_errors(tmp_path: Path) -> 
         assert command == Command("seek", 2.0)
     control.close()
     assert not (tmp_path / "control").exists()
+
+
+def test_a_client_that_does_not_read_holds_nobody_up_and_is_dropped(tmp_path: Path) -> None:
+    control = Control(tmp_path / "control", Remote())
+    with contextlib.closing(control), socket.socket(socket.AF_UNIX) as client:
+        client.settimeout(60.0)
+        client.connect(str(tmp_path / "control"))
+        client.sendall(b"fly\n")
+        assert client.recv(1) == b"{"
+        for _ in range(5000):
+            control.tell(Event("position", "a.wav"))
+        while client.recv(1 << 16):
+            pass
