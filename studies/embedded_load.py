@@ -1,7 +1,8 @@
 """Sets quality at an equal rate against the load of two processors: `python -m studies.embedded_load --out OUT`."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -29,35 +30,28 @@ PROCESSORS = {
 def rows(measurements: Measurements, loads: Sequence[Load], sizes: Sequence[Size]) -> pl.DataFrame:
     """Return a row for each decoder, quality and processor, of those that have a quality at BITS_PER_SAMPLE.
 
-    Columns: `quality`, `codec`, `curve` (the points that the quality is of), `source`, `bits_per_sample`, `value`,
-    `cost` (the axis), `per_sample` (cycles or instructions), `load_percent` of one channel at RATE_HZ, and
+    Columns: `quality`, `codec`, `curve` (the best of the decoder's, whose quality it is), `source`, `bits_per_sample`,
+    `value`, `cost` (the axis), `per_sample` (cycles or instructions), `load_percent` of one channel at RATE_HZ, and
     `memory_bytes` (code, image and state).
     """
-    means, bytes_of = firmware.mean_loads(loads), {(size.decoder, size.kernels): size for size in sizes}
+    costs, memory = firmware.mean_loads(loads), {(size.decoder, size.kernels): size for size in sizes}
     found = []
-    for where in qualities(measurements, [size.decoder for size in sizes]):
-        for (core, kernels), cost in PROCESSORS.items():
-            load, size = means[where[1], core, kernels], bytes_of[where[1], kernels]
+    for scale, decoder in product(SCALES, dict.fromkeys(size.decoder for size in sizes)):
+        means = comparison.means_at(measurements, scale, BITS_PER_SAMPLE)
+        curves = [name for name in means if decoder in (name, measurements.owner(name))]
+        if not curves:
+            continue
+        best = max(curves, key=lambda name: means[name])
+        for (core, kernels), axis in PROCESSORS.items():
+            where = scale.field, decoder, best, measurements.source(best), BITS_PER_SAMPLE, means[best], axis
+            load, size = costs[decoder, core, kernels], memory[decoder, kernels]
             by_cycles = load.cycles, load.cycles_percent
             counted = (load.instructions, load.load_percent) if load.cycles is None else by_cycles
-            found.append((*where, cost, *counted, size.code_bytes + size.image_bytes + size.state_1_bytes))
+            found.append((*where, *counted, size.code_bytes + size.image_bytes + size.state_1_bytes))
     text = dict.fromkeys(("quality", "codec", "curve", "source"), pl.String)
     numbers = {"per_sample": pl.Float64, "load_percent": pl.Float64, "memory_bytes": pl.Int64}
     columns: dict[str, Any] = {**text, "bits_per_sample": pl.Float64, "value": pl.Float64, "cost": pl.String, **numbers}
     return pl.DataFrame(found, columns, orient="row")
-
-
-def qualities(measurements: Measurements, decoders: Sequence[str]) -> Iterator[tuple[str, str, str, str, float, float]]:
-    """Yield the quality, decoder, curve, source, rate and mean quality of decoders that have a curve at this rate.
-
-    The curve is the best of the decoder's.
-    """
-    for scale in SCALES:
-        means = comparison.means_at(measurements, scale, BITS_PER_SAMPLE)
-        for decoder in dict.fromkeys(decoders):
-            curves = [name for name in means if decoder in (name, measurements.owner(name))]
-            if best := max(curves, key=lambda name: means[name], default=None):
-                yield scale.field, decoder, best, measurements.source(best), BITS_PER_SAMPLE, means[best]
 
 
 @page.study

@@ -149,25 +149,26 @@ TABLE_NAMES: dict[type[Any], str] = {
     ControllerLoad: "firmware_controller.csv",
     Decoding: "firmware_decoding.csv",
 }
+PLAYED_SECONDS = 2.0
 PROFILE_SAMPLES = 4096
 PROFILE_SPEED_MM_S = 100.0
 
 
-def texture(kind: str, seconds: float, seed: int = 0) -> Signal:
-    """Return a generated texture (n, 1) with a peak of 1."""
-    samples = GENERATORS[kind](seed=seed, seconds=seconds, rate_hz=RATE_HZ).samples
+def texture(kind: str) -> Signal:
+    """Return SECONDS of a generated texture (n, 1) with a peak of 1."""
+    samples = GENERATORS[kind](seed=0, seconds=SECONDS, rate_hz=RATE_HZ).samples
     peak: float = np.abs(samples).max()
     return samples / peak
 
 
 @cache
-def coded(decoder: str, kind: str, seconds: float) -> tuple[Stream, float]:
+def coded(decoder: str, kind: str) -> tuple[Stream, float]:
     """Return a texture as it is streamed, near TARGET_DB or the next better quality there is, and its SNR in dB.
 
     By a codec that keeps no waveform, as finely as its set of rate points goes.
     """
     model = _model(decoder)
-    signal = texture(kind, seconds)
+    signal = texture(kind)
     name = codec_of(decoder)
     if codec.CODECS[name].keeps_waveform:
         source = codec.Source.of(signal, RATE_HZ, name, live=True, model=model)
@@ -180,7 +181,7 @@ def coded(decoder: str, kind: str, seconds: float) -> tuple[Stream, float]:
     return stream, snr_db
 
 
-def measure_loads(folder: Path, decoders: Iterable[str], kinds: Sequence[str], seconds: float) -> Iterator[Load]:
+def measure_loads(folder: Path, decoders: Iterable[str], kinds: Sequence[str]) -> Iterator[Load]:
     """Yield what decoding takes on each core with each kernels; programs are built in `folder`.
 
     Raises BuildError, and AssertionError where an emulated decoder gives other samples than the host.
@@ -190,7 +191,7 @@ def measure_loads(folder: Path, decoders: Iterable[str], kinds: Sequence[str], s
             program = _program(folder, core, kernels, {codec_of(decoder) for decoder in decoders})
             for decoder in decoders:
                 for kind in kinds:
-                    stream, snr_db = coded(decoder, kind, seconds)
+                    stream, snr_db = coded(decoder, kind)
                     run = decode(program, core, stream)
                     is_exact = np.array_equal(run.decoded, stream.decode_integers())
                     assert is_exact, f"{decoder} decodes {kind} differently on {core_name}"
@@ -212,7 +213,7 @@ def bits_per_sample(stream: Stream, run: Run) -> float:
     return round(8 * sum(map(len, stream.packets)) / len(run.decoded), 4)
 
 
-def measure_decoding(folder: Path, decoders: Iterable[str], kinds: Sequence[str], seconds: float) -> Iterator[Decoding]:
+def measure_decoding(folder: Path, decoders: Iterable[str], kinds: Sequence[str]) -> Iterator[Decoding]:
     """Yield what decoding takes at every length of block and some qualities. Raises BuildError."""
     core = CORES["M4F"]
     for decoder in decoders:
@@ -220,22 +221,20 @@ def measure_decoding(folder: Path, decoders: Iterable[str], kinds: Sequence[str]
         program = _program(folder, core, DSP, {name})
         known = codec.CODECS[name]
         for block in known.blocks or ("",):
-            for kind, stream in _qualities(decoder, known.block_setting(block), kinds, seconds):
+            for kind, stream in _qualities(decoder, known.block_setting(block), kinds):
                 run = decode(program, core, stream)
                 bits, quiet = bits_per_sample(stream, run), round(quiet_part(run.decoded), 4)
                 yield Decoding(decoder, block, kind, bits, quiet, round(run.instructions, 1))
 
 
-def _qualities(
-    decoder: str, given: codec.Setting, kinds: Sequence[str], seconds: float
-) -> Iterator[tuple[str, Stream]]:
+def _qualities(decoder: str, given: codec.Setting, kinds: Sequence[str]) -> Iterator[tuple[str, Stream]]:
     """Yield textures as they are streamed at several qualities.
 
     At QUALITIES_DB, by every third member of a family of models, or at each rate point of a codec without a waveform.
     """
     name, members = codec_of(decoder), members_of(decoder)
     for kind in kinds:
-        signal = texture(kind, seconds)
+        signal = texture(kind)
         if len(members) > 1:
             for model in members[::3]:
                 yield kind, codec.encode(signal, RATE_HZ, given, codec=name, live=True, model=model)
@@ -260,7 +259,7 @@ def measure_sizes(folder: Path, decoders: Iterable[str]) -> Iterator[Size]:
             yield Size(decoder, kernels, built[0].flash_bytes, image, *states)
 
 
-def measure_controllers(folder: Path, seconds: float) -> Iterator[ControllerLoad]:
+def measure_controllers(folder: Path) -> Iterator[ControllerLoad]:
     """Yield what each emulated controller takes to play PLAYED, as far as it has the channels. Raises BuildError."""
     sizes = {channels: _rest_bytes(folder, CORES["M4F"], channels) for channels in CHANNELS}
     for board, core_name in board_cores().items():
@@ -270,7 +269,7 @@ def measure_controllers(folder: Path, seconds: float) -> Iterator[ControllerLoad
             with playing.opened(board, None) as (session, counter):
                 if played.channels > session.controller.description.limits.channels:
                     continue
-                long_s = PROFILE_SAMPLES / played.rate_hz if played.unit == PROFILE_UNIT else seconds
+                long_s = PROFILE_SAMPLES / played.rate_hz if played.unit == PROFILE_UNIT else PLAYED_SECONDS
                 samples = GENERATORS["rough"](seed=0, seconds=long_s, rate_hz=played.rate_hz).samples
                 signal = np.repeat(samples / np.abs(samples).max(), played.channels, axis=1)
                 instructions, decoding = _play(session, counter, signal, played, program, core)
@@ -383,10 +382,10 @@ def main(out: Path, from_tables: bool) -> None:
         with tempfile.TemporaryDirectory() as temporary:
             folder, kinds = Path(temporary), list(GENERATORS)
             measured: dict[type[Any], list[Any]] = {
-                Load: list(measure_loads(folder, DECODERS, kinds, SECONDS)),
+                Load: list(measure_loads(folder, DECODERS, kinds)),
                 Size: list(measure_sizes(folder, DECODERS)),
-                ControllerLoad: list(measure_controllers(folder, 2.0)),
-                Decoding: list(measure_decoding(folder, DECODERS, kinds, SECONDS)),
+                ControllerLoad: list(measure_controllers(folder)),
+                Decoding: list(measure_decoding(folder, DECODERS, kinds)),
             }
         for kind, rows in measured.items():
             page.write_rows(TABLES / TABLE_NAMES[kind], rows, kind)

@@ -218,7 +218,7 @@ def test_the_shipped_figures_are_what_is_counted(programs: Programs) -> None:
     """To a twentieth, as compilers differ; and the loads that are wanted are met by instructions."""
     loads = firmware.stored(firmware.Load)
     rows = [row for row in loads if (row.core, row.kernels) == ("M4F", "DSP instructions")]
-    stream, _ = firmware.coded("mdct", "rough", firmware.SECONDS)
+    stream, _ = firmware.coded("mdct", "rough")
     run = emulated_core.decode(programs["M4F", 0], M4F, stream)
     shipped = next(row for row in rows if (row.decoder, row.texture) == ("mdct", "rough"))
     assert shipped.instructions == pytest.approx(run.instructions, rel=0.05), "run studies.firmware"
@@ -229,7 +229,7 @@ def test_the_shipped_figures_are_what_is_counted(programs: Programs) -> None:
 
 def test_loads_and_sizes_are_measured_of_any_decoder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(firmware, "CORES", {"M4F": M4F})
-    loads = list(firmware.measure_loads(tmp_path, ["mdct"], ["wood"], 0.1))
+    loads = list(firmware.measure_loads(tmp_path, ["mdct"], ["wood"]))
     (portable, dsp) = firmware.measure_sizes(tmp_path, ["mdct"])
     assert {(load.core, load.kernels) for load in loads} == set(product(("M4F",), ("DSP instructions", "portable C")))
     assert all(load.cycles is None or load.cycles > load.instructions for load in loads)
