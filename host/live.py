@@ -45,6 +45,13 @@ _MAX_FLOODS = 4
 _POLL_S = 0.005
 _END_ASK_S = 0.1
 _ASK_S = 0.5
+# Silence takes the place of a source that is late when this part of the playout delay is left.
+_SILENCE_LEFT = 0.5
+# When silence has been played for so long, the stream ends, and the next one waits for the source.
+_REST_S = 0.1
+# A source that gives nothing for so long pauses, also where nothing is played yet.
+_PAUSE_S = 0.5
+_MIN_READ_S = 0.001
 # A link this many times as fast as needed requires no longer playout delay.
 _AMPLE = 8
 # Part of the queue on the link that one packet drains.
@@ -62,7 +69,8 @@ class LiveResult:
     the host did not send, because they would have been late. `bad_frames`, `bad_frames_back`:
     damaged on the way to the controller, and from it. `streams`: more than one if it started again: clocks had drifted
     apart, the source had paused, or the connection was lost. `seconds`: of signal. `payload_bytes`: of all packets that
-    were sent. `wire_bytes`: all that went to the controller with them, frames and requests included.
+    were sent. `wire_bytes`: all that went to the controller with them, frames and requests included. `pauses`: of the
+    source, in which silence was played. `left_out_packets`: too old when the source gave them after a pause.
     """
 
     status: Status
@@ -76,6 +84,8 @@ class LiveResult:
     seconds: float
     payload_bytes: int
     wire_bytes: int
+    pauses: int
+    left_out_packets: int
 
     @property
     def payload_bps(self) -> float:
@@ -148,6 +158,11 @@ class LiveStream:
         self.policy = policy = coding.policy
         self.payload_bytes = self.frame_bytes = self.dropped_packets = 0
         self._given_samples = self._given_before = self._unplayed_packets = 0
+        self.pauses = self._left_out_packets = self._left_out_silence = 0
+        self._last_samples = np.zeros(signal_format.channels)
+        self._silent_samples = 0  # since the source gave its last ones
+        self._heard_s = math.inf
+        self._pauses = self._has_paused = False  # now; before or in this stream
         self._wire_bytes: int | None = None
         self.earlier: list[Status] = []
         self._codec, self._model = chosen_codec(coding.codec_name, coding.model), coding.model
@@ -219,14 +234,23 @@ class LiveStream:
         """How many streams have been begun."""
         return len(self.earlier) + 1
 
-    def begin_again(self) -> None:
-        """Set up another stream in place of the one under way; its first packet will start it."""
+    def begin_again(self, is_silent: bool = False) -> None:
+        """Set up another stream in place of the one under way; its first packet will start it.
+
+        `is_silent`: all but silence has been played.
+        """
         before = self.status
         self._configure()
         self.earlier.append(before)
         given_packets = math.ceil((self._given_samples - self._given_before) / self.packet_samples)
         played_packets = before.position // self.packet_samples
-        self._unplayed_packets += max(0, given_packets - played_packets) + before.lost_packets
+        unplayed_packets = max(0, given_packets - played_packets)
+        if self._has_paused:
+            self._left_out_packets += 0 if is_silent else unplayed_packets
+        else:
+            self._unplayed_packets += unplayed_packets
+        self._unplayed_packets += before.lost_packets
+        self._has_paused = False
         self._given_before = self._given_samples
 
     def _packet_samples(self, asked: int | None, max_packet_s: float) -> int:
@@ -323,13 +347,52 @@ class LiveStream:
             self.payload_bytes += len(packet)
 
     def send(self, samples: Signal) -> None:
-        """Code and send samples (n, channels), receive; start again if the clocks are out of step."""
+        """Code and send samples (n, channels), receive; start again if the clocks are out of step.
+
+        None: the source has none now. Just before the controller would have nothing to play, silence is sent.
+        """
+        if len(samples):
+            self._last_samples, self._heard_s = samples[-1], self.controller.clock()
+            self._pauses, self._silent_samples = False, 0
+            self._send_samples(samples)
+        else:
+            self._pause()
+        self.keep_up()
+
+    def _pause(self) -> None:
+        """Bridge the time until the source gives samples again."""
+        now_s = self.controller.clock()
+        if now_s >= self._ask_s:
+            self._ask()  # the watchdog hears of the host
+        is_due = self.spare_s <= 0
+        if is_due or now_s - self._heard_s > _PAUSE_S:
+            self.pauses += not self._pauses
+            self._pauses = self._has_paused = True
+        if is_due and self._silent_samples > (_REST_S + self.playout_delay_s) * self.format.rate_hz:
+            self.begin_again(is_silent=True)
+            self._has_paused = True  # what the source has kept may come now
+        elif is_due:
+            silence = np.linspace(self._last_samples, np.zeros(self.format.channels), self.left_samples + 1)[1:]
+            self._last_samples = silence[-1]
+            self._silent_samples += len(silence)
+            self._send_samples(silence)
+
+    def _send_samples(self, samples: Signal) -> None:
         start = 0
         while start < len(samples):
+            self._wait_for_room()
             end = start + self.left_samples
             self.send_packets(self.coded(samples[start:end]))
             start = end
-        self.keep_up()
+
+    def _wait_for_room(self) -> None:
+        """Wait while the source is ahead and the controller's buffer is full, but no longer than it may be ahead."""
+        while (
+            self._out_of_step_since_s is not None
+            and self.controller.clock() - self._out_of_step_since_s <= _OUT_OF_STEP_S
+            and (self.packets_sent + 1) * self.packet_samples > self._session.credit_until
+        ):
+            self.poll(_POLL_S)
 
     def keep_up(self) -> None:
         """Receive messages; start again if the clocks are out of step."""
@@ -365,12 +428,9 @@ class LiveStream:
         if self.status.state == State.PLAYING:
             self._link.wait(now_s)
         queue_s = self._link.queue_s(now_s)
-        left_s = math.inf
-        if self._plays_from_s is not None:
-            left_s = self._plays_from_s + self.packets_sent * self.packet_s - now_s - queue_s
+        left_s = self._left_s(now_s)
         if self.policy is None:
             return left_s > 0
-        left_s -= min(_GUARD_S, self.playout_delay_s / 2)
         min_s = self._link.seconds(self.policy.min_bytes)
         if left_s <= min_s:
             return False
@@ -382,17 +442,40 @@ class LiveStream:
             self.policy.bits_per_second = min(self._target_bps, max(least_bps, carried_bps))
         return True
 
+    def _left_s(self, now_s: float) -> float:
+        """Return for how long the next packet may be on the link; infinite before the first one is sent."""
+        if self._plays_from_s is None:
+            return math.inf
+        guard_s = 0.0 if self.policy is None else min(_GUARD_S, self.playout_delay_s / 2)
+        return self._plays_from_s + self.packets_sent * self.packet_s - now_s - self._link.queue_s(now_s) - guard_s
+
+    @property
+    def spare_s(self) -> float:
+        """How much longer the source may take for the next packet; infinite before the first one is sent.
+
+        Silence comes as early as samples do, so that a busy computer does not make it late.
+        """
+        min_s = 0.0 if self.policy is None else self._link.seconds(self.policy.min_bytes)
+        ahead_s = self.playout_delay_s * (1.0 if self._silent_samples else _SILENCE_LEFT)
+        return self._left_s(self._link.now_s(self.controller.clock())) - min_s - ahead_s
+
     def _drop(self) -> None:
         """Leave out the next packet, which would come too late; the one behind it is a refresh."""
         self.packets_sent += 1
-        self.dropped_packets += 1
+        if self._silent_samples:
+            self._left_out_silence += 1
+        else:
+            self.dropped_packets += 1
         if self.controller.clock() >= self._ask_s:
             # Nothing else would tell when what is under way has come, as it comes too late to be played.
-            self._ask_s = self.controller.clock() + _ASK_S
             self._link.asking()
-            self.controller.ask_status()
+            self._ask()
         self._gathered = 0
         self._refresh_is_due = True
+
+    def _ask(self) -> None:
+        self._ask_s = self.controller.clock() + min(_ASK_S, self.controller.description.limits.watchdog_ms / 4000)
+        self.controller.ask_status()
 
     def _refresh(self) -> None:
         """Make an encoder if a refresh is due: not for each dropped packet, as a host that is late has no time."""
@@ -459,7 +542,9 @@ class LiveStream:
             underruns=sum(status.underruns for status in streams),
             packets=packets,
             # A controller that hears of the end too late also counts packets that there never were.
-            lost_packets=min(packets, self._unplayed_packets + self.status.lost_packets),
+            lost_packets=max(
+                0, min(packets, self._unplayed_packets + self.status.lost_packets - self._left_out_silence)
+            ),
             dropped_packets=self.dropped_packets,
             bad_frames=max(0, self.status.bad_frames - self._bad_frames_before),  # a restart sets it to 0
             bad_frames_back=self.controller.bad_frames - self._bad_frames_back_before,
@@ -467,6 +552,8 @@ class LiveStream:
             seconds=self.seconds,
             payload_bytes=self.payload_bytes,
             wire_bytes=wire_bytes,
+            pauses=self.pauses,
+            left_out_packets=self._left_out_packets,
         )
 
     def _wait_for_the_end(self) -> None:
@@ -524,9 +611,13 @@ def _go_on(stream: LiveStream, within_s: float) -> None:
                 raise
 
 
-def block_samples(stream: LiveStream) -> int:
-    """Return the samples of the blocks that a source hands over: parts of a packet, of at most MAX_BLOCK_S."""
-    return math.ceil(stream.packet_samples / _blocks_per_packet(stream))
+def heard(stream: LiveStream, read: Callable[[float], Signal | None]) -> Iterator[Signal]:
+    """Yield what a source gives as it comes, and blocks without samples while it pauses.
+
+    `read` waits for at most so many seconds; it returns samples (n, channels), which may be none, and None at the end.
+    """
+    while (samples := read(max(_MIN_READ_S, min(stream.spare_s, MAX_BLOCK_S)))) is not None:
+        yield samples
 
 
 def _blocks_per_packet(stream: LiveStream) -> int:

@@ -206,7 +206,7 @@ class LivePlayback:
     def _kept(self, blocks: Iterable[Signal]) -> Iterator[Signal]:
         seconds = 0.0
         for block in blocks:
-            if self._keeps and seconds < COMPARED_S:
+            if self._keeps and seconds < COMPARED_S and len(block):
                 self._blocks.append(block)
                 seconds += len(block) / self.stream.format.rate_hz
             yield block
@@ -214,7 +214,8 @@ class LivePlayback:
     def _keep(self, packets: Sequence[bytes]) -> None:
         stream, self._coded_s = self.stream, self.stream.controller.clock()
         values = len(self._packets) * stream.packet_samples * stream.format.channels
-        self._keeps = self._keeps and not (stream.dropped_packets or stream.earlier or values > _MAX_VALUES)
+        broken = stream.dropped_packets or stream.earlier or stream.pauses
+        self._keeps = self._keeps and not (broken or values > _MAX_VALUES)
         if self._keeps:
             self._packets += packets
 
@@ -233,7 +234,7 @@ class LivePlayback:
             return Playback(session, None, self.report(), "", ())
         snr_db, traces = self._quality(coded)
         decoded = dac = None
-        if self._keeps and not (result.lost_packets or result.underruns or result.streams > 1):
+        if self._keeps and not (result.lost_packets or result.underruns or result.streams > 1 or result.pauses):
             decoded, dac = self._as_sent(coded)
         report = self.report(traces, snr_db, decoded, dac)
         return Playback(session, coded, report, playback.caption(session, playback.COMPUTED), traces)
@@ -308,6 +309,8 @@ class LivePlayback:
                 wire_adds=result.wire_adds,
                 dropped_packets=result.dropped_packets,
                 streams=result.streams,
+                pauses=result.pauses,
+                left_out_packets=result.left_out_packets,
                 minutes=tuple(self.minutes),
             ),
         )
@@ -360,6 +363,7 @@ class LivePlayback:
             "lost_packets": result.lost_packets,
             "dropped_packets": result.dropped_packets,
             "restarts": result.streams - 1,
+            "pauses": result.pauses,
             "bad_frames": result.bad_frames,
             "bad_frames_back": result.bad_frames_back,
             "output_gaps": sum(status.output_gaps for status in (*self.stream.earlier, self.stream.status)),
@@ -416,11 +420,13 @@ def play_live(
 
 
 def cause(minute: Minute, playout_delay_ms: float) -> str | None:
-    """Return what made a minute lose something: "host", "wire" or "device"; None where it lost nothing."""
+    """Return what made a minute lose something: "host", "wire", "device" or "source"; None where it lost nothing."""
     if not (minute.underruns or minute.lost_packets or minute.restarts or minute.output_gaps):
         return None
     if minute.output_gaps:
         return "device"
     if minute.bad_frames or minute.bad_frames_back:
         return "wire"
+    if minute.pauses:
+        return "source"
     return "host" if minute.host_late_ms is not None and minute.host_late_ms > playout_delay_ms / 2 else "wire"

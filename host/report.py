@@ -145,6 +145,7 @@ class Minute:
     lost_packets: int = 0
     dropped_packets: int = 0
     restarts: int = 0
+    pauses: int = 0
     bad_frames: int = 0
     bad_frames_back: int = 0
     output_gaps: int = 0
@@ -165,6 +166,8 @@ class LiveFigures:
     wire_adds: float
     dropped_packets: int
     streams: int
+    pauses: int
+    left_out_packets: int
     minutes: tuple[Minute, ...]
 
 

@@ -62,7 +62,7 @@ def read(path: Path) -> Contents:
             f"{path}: its header is unfinished: {more} bytes follow the samples that it states; end the program that "
             "recorded it, or repair the header, as `sox --ignore-length` does"
         )
-    commented = _stated_by_comment(comment)
+    commented = stated_by_comment(comment)
     beside = sidecar.read(path)
     if beside is not None:
         _check_sidecar(path, beside, rate_hz, samples.shape[1], commented)
@@ -187,8 +187,7 @@ def _reject_cut_off(notes: str, path: Path) -> None:
     """Raise TextureError if libsndfile's notes on a WAV file say that its end is missing."""
     for stated, held in re.findall(_CUT_OFF, notes):
         missing = int(stated) - int(held)
-        unknown = any(abs(int(stated) - length) <= UNKNOWN_LENGTH_MARGIN_BYTES for length in UNKNOWN_LENGTHS_BYTES)
-        if missing > 0 and not unknown:
+        if missing > 0 and not is_unknown_length(int(stated)):
             raise TextureError(
                 f"{path}: cut off, the last {missing} of {stated} bytes are missing; get the whole file, or save what "
                 "is left as a new WAV file"
@@ -211,7 +210,12 @@ def _unstated_bytes(path: Path) -> int:
     return 0
 
 
-def _stated_by_comment(comment: str) -> tuple[str, float, str] | None:
+def is_unknown_length(size: int) -> bool:
+    """Return whether a header states this length in bytes because its writer, into a pipe, did not know it."""
+    return any(abs(size - length) <= UNKNOWN_LENGTH_MARGIN_BYTES for length in UNKNOWN_LENGTHS_BYTES)
+
+
+def stated_by_comment(comment: str) -> tuple[str, float, str] | None:
     """Return unit, full scale and axes from a comment that `write` wrote; None for any other."""
     if match := _COMMENT.fullmatch(comment):
         try:

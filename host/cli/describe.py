@@ -108,7 +108,10 @@ def describe_losses(report: Report) -> str:
     dropped = report.live.dropped_packets
     unsent = f", {dropped} of them not sent, because too late" if dropped else ""
     restarts = f", restarts {report.live.streams - 1}" if report.live.streams > 1 else ""
-    return f"{report.underruns}, lost packets {report.lost_packets} of {report.packets}{unsent}{restarts}"
+    live = report.live
+    left_out = f" and gave {live.left_out_packets} packets too late" if live.left_out_packets else ""
+    pauses = f"; the source paused {live.pauses} time(s){left_out}" if live.pauses else ""
+    return f"{report.underruns}, lost packets {report.lost_packets} of {report.packets}{unsent}{restarts}{pauses}"
 
 
 def describe_minutes(live: LiveFigures) -> list[str]:

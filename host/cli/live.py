@@ -1,7 +1,6 @@
 """The subcommand `live`: streams raw samples from standard input, or a generated texture, with the least delay."""
 
-import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 
 import click
@@ -12,7 +11,6 @@ from vibrocast.codec import Signal
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, chosen_codec
 from vibrocast.codec.source import live_format
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
-from vibrocast.errors import InputError
 from vibrocast.host import live as streaming
 from vibrocast.host import uploader
 from vibrocast.host.bench_file import Bench, BenchController, connect
@@ -32,22 +30,21 @@ from vibrocast.host.cli.options import (
 from vibrocast.host.cli.sections import CODING, CONTROLLER, INPUT, SectionedCommand, section
 from vibrocast.host.live_playback import LivePlayback
 from vibrocast.host.report import Provenance
+from vibrocast.host.standard_input import StandardInput
 from vibrocast.textures.recording import MAX_CHANNELS
 
 STANDARD_INPUT = "-"
-RAW = np.dtype("<f4")
-"""The type of raw samples."""
 
 
 @dataclass(frozen=True)
 class SampleOptions:
-    """The samples of the source. `seconds` is for a texture; all below it are for raw samples."""
+    """The samples of the source. `seconds` is for a texture; all below it are for standard input."""
 
     rate_hz: int | None
     seconds: float
-    channels: int
+    channels: int | None
     unit: str | None
-    full_scale: float
+    full_scale: float | None
 
 
 @dataclass(frozen=True)
@@ -91,8 +88,7 @@ class DelayOptions:
         click.option(
             "--channels",
             type=Whole("NUMBER", 1, MAX_CHANNELS),
-            default=1,
-            help="Set the channels of raw samples.",
+            help="Set the channels of raw samples. Default: 1.",
         ),
         click.option(
             "--unit",
@@ -102,8 +98,7 @@ class DelayOptions:
         click.option(
             "--full-scale",
             type=positive("VALUE"),
-            default=1.0,
-            help="Give the value of 1.0 in raw samples, in --unit.",
+            help="Give the value of 1.0 in the samples, in --unit. Default: 1.",
         ),
     ),
 )
@@ -149,8 +144,8 @@ def live(
 ) -> None:
     """Stream a generated texture or standard input to a controller.
 
-    SOURCE is the name of a texture, or - for raw samples from standard input. Raw samples are 32-bit floats,
-    little-endian, with interleaved channels.
+    SOURCE is the name of a texture, or - for samples from standard input: a WAV, AU or CAF file, or raw ones. Raw
+    samples are 32-bit floats, little-endian, with interleaved channels. Where the input pauses, silence is sent.
 
     A rate counts packets and their frames. If the link becomes slower, the stream lowers its rate.
 
@@ -160,8 +155,13 @@ def live(
     reject_contradictions(coding, delay)
     rate_hz = samples.rate_hz or (streaming.LOW_DELAY_RATE_HZ if delay.low_delay else DEFAULT_STREAM_RATE_HZ)
     make = textures.GENERATORS.get(source)
-    texture = None if make is None else make(seconds=samples.seconds, rate_hz=rate_hz)
-    signal_format = raw_format(samples, rate_hz) if texture is None else texture_format(texture)
+    given: StandardInput | textures.Recording
+    if make is None:
+        given = StandardInput(samples.rate_hz, samples.channels, samples.unit, samples.full_scale, rate_hz)
+        signal_format = live_format(given.rate_hz, given.unit, [given.full_scale] * given.channels)
+    else:
+        given = make(seconds=samples.seconds, rate_hz=rate_hz)
+        signal_format = texture_format(given)
     actuator = own_actuator(chosen.address, actuator_name)
     with connect(bench, chosen, actuator) as session, progress.bar("streaming") as update:
         if coding.model is not None:
@@ -171,8 +171,8 @@ def live(
         run = Provenance(None if bench is None else bench.sha256)
         playing = LivePlayback(session, stream, source, model=coding.model, provenance=run)
         try:
-            blocks = source_blocks(playing, samples, texture)
-            report = playing.play(blocks, lambda _: update(*so_far(stream, texture))).report
+            blocks = source_blocks(playing, samples, given)
+            report = playing.play(blocks, lambda _: update(*so_far(stream, given))).report
         finally:
             add(asdict(playing.report()))  # of a stream that is cut, too
     add(asdict(report))
@@ -181,15 +181,22 @@ def live(
 
 
 def source_blocks(
-    playing: LivePlayback, samples: SampleOptions, texture: textures.Recording | None
+    playing: LivePlayback, samples: SampleOptions, given: StandardInput | textures.Recording
 ) -> Iterator[Signal]:
     """Return the blocks of a texture, or of standard input, through the high-pass of their unit."""
-    signal_format, block_samples = playing.stream.format, streaming.block_samples(playing.stream)
-    blocks = raw_blocks(samples, block_samples) if texture is None else playing.paced(texture.samples)
+    signal_format = playing.stream.format
     highpass_hz = textures.highpass_of(samples.unit, textures.HIGHPASS_HZ)
-    if highpass_hz is None or not textures.is_vibration(signal_format.unit):
-        return blocks
-    return map(textures.LiveHighPass(signal_format.rate_hz, highpass_hz), blocks)
+    highpass: Callable[[Signal], Signal] = np.asarray
+    if highpass_hz is not None and textures.is_vibration(signal_format.unit):
+        highpass = textures.LiveHighPass(signal_format.rate_hz, highpass_hz)
+    if isinstance(given, textures.Recording):
+        return map(highpass, playing.paced(given.samples))
+
+    def read(timeout_s: float) -> Signal | None:
+        block = given.read(timeout_s)
+        return None if block is None else highpass(block)
+
+    return streaming.heard(playing.stream, read)
 
 
 def reject_contradictions(coding: CodingOptions, delay: DelayOptions) -> None:
@@ -216,39 +223,17 @@ def live_coding(coding: CodingOptions, delay: DelayOptions, signal_format: codec
     )
 
 
-def so_far(stream: streaming.LiveStream, texture: textures.Recording | None) -> tuple[float | None, str]:
+def so_far(stream: streaming.LiveStream, given: object) -> tuple[float | None, str]:
     """Return the part of a stream that is done, None where it has no end, and the line that says how it goes."""
-    part = None if texture is None else min(1.0, stream.seconds / texture.seconds)
-    length = "" if texture is None else f" of {texture.seconds:.1f}"
+    whole_s = given.seconds if isinstance(given, textures.Recording) else None
+    length = "" if whole_s is None else f" of {whole_s:.1f}"
     rate_bps = 8 * stream.payload_bytes / stream.seconds if stream.seconds else 0.0
-    return part, f"{stream.seconds:.1f}{length} s  {rate_bps / 1000:.2f} kbit/s  underruns {stream.underruns}"
+    pauses = f"  pauses {stream.pauses}" if stream.pauses else ""
+    line = f"{stream.seconds:.1f}{length} s  {rate_bps / 1000:.2f} kbit/s  underruns {stream.underruns}{pauses}"
+    return None if whole_s is None else min(1.0, stream.seconds / whole_s), line
 
 
 def texture_format(texture: textures.Recording) -> codec.SignalFormat:
     """Return the format of a texture that is known as a whole."""
     peaks, rms = np.max(np.abs(texture.samples), axis=0), np.sqrt(np.mean(np.square(texture.samples), axis=0))
     return live_format(round(texture.rate_hz), texture.unit, peaks.tolist(), rms.tolist())
-
-
-def raw_format(samples: SampleOptions, rate_hz: int) -> codec.SignalFormat:
-    """Return the format of raw samples. Raises InputError without standard input, click.UsageError without a unit."""
-    if sys.stdin is None:
-        raise InputError("standard input is closed; pipe samples into it, or name a texture")
-    if samples.unit is None:
-        raise click.UsageError("missing --unit; state the unit of the samples, or drive for a drive signal")
-    unit, factor = textures.INPUT_UNITS[samples.unit]
-    return live_format(rate_hz, unit, [samples.full_scale * factor] * samples.channels)
-
-
-def raw_blocks(samples: SampleOptions, block_samples: int) -> Iterator[Signal]:
-    """Yield blocks of standard input, float64 (n, channels), each as soon as it is there, up to its end."""
-    assert samples.unit is not None, "raw samples have a unit"
-    one = samples.full_scale * textures.INPUT_UNITS[samples.unit][1]
-    sample_bytes = RAW.itemsize * samples.channels
-    any_samples = False
-    while data := sys.stdin.buffer.read(block_samples * sample_bytes):
-        any_samples = True
-        whole = np.frombuffer(data[: len(data) // sample_bytes * sample_bytes], RAW)
-        yield whole.reshape(-1, samples.channels) * np.float64(one)
-    if not any_samples:
-        raise InputError("standard input ended before its first sample; check the program that writes to it")

@@ -1,6 +1,7 @@
 """`vibrocast live`: a generated texture, and raw samples from standard input."""
 
 import contextlib
+import io
 import json
 import re
 from collections.abc import Callable, Iterator
@@ -9,20 +10,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import soundfile
 
 from studies.faulty_bench import Misreading, at_half_gain
 from tests import command
 from tests.command import answer, run, succeeds
 from tests.conftest import session
+from vibrocast import textures
 from vibrocast.errors import LIMIT_MISSED
 from vibrocast.host import live_playback
 from vibrocast.host.controller import Controller as Session
 from vibrocast.host.report import Minute
+from vibrocast.host.standard_input import StandardInput
 from vibrocast.simulated_device.controller import Controller
 from vibrocast.simulated_device.device import Device
 from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
 from vibrocast.simulated_device.memory_link import MemoryLink
 
+ROOT = Path(__file__).parents[2]
 PATIENT = ("--playout-delay-ms", 300)
 """No busy machine disturbs such a stream."""
 live = partial(run, "live")
@@ -84,6 +89,70 @@ def test_raw_samples_are_streamed_to_their_end() -> None:
     assert (streamed["channels"], streamed["seconds"]) == (2, pytest.approx(800 / 2800, abs=0.02))
 
 
+def sound_file(kind: str, subtype: str, endian: str = "FILE", channels: int = 1) -> bytes:
+    """Return noise as a file of soundfile's names."""
+    file = io.BytesIO()
+    samples = 0.1 * np.random.default_rng(1).standard_normal((800, channels))
+    soundfile.write(file, samples, 2000, format=kind, subtype=subtype, endian=endian)
+    return file.getvalue()
+
+
+def changed(data: bytes, at: bytes, size: bytes) -> bytes:
+    """Return a file with another size of a chunk."""
+    place = data.index(at) + 4
+    return data[:place] + size + data[place + len(size) :]
+
+
+WAV = sound_file("WAV", "PCM_16")
+
+
+@pytest.mark.parametrize(
+    ("data", "channels"),
+    [
+        (WAV, 1),
+        (sound_file("WAV", "PCM_24", channels=2), 2),
+        (sound_file("WAV", "FLOAT"), 1),
+        (sound_file("WAV", "PCM_16", "BIG"), 1),
+        (sound_file("WAVEX", "PCM_16", channels=3), 3),
+        (sound_file("RF64", "PCM_16"), 1),
+        (sound_file("WAV", "ULAW"), 1),
+        (sound_file("AU", "PCM_16"), 1),
+        (sound_file("AU", "FLOAT", "LITTLE", 2), 2),
+        (sound_file("CAF", "PCM_16", "LITTLE"), 1),
+        (sound_file("CAF", "DOUBLE"), 1),
+        (changed(WAV, b"data", bytes(4)), 1),  # of programs that write into a pipe
+        (changed(WAV, b"data", b"\xff\xff\xff\xff"), 1),
+        (WAV + b"LIST\x04\0\0\0INFO", 1),
+    ],
+)
+def test_a_file_with_a_header_is_streamed_as_it_says(data: bytes, channels: int) -> None:
+    streamed = answer("live", "-", "--unit", "um", "--full-scale", 20, *PATIENT, data=data)
+    assert (streamed["channels"], streamed["stream_rate_hz"]) == (channels, 2000)
+    assert streamed["seconds"] == pytest.approx(0.4, abs=0.02)
+    assert streamed["live"]["pauses"] == 0
+    assert (streamed["decoded_equals_offline"], streamed["snr_db"] is None) == (True, True)
+
+
+def test_samples_behind_a_header_have_their_values(monkeypatch: pytest.MonkeyPatch) -> None:
+    for kind, subtype, endian in (("WAV", "PCM_24", "FILE"), ("AU", "PCM_16", "FILE"), ("CAF", "FLOAT", "LITTLE")):
+        data = sound_file(kind, subtype, endian, 2)
+        monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(data)))
+        given = StandardInput(None, None, "mm", 2.0, 2800)
+        blocks = []
+        while (block := given.read(0.1)) is not None:
+            blocks.append(block)
+        expected = 2000 * soundfile.read(io.BytesIO(data))[0]
+        np.testing.assert_allclose(np.concatenate(blocks), expected, rtol=1e-12)
+        assert max(map(len, blocks)) == 20
+
+
+def test_a_recording_that_states_its_unit_needs_no_option(tmp_path: Path) -> None:
+    path = tmp_path / "noise.wav"
+    textures.save(path, textures.Recording(np.ones((800, 1)), 2800.0, "um", "noise"))
+    assert answer("live", "-", *PATIENT, data=path.read_bytes())["stream_rate_hz"] == 2800
+    assert "states its unit, um; leave out --unit" in fails("-", "--unit", "um", data=path.read_bytes())
+
+
 def test_low_delay_means_blocks_of_2_ms() -> None:
     given = ("rough", "--seconds", 0.3, "--low-delay")
     assert answer("live", *given, *PATIENT)["packets"] == pytest.approx(0.3 * 8000 / 16, abs=2)
@@ -93,7 +162,22 @@ def test_low_delay_means_blocks_of_2_ms() -> None:
     ("arguments", "data", "told"),
     [
         (("-", "--unit", "drive"), b"", "ended before its first sample"),
-        (("-",), b"", "missing --unit"),
+        (("-", "--unit", "drive"), WAV[:44], "ended before its first sample"),
+        (("-", "--unit", "drive"), WAV[:20], "ends in the header"),
+        (("-", "--unit", "drive"), b"caff\0\1\0\0free" + b"\xff" * 8, "header on standard input is damaged"),
+        (("-", "--unit", "drive"), b"caff\0\1\0\0free" + bytes(3) + b"\x7f" + bytes(4), "ends in the header"),
+        (("-", "--unit", "drive"), b".snd" + b"\xff" * 40, "ends in the header"),
+        (("-", "--unit", "drive", "--rate-hz", 2800), WAV, "states --rate-hz 2000: --rate-hz is 2800; leave it out"),
+        (("-", "--unit", "drive", "--channels", 2), WAV, "states --channels 1"),
+        (("-", "--unit", "g"), WAV, "give --full-scale too"),
+        (("-", "--unit", "drive"), sound_file("WAV", "MS_ADPCM"), "holds MS_ADPCM; convert it"),
+        (("-", "--unit", "drive"), sound_file("AIFF", "PCM_16"), "is an AIFF file; convert it"),
+        (("-", "--unit", "drive"), sound_file("FLAC", "PCM_16"), "is a FLAC file"),
+        (("-", "--unit", "drive"), (ROOT / "tests/codec/golden_mdct.vct").read_bytes(), "play it with `vibrocast play"),
+        (("-", "--unit", "drive"), WAV[44:], "no 32-bit floats: read as such, a sample is"),
+        (("-", "--unit", "drive"), bytes(range(256)) * 9, "no 32-bit floats"),
+        (("-", "--unit", "drive"), sound_file("WAV", "DOUBLE")[90:], "no 32-bit floats"),
+        (("-",), bytes(16), "does not state its unit; give --unit"),
         (("-", "--unit", "m/s^2"), np.full(800, np.nan, "<f4").tobytes(), "NaN"),
         (("rough", "--low-delay", "--rate-bps", 8000), b"", "sends each block at once"),
         (("rough", "--snr-db", 12), b"", "add --rate-bps"),
@@ -194,6 +278,8 @@ def test_a_controller_that_plays_something_else_fails(tmp_path: Path, put: Put) 
         ({"lost_packets": 1, "host_late_ms": 8.0, "bad_frames": 1}, "wire"),
         ({"underruns": 1, "output_gaps": 1, "host_late_ms": 8.0}, "device"),
         ({"restarts": 1}, "wire"),
+        ({"restarts": 1, "pauses": 1}, "source"),
+        ({"restarts": 1, "pauses": 1, "bad_frames": 1}, "wire"),
     ],
 )
 def test_a_minute_names_what_made_it_lose_something(counts: dict[str, float], cause: str | None) -> None:

@@ -123,6 +123,64 @@ def test_a_source_that_pauses_goes_on_with_little_delay() -> None:
     assert stream.finish().streams == 3
 
 
+def played_with_pauses(
+    pauses: list[tuple[float, float]], keeps: bool = False, faults: list[Fault] | None = None
+) -> live.LiveResult:
+    """Play 2 s of a source that pauses at times, for so many seconds, and then may give all that it has kept."""
+    link, controller = linked(faults=faults or [])
+    stream = LiveStream(controller, FORMAT)
+    samples = noise(2.0, rms=2.0)
+    given, began_s = 0, controller.clock()
+
+    def taken() -> int:
+        """Return how many samples the source has given by now."""
+        now_s = controller.clock() - began_s
+        for at_s, length_s in pauses:
+            now_s = at_s if at_s < now_s < at_s + length_s else now_s - (now_s > at_s and not keeps) * length_s
+        return min(len(samples), round(now_s * RATE_HZ))
+
+    def read(timeout_s: float) -> Signal | None:
+        nonlocal given
+        until_s = controller.clock() + timeout_s
+        while given < len(samples) and taken() == given and controller.clock() < until_s:
+            link.sleep(0.001)
+        block, given = samples[given : taken()], taken()
+        return block if len(block) or given < len(samples) else None
+
+    return live.play(stream, live.heard(stream, read))
+
+
+@pytest.mark.parametrize(
+    ("pauses", "streams"),
+    [
+        ([], 1),
+        ([(0.002, 3.0)], 1),  # before the first packet, and longer than the watchdog waits
+        ([(0.5, 0.015)], 1),  # silence alone
+        ([(0.5, 0.6)], 2),
+        ([(0.5, 5.0)], 2),
+        ([(0.2, 0.03), (0.5, 1.0), (1.5, 3.0)], 3),
+    ],
+)
+def test_a_source_that_pauses_loses_nothing(pauses: list[tuple[float, float]], streams: int) -> None:
+    result = played_with_pauses(pauses)
+    assert (result.lost_packets, result.dropped_packets, result.underruns) == (0, 0, 0)
+    assert (result.pauses, result.streams) == (len(pauses), streams)
+    assert result.status.state == State.FINISHED
+
+
+def test_a_source_that_pauses_over_a_slow_link_loses_nothing() -> None:
+    result = played_with_pauses([(0.5, 0.6), (1.0, 0.03)], faults=[Fault(bits_per_second=115_200, delay_ms=5)])
+    assert (result.lost_packets, result.underruns, result.pauses) == (0, 0, 2)
+
+
+@pytest.mark.parametrize("length_s", [0.3, 1.2])
+def test_what_a_source_kept_in_a_pause_is_left_out_and_not_lost(length_s: float) -> None:
+    result = played_with_pauses([(0.5, length_s)], keeps=True)
+    assert (result.lost_packets, result.pauses) == (0, 1)
+    assert result.left_out_packets > 0
+    assert result.status.state == State.FINISHED
+
+
 @pytest.mark.parametrize("late_at", [30, 83])  # packets of 84
 def test_a_program_that_is_late_leaves_packets_out_and_goes_on_with_a_refresh(late_at: int) -> None:
     link, controller = linked()
