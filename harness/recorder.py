@@ -3,143 +3,34 @@
 import datetime
 import errno
 import math
-import re
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.device_protocol.transports import SERIAL_FORM, TransportError, serial_port
+from vibrocast.device_protocol.transports import TransportError
 from vibrocast.files import atomic_write
-from vibrocast.host.serial_sensor import Losses, SerialSensor
+from vibrocast.host.serial_sensor import Losses
+from vibrocast.host.sources import Source
 from vibrocast.textures import LiveHighPass, TextureError, sidecar, wav
 from vibrocast.textures.recording import Signal
-from vibrocast.textures.sensitivity import EXAMPLES, Sensitivity
 
 DRIFT_HZ = 2.0
 """Below it is drift: the offset of an amplifier, gravity, temperature. A tenth of textures.HIGHPASS_HZ, below which
 coding removes everything, so that this causal filter leaves the band above as it was."""
 CLIPPED_RUN = 3
 """So many samples in a row at full scale are clipped; a single one may be a peak that just fits."""
-FORMS = f"{SERIAL_FORM} or [audio:]CARD[:CHANNELS]"
-"""How inputs are written."""
 
 _FULL_SCALE = 1 - 2**-14  # of it, so that int16's highest value counts
-_AUDIO = re.compile(r"(?:audio:)?(?P<card>.+?)(?::(?P<channels>\d+(?:,\d+)*))?")
 _READ_S = 0.1
 _PIECE_S = 0.05
 _MAX_PLACES = 100
 _SIDECAR_BYTES = 1 << 16
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-
-
-class Card(Protocol):
-    """A sound card that records; as `output.sound_card.Capture`."""
-
-    rate_hz: int
-    overruns: int
-
-    def read(self, timeout_s: float) -> NDArray[np.float32]:
-        """Return samples (n, channels), where 1.0 is full scale."""
-
-
-class AnalogueSensor:
-    """A sensor whose volts a sound card records; it reads as `SerialSensor` does.
-
-    Lost samples are cut out: how many there were is not known.
-    """
-
-    def __init__(self, name: str, card: Card, axes: str, channels: int, sensitivity: Sensitivity, volts: float) -> None:
-        self.name, self.rate_hz, self.channels, self.unit = name, card.rate_hz, channels, sensitivity.unit
-        self.axes = "".join(sorted(axes))
-        self.sensitivity: str | None = sensitivity.text
-        self.full_scale: float | None = volts / sensitivity.per_unit
-        self.losses = Losses()
-        self._columns = [axes.index(axis) for axis in self.axes] if axes else list(range(channels))
-        self._card, self._volts = card, volts
-        self._frames = 0
-
-    def read(self, timeout_s: float) -> Signal:
-        """Return the samples (n, channels) since the last call; none after `timeout_s`. Raises TransportError."""
-        samples = self._card.read(timeout_s)
-        for _ in range(self._card.overruns - self.losses.gaps):
-            self.losses.add(self._frames / self.rate_hz, None)
-        self._frames += len(samples)
-        return samples[:, self._columns].astype(np.float64) * (self.full_scale or 1.0)
-
-    def introduction(self) -> list[str]:
-        """Return lines for people on what came first: none."""
-        return []
-
-    def warnings(self) -> list[str]:
-        """Return remarks for people: none."""
-        return []
-
-    def facts(self) -> dict[str, object]:
-        """Return what is known of the card, for the sidecar."""
-        return {"volts_full_scale": self._volts}
-
-
-Source: TypeAlias = SerialSensor | AnalogueSensor
-
-
-@contextmanager
-def open_source(
-    address: str,
-    sensitivity: Sensitivity | None = None,
-    volts_full_scale: float | None = None,
-    *,
-    axes: str = "",
-    rate_hz: int | None = None,
-) -> Iterator[Source]:
-    """Open the sensor at an address, one of FORMS, and begin to record.
-
-    `sensitivity`: also volts for a sound card, counts for a serial sensor that states no unit. `volts_full_scale`: of a
-    sound card, the volts at digital full scale. `axes`: of the channels. `rate_hz`: None = that of the card or sensor.
-    Raises TransportError, TextureError for options that are missing or too many, and MissingExtraError.
-    """
-    if address.startswith("serial:"):
-        if volts_full_scale is not None:
-            raise TextureError(
-                f"{address} sends numbers",
-                action="leave out `volts_full_scale`, which is for a sound card",
-                parameter="volts_full_scale",
-            )
-        port, baud = serial_port(address)
-        with SerialSensor(port, baud=baud, rate_hz=rate_hz, sensitivity=sensitivity, axes=axes) as sensor:
-            yield sensor
-        return
-    if sensitivity is None or not sensitivity.in_volts:
-        raise TextureError(
-            f"{address} records volts",
-            action=f"give the sensor's `sensitivity` in volts, such as {EXAMPLES}",
-            parameter="sensitivity",
-        )
-    if volts_full_scale is None:
-        raise TextureError(
-            f"{address}: how many volts digital full scale is cannot be known",
-            action="give `volts_full_scale` (docs/how-to/record.md says how to find it)",
-            parameter="volts_full_scale",
-        )
-    from vibrocast.output import sound_card
-
-    match = _AUDIO.fullmatch(address)
-    if match is None:
-        raise TextureError(f"{address!r} is no input; give {FORMS}")
-    if match["channels"]:
-        channels = [int(number) for number in match["channels"].split(",")]
-    else:
-        channels = list(range(1, max(1, len(axes)) + 1))
-    if axes and len(axes) != len(channels):
-        raise TextureError(f"{address}: {len(channels)} channels, and {len(axes)} axes; name the axis of each")
-    card = sound_card.find(match["card"], recording=True)
-    with sound_card.Capture(card, channels, rate_hz) as capture:
-        capture.wait_for_begin()
-        yield AnalogueSensor(card.name, capture, axes, len(channels), sensitivity, volts_full_scale)
 
 
 def pieces(source: Source) -> Iterator[Signal]:

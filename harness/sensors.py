@@ -19,9 +19,10 @@ import numpy as np
 
 from vibrocast import textures
 from vibrocast.errors import VibrocastError
-from vibrocast.harness.recorder import Levels, Source, open_source, pieces
+from vibrocast.harness.recorder import Levels, pieces
 from vibrocast.host.bench_file import InputSensor, ProgramSensor, Sensor
 from vibrocast.host.controller import Controller
+from vibrocast.host.sources import Source, open_source
 from vibrocast.textures import Recording
 from vibrocast.textures.recording import Signal
 from vibrocast.textures.sensitivity import parse

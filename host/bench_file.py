@@ -117,10 +117,10 @@ class ProgramSensor(Sensor, frozen=True, kw_only=True):
 
 
 class InputSensor(Sensor, frozen=True, kw_only=True):
-    """A sensor at an input of this computer, one of `harness.recorder.FORMS`.
+    """A sensor at an input of this computer, one of `host.sources.FORMS`.
 
     `sensitivity`: as `textures.sensitivity.parse` takes it. `volts_full_scale`, `rate_hz`: as of
-    `harness.recorder.open_source`.
+    `host.sources.open_source`.
     """
 
     input: Annotated[str, Meta(pattern=r"\A(serial:|audio:).+\Z", description=_INPUT)]

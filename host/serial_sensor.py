@@ -774,7 +774,9 @@ class SerialSensor(Closing):
         if stated.unit is not None:
             if sensitivity is not None:
                 raise TextureError(
-                    f"{self.name} states its unit, {stated.unit}; leave out `sensitivity`", parameter="sensitivity"
+                    f"{self.name} states its unit, {stated.unit}",
+                    action="leave out `sensitivity`",
+                    parameter="sensitivity",
                 )
             unit, factor = INPUT_UNITS[stated.unit]
             return factor / (stated.counts_per_unit or 1.0), unit

@@ -8,6 +8,7 @@ from vibrocast import progress
 from vibrocast.errors import InputError
 from vibrocast.files import plain
 from vibrocast.harness import recorder
+from vibrocast.host import sources
 from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import OutputFile, Whole, positive
 from vibrocast.textures import sidecar
@@ -32,7 +33,7 @@ def checked_axes(ctx: click.Context, param: click.Parameter, value: str | None) 
 
 @click.command()
 @click.argument("out", type=OutputFile(".wav"))
-@click.option("--input", "address", metavar="INPUT", required=True, help=f"Choose the sensor: {recorder.FORMS}.")
+@click.option("--input", "address", metavar="INPUT", required=True, help=f"Choose the sensor: {sources.FORMS}.")
 @click.option(
     "--sensitivity",
     callback=parsed_sensitivity,
@@ -63,7 +64,7 @@ def record(
     if beside.exists() and not sidecar.is_one(beside):
         raise click.UsageError(f"{beside} is another file than a sidecar; give OUT another name")
     click.echo(plain(f"listening to {address}"), err=True)
-    opened = recorder.open_source(address, sensitivity, volts_full_scale, axes=axes, rate_hz=rate_hz)
+    opened = sources.open_source(address, sensitivity, volts_full_scale, axes=axes, rate_hz=rate_hz)
     with opened as source, progress.bar("recording", details_only=True) as update:
         for line in source.introduction():
             click.echo(plain(line), err=True)

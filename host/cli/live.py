@@ -1,7 +1,10 @@
-"""The subcommand `live`: streams raw samples from standard input, or a generated texture, with the least delay."""
+"""The subcommand `live`: streams a sensor, sound, standard input or a generated texture with the least delay."""
 
+import contextlib
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
+from typing import TypeAlias
 
 import click
 import numpy as np
@@ -9,10 +12,11 @@ import numpy as np
 from vibrocast import codec, models, progress, textures
 from vibrocast.codec import Signal
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, chosen_codec
-from vibrocast.codec.source import live_format
+from vibrocast.codec.source import live_format, recording_format
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
+from vibrocast.files import plain
 from vibrocast.host import live as streaming
-from vibrocast.host import uploader
+from vibrocast.host import sources, uploader
 from vibrocast.host.bench_file import Bench, BenchController, connect
 from vibrocast.host.cli.answers import add
 from vibrocast.host.cli.describe import tell_report
@@ -30,18 +34,21 @@ from vibrocast.host.cli.options import (
 from vibrocast.host.cli.sections import CODING, CONTROLLER, INPUT, SectionedCommand, section
 from vibrocast.host.live_playback import LivePlayback
 from vibrocast.host.report import Provenance
+from vibrocast.host.serial_sensor import SerialSensor
 from vibrocast.host.standard_input import StandardInput
 from vibrocast.textures.recording import MAX_CHANNELS
 
 STANDARD_INPUT = "-"
+TEXTURE_S = 10.0
+Given: TypeAlias = textures.Recording | StandardInput | SerialSensor | sources.AnalogueSensor | sources.SoundInput
 
 
 @dataclass(frozen=True)
 class SampleOptions:
-    """The samples of the source. `seconds` is for a texture; all below it are for standard input."""
+    """The samples of the source. `channels` is for standard input; all below it are for none of the textures."""
 
     rate_hz: int | None
-    seconds: float
+    seconds: float | None
     channels: int | None
     unit: str | None
     full_scale: float | None
@@ -71,14 +78,26 @@ class DelayOptions:
         return streaming.LOW_DELAY_PLAYOUT_S if self.low_delay else None
 
 
+def checked_source(ctx: click.Context, param: click.Parameter, value: str) -> str:
+    """Return a source, or raise click.BadParameter."""
+    if value in (STANDARD_INPUT, *textures.GENERATORS) or value.startswith(("serial:", "audio:")):
+        return value
+    names = ", ".join((STANDARD_INPUT, *sorted(textures.GENERATORS)))
+    raise click.BadParameter(f"{value!r} is no source; give {sources.FORMS}, or one of {names}", ctx, param)
+
+
 @click.command(cls=SectionedCommand)
-@click.argument("source", type=click.Choice((STANDARD_INPUT, *sorted(textures.GENERATORS))))
+@click.argument("source", callback=checked_source)
 @section(
     INPUT,
     grouped(
         "samples",
         SampleOptions,
-        click.option("--seconds", type=positive("s"), default=10.0, help="Generate this duration."),
+        click.option(
+            "--seconds",
+            type=positive("s"),
+            help=f"Set the duration. Default: {TEXTURE_S:g} for a texture, until the end of others.",
+        ),
         click.option(
             "--rate-hz",
             type=Whole("Hz", 1, MAX_RATE_HZ),
@@ -93,7 +112,7 @@ class DelayOptions:
         click.option(
             "--unit",
             type=click.Choice(list(textures.INPUT_UNITS)),
-            help="Give the unit of raw samples.",
+            help="Give the unit of the samples, where nothing states it.",
         ),
         click.option(
             "--full-scale",
@@ -142,10 +161,12 @@ def live(
     delay: DelayOptions,
     coding: CodingOptions,
 ) -> None:
-    """Stream a generated texture or standard input to a controller.
+    """Stream a sensor, sound, standard input or a generated texture to a controller.
 
-    SOURCE is the name of a texture, or - for samples from standard input: a WAV, AU or CAF file, or raw ones. Raw
-    samples are 32-bit floats, little-endian, with interleaved channels. Where the input pauses, silence is sent.
+    SOURCE is serial:PORT, the accelerometer at a serial port; audio:CARD, the sound of a microphone or of the monitor
+    of a card or, with --unit, a sensor there; the name of a texture; or - for samples from standard input: a WAV, AU or
+    CAF file, or raw ones. Raw samples are 32-bit floats, little-endian, with interleaved channels. Where a source
+    pauses, silence is played. Ctrl-C ends a sensor and sound.
 
     A rate counts packets and their frames. If the link becomes slower, the stream lowers its rate.
 
@@ -154,18 +175,15 @@ def live(
     """
     reject_contradictions(coding, delay)
     rate_hz = samples.rate_hz or (streaming.LOW_DELAY_RATE_HZ if delay.low_delay else DEFAULT_STREAM_RATE_HZ)
-    make = textures.GENERATORS.get(source)
-    given: StandardInput | textures.Recording
-    if make is None:
-        given = StandardInput(samples.rate_hz, samples.channels, samples.unit, samples.full_scale, rate_hz)
-        signal_format = live_format(given.rate_hz, given.unit, [given.full_scale] * given.channels)
-    else:
-        given = make(seconds=samples.seconds, rate_hz=rate_hz)
-        signal_format = texture_format(given)
     actuator = own_actuator(chosen.address, actuator_name)
-    with connect(bench, chosen, actuator) as session, progress.bar("streaming") as update:
+    with (
+        opened_source(source, samples, rate_hz) as given,
+        connect(bench, chosen, actuator) as session,
+        progress.bar("streaming") as update,
+    ):
         if coding.model is not None:
             uploader.provide(session.controller, session.address, coding.model.image)
+        signal_format = format_of(given)
         how = live_coding(coding, delay, signal_format)
         stream = streaming.LiveStream(session.controller, signal_format, coding=how, playout_delay_s=delay.seconds)
         run = Provenance(None if bench is None else bench.sha256)
@@ -173,6 +191,10 @@ def live(
         try:
             blocks = source_blocks(playing, samples, given)
             report = playing.play(blocks, lambda _: update(*so_far(stream, given))).report
+        except KeyboardInterrupt:
+            if isinstance(given, (textures.Recording, StandardInput)):
+                raise
+            report = playing.report()  # nothing else ends a sensor
         finally:
             add(asdict(playing.report()))  # of a stream that is cut, too
     add(asdict(report))
@@ -180,21 +202,54 @@ def live(
     judge(bench, report.figures())
 
 
-def source_blocks(
-    playing: LivePlayback, samples: SampleOptions, given: StandardInput | textures.Recording
-) -> Iterator[Signal]:
-    """Return the blocks of a texture, or of standard input, through the high-pass of their unit."""
+@contextlib.contextmanager
+def opened_source(source: str, samples: SampleOptions, rate_hz: int) -> Iterator[Given]:
+    """Open a source, and say on stderr how it is read. `rate_hz`: where it has none of its own."""
+    make = textures.GENERATORS.get(source)
+    if make is not None:
+        yield make(seconds=samples.seconds or TEXTURE_S, rate_hz=rate_hz)
+    elif source == STANDARD_INPUT:
+        yield StandardInput(samples.rate_hz, samples.channels, samples.unit, samples.full_scale, rate_hz)
+    else:
+        if samples.channels is not None:
+            raise click.UsageError(
+                f"--channels is for raw samples; drop it, or name channels of a card: {sources.FORMS}"
+            )
+        click.echo(plain(f"listening to {source}"), err=True)
+        with sources.open_live(source, samples.unit, samples.full_scale, samples.rate_hz, rate_hz) as given:
+            for line in given.introduction():
+                click.echo(plain(line), err=True)
+            yield given
+
+
+def format_of(given: Given) -> codec.SignalFormat:
+    """Return the format of a live stream from a source."""
+    if isinstance(given, textures.Recording):
+        return recording_format(given)
+    if isinstance(given, StandardInput):
+        return live_format(given.rate_hz, given.unit, [given.full_scale] * given.channels)
+    return sources.format_of(given)
+
+
+def source_blocks(playing: LivePlayback, samples: SampleOptions, given: Given) -> Iterator[Signal]:
+    """Return the blocks of a source through the high-pass of its unit; of any but a texture, up to --seconds."""
     signal_format = playing.stream.format
-    highpass_hz = textures.highpass_of(samples.unit, textures.HIGHPASS_HZ)
+    is_drive = samples.unit == "drive" or isinstance(given, sources.SoundInput)
     highpass: Callable[[Signal], Signal] = np.asarray
-    if highpass_hz is not None and textures.is_vibration(signal_format.unit):
-        highpass = textures.LiveHighPass(signal_format.rate_hz, highpass_hz)
+    if not is_drive and textures.is_vibration(signal_format.unit):
+        highpass = textures.LiveHighPass(signal_format.rate_hz, textures.HIGHPASS_HZ)
     if isinstance(given, textures.Recording):
         return map(highpass, playing.paced(given.samples))
+    left = math.inf if samples.seconds is None else round(samples.seconds * signal_format.rate_hz)
 
     def read(timeout_s: float) -> Signal | None:
-        block = given.read(timeout_s)
-        return None if block is None else highpass(block)
+        nonlocal left
+        block = given.read(timeout_s) if left else None
+        if block is None:
+            return None
+        block = block[: int(min(left, len(block)))]
+        left -= len(block)
+        return highpass(block)
 
     return streaming.heard(playing.stream, read)
 
@@ -231,9 +286,3 @@ def so_far(stream: streaming.LiveStream, given: object) -> tuple[float | None, s
     pauses = f"  pauses {stream.pauses}" if stream.pauses else ""
     line = f"{stream.seconds:.1f}{length} s  {rate_bps / 1000:.2f} kbit/s  underruns {stream.underruns}{pauses}"
     return None if whole_s is None else min(1.0, stream.seconds / whole_s), line
-
-
-def texture_format(texture: textures.Recording) -> codec.SignalFormat:
-    """Return the format of a texture that is known as a whole."""
-    peaks, rms = np.max(np.abs(texture.samples), axis=0), np.sqrt(np.mean(np.square(texture.samples), axis=0))
-    return live_format(round(texture.rate_hz), texture.unit, peaks.tolist(), rms.tolist())

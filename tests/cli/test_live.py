@@ -4,9 +4,12 @@ import contextlib
 import io
 import json
 import re
+import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +19,7 @@ from studies.faulty_bench import Misreading, at_half_gain
 from tests import command
 from tests.command import answer, run, succeeds
 from tests.conftest import session
+from tests.harness.test_record_command import lines, needs_terminals, sensor
 from vibrocast import textures
 from vibrocast.errors import LIMIT_MISSED
 from vibrocast.host import live_playback
@@ -153,6 +157,75 @@ def test_a_recording_that_states_its_unit_needs_no_option(tmp_path: Path) -> Non
     assert "states its unit, um; leave out --unit" in fails("-", "--unit", "um", data=path.read_bytes())
 
 
+@needs_terminals
+def test_a_serial_sensor_is_streamed_and_the_lines_are_shown() -> None:
+    def paced(first: int) -> bytes:
+        time.sleep(0.018)
+        return lines(first)
+
+    with sensor(paced) as address:
+        result = live(address, "--seconds", 1, *PATIENT, "--json")
+        assert "states its unit, g; leave out --unit and --full-scale" in fails(address, "--unit", "g")
+    assert result.exit_code == 0, result.output
+    assert result.stderr.startswith(f"listening to {address}\n  ")
+    assert "understood as text: time in us; x, y, z in g; 1000 Hz\n" in result.stderr
+    streamed = json.loads(result.stdout)
+    assert (streamed["channels"], streamed["stream_rate_hz"], streamed["seconds"]) == (3, 1000, 1.0)
+    assert streamed["snr_db"] > 10
+
+
+class Microphone:
+    """A sound card with a tone of 200 Hz at -20 dB of full scale; Ctrl-C comes after `ends_s`."""
+
+    def __init__(self, rate_hz: int, channels: int, ends_s: float) -> None:
+        self.rate_hz, self.overruns = rate_hz, 0
+        self._channels, self._left = channels, round(100 * ends_s)
+
+    def __enter__(self) -> "Microphone":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def wait_for_begin(self) -> None:
+        pass
+
+    def read(self, timeout_s: float) -> Any:
+        self._left -= 1
+        if self._left < 0:
+            raise KeyboardInterrupt
+        times_s = np.arange(round(self.rate_hz / 100)) / self.rate_hz
+        return np.repeat(0.1 * np.sin(2 * np.pi * 200 * times_s)[:, None], self._channels, 1).astype(np.float32)
+
+
+@pytest.fixture
+def microphone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A card of two channels, which ends after 0.7 s."""
+    card = SimpleNamespace(name="Microphone", channels=2)
+    monkeypatch.setattr("vibrocast.output.sound_card.find", lambda name, recording: card)
+    monkeypatch.setattr(
+        "vibrocast.output.sound_card.Capture", lambda card, channels, rate_hz: Microphone(rate_hz, len(channels), 0.7)
+    )
+
+
+@pytest.mark.usefixtures("microphone")
+def test_sound_is_streamed_as_a_drive_signal_until_ctrl_c() -> None:
+    result = live("audio:Microphone", *PATIENT)
+    assert result.exit_code == 0, result.output
+    assert "Microphone: sound from 40 to 800 Hz, compressed 4:1, 1 channel(s)\n" in result.stderr
+    assert re.search(r"^played +audio:Microphone, 0\.70 s, 1 channel\(s\), live$", result.stdout, re.M)
+
+
+@pytest.mark.usefixtures("microphone")
+def test_a_sensor_on_a_card_is_streamed_in_its_unit() -> None:
+    given = ("audio:Microphone:2", "--unit", "m/s^2", "--full-scale", 80, "--seconds", 0.5, *PATIENT)
+    streamed = answer("live", *given)
+    assert (streamed["channels"], streamed["seconds"]) == (1, 0.5)
+    assert streamed["snr_db"] > 10
+    assert "needs the physical unit" in fails("audio:Microphone", "--full-scale", 80)
+    assert "--channels is for raw samples" in fails("audio:Microphone", "--channels", 1)
+
+
 def test_low_delay_means_blocks_of_2_ms() -> None:
     given = ("rough", "--seconds", 0.3, "--low-delay")
     assert answer("live", *given, *PATIENT)["packets"] == pytest.approx(0.3 * 8000 / 16, abs=2)
@@ -179,6 +252,7 @@ def test_low_delay_means_blocks_of_2_ms() -> None:
         (("-", "--unit", "drive"), sound_file("WAV", "DOUBLE")[90:], "no 32-bit floats"),
         (("-",), bytes(16), "does not state its unit; give --unit"),
         (("-", "--unit", "m/s^2"), np.full(800, np.nan, "<f4").tobytes(), "NaN"),
+        (("nothing",), b"", "'nothing' is no source; give serial:PORT"),
         (("rough", "--low-delay", "--rate-bps", 8000), b"", "sends each block at once"),
         (("rough", "--snr-db", 12), b"", "add --rate-bps"),
         (("rough", "--rate-bps", 20), b"", "choose 264 bit/s or more"),

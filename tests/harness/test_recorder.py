@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from vibrocast import textures
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.harness import recorder
-from vibrocast.harness.recorder import AnalogueSensor, Levels, record
+from vibrocast.harness.recorder import Levels, record
+from vibrocast.host.sources import AnalogueSensor
 from vibrocast.textures import TextureError, sidecar
 from vibrocast.textures.sensitivity import parse
 
