@@ -10,9 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vibrocast.device_protocol.frames import FrameReader
+from vibrocast.device_protocol.frames import DELIMITER, FrameReader
 from vibrocast.device_protocol.transports import BAUD, Closing, SerialTransport, Transport, TransportError
 from vibrocast.files import plain
+from vibrocast.progress import notes
 from vibrocast.textures import INPUT_UNITS, TextureError, sidecar
 from vibrocast.textures.columns import axis_of, is_time, name_and_unit
 from vibrocast.textures.recording import SECONDS, Signal, known_unit, spelt
@@ -35,6 +36,7 @@ _MEASURED_LINES = 32
 _MAX_MEASURED_LINES = 20_000
 _MAX_NUMBERS = 16  # in a line
 _SHOWN_LINES, _SHOWN_CHARACTERS = 3, 60
+_RETRY_S = 0.2
 _MAX_BAD_LINES = 200  # in a row
 _LEAST_BURSTS = 3
 _WRAP = 1 << 32  # of micros() and millis() on a board
@@ -211,6 +213,11 @@ class Lines:
         most = max(map(len, self._rows.values()), default=0)
         return most if most >= _LINES else 0
 
+    def begin_again(self) -> None:
+        """Forget the line that came in part: the port was opened again."""
+        self._pending.clear()
+        self._whole = False
+
     def feed(self, data: bytes, now_s: float = 0.0) -> list[tuple[float, tuple[float, ...]]]:
         """Take bytes that arrived at a time; return the times in us and values of the lines that they complete.
 
@@ -369,9 +376,7 @@ class Clock:
         Raises TransportError for times that do not rise.
         """
         self._wrap_us = _WRAP * us
-        self._wraps_us = 0.0
-        self._before_us = self._now_us = self._offset_us = math.nan
-        self._rows = 0
+        self.begin_again()
         if math.isnan(times_us[0]):
             assert rate_hz is not None, "asked for"
             self.period_us, self.kind, self._begins_us = 1e6 / rate_hz, "no time, taken as evenly spaced", math.inf
@@ -396,6 +401,12 @@ class Clock:
         self.period_us = float((at_us[-1] - at_us[0]) / (rows[-1] - rows[0]))
         errors_us = at_us - at_us[0] - self.period_us * (rows - rows[0])
         self._limit_us = float(np.max(np.abs(errors_us))) + GAP_STEPS * self.period_us
+
+    def begin_again(self) -> None:
+        """Take the next line for the first one."""
+        self._wraps_us = 0.0
+        self._before_us = self._now_us = self._offset_us = math.nan
+        self._rows = 0
 
     def __call__(self, time_us: float) -> float:
         """Return the time of the next line."""
@@ -440,6 +451,10 @@ class Frames:
         self.found = 0
         self._reader = FrameReader()
         self._wrong = 0
+
+    def begin_again(self) -> None:
+        """Forget the frame that came in part: the port was opened again."""
+        self._reader.feed(DELIMITER)
 
     @property
     def bad(self) -> int:
@@ -489,6 +504,11 @@ class NumberedSamples:
         """Take bytes that arrived; return the samples (n, channels) that are now known. Raises TransportError."""
         return self.place(self._frames.feed(data))
 
+    def begin_again(self) -> None:
+        """Take the next sample for the first one: the port was opened again."""
+        self._frames.begin_again()
+        self._expected = None
+
     def place(self, pieces: list[tuple[int, Signal]]) -> Signal:
         """Return the samples of frames in a row, those of gaps between them filled in. Raises TransportError."""
         placed = [np.zeros((0, len(self._frames.description.axes or "")))]
@@ -522,17 +542,26 @@ class TimedSamples:
         self.losses = Losses()
         self.worst_jitter_us = 0.0
         self._lines, self._rate_hz, self._clock, self._period_us = lines, rate_hz, clock, clock.period_us
-        self._times_us = np.zeros(0)  # since the first sample; the last ones, whose surroundings are not all known
-        self._samples = np.zeros((0, lines.channels))
-        self._first_us: float | None = None
-        self._last_us = 0.0
-        self._placed = 0
         self._late = self._all_late = 0
+        self._begin()
         self._squares = 0.0
         self._steps = 0
         self._bad_before = lines.bad
         self._slowest_hz = self._fastest_hz = 1e6 / clock.period_us
         self._second: list[float] = []
+
+    def _begin(self) -> None:
+        self._times_us = np.zeros(0)  # since the first sample; the last ones, whose surroundings are not all known
+        self._samples = np.zeros((0, self._lines.channels))
+        self._first_us: float | None = None
+        self._last_us = 0.0
+        self._placed = 0
+
+    def begin_again(self) -> None:
+        """Take the next sample for the first one: the port was opened again."""
+        self._lines.begin_again()
+        self._clock.begin_again()
+        self._begin()
 
     def feed(self, data: bytes) -> Signal:
         """Take bytes that arrived; return the samples (n, channels) that are now known. Raises TransportError."""
@@ -626,7 +655,10 @@ class SerialSensor(Closing):
     """A serial sensor that sends samples.
 
     `rate_hz`, `sensitivity` and `axes`: needed where the sensor does not state them. `axes` may also choose some of
-    those that it states. Raises TransportError, and TextureError for options that are missing or contradict the sensor.
+    those that it states. `reconnect_s`: for how long `read` tries to open a lost port again, and returns no samples. It
+    finds the port as `SerialTransport.reopen` does.
+
+    Raises TransportError, and TextureError for options that are missing or contradict the sensor.
 
     Attributes:
         rate_hz: Of the samples that `read` returns.
@@ -646,15 +678,17 @@ class SerialSensor(Closing):
         rate_hz: int | None = None,
         sensitivity: Sensitivity | None = None,
         axes: str = "",
+        reconnect_s: float = 0.0,
         open_port: Callable[[str, int], Transport] = SerialTransport,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.name = f"serial:{port}"
         self.sensitivity = None if sensitivity is None else sensitivity.text
         self._transport = open_port(port, baud)
-        self._clock = clock
+        self._clock, self._reconnect_s = clock, 0.0  # not yet
+        self._lost_s: float | None = None
         try:
-            self._heard_s = clock()
+            self._began_s = self._heard_s = self._tried_s = clock()
             reader = self._recognised()
             found = reader.settle(self.name) if isinstance(reader, Lines) else []
             self.description = reader.description
@@ -671,6 +705,7 @@ class SerialSensor(Closing):
             self._placing, self._first = self._placed(reader, rate_hz, found)
             self._shown = reader.shown if isinstance(reader, Lines) else []
             self.understood = self._in_words(reader)
+            self._reconnect_s = reconnect_s
         except BaseException:
             self.close()
             raise
@@ -716,13 +751,44 @@ class SerialSensor(Closing):
         return samples[:, self._columns] * self._scale
 
     def _bytes(self, timeout_s: float) -> bytes:
-        data = self._transport.read(timeout_s)
+        if self._lost_s is not None:
+            self._reopen(self._lost_s, timeout_s)
+            return b""
+        try:
+            data = self._transport.read(timeout_s)
+        except TransportError:
+            if not self._reconnect_s:
+                raise
+            self._lost_s = self._clock()
+            notes.warning("%s; trying to open it again for %g s", self._lost(self._lost_s), self._reconnect_s)
+            return b""
         now_s = self._clock()
         if data:
             self._heard_s = now_s
         elif now_s - self._heard_s > _SILENT_S:
             raise TransportError(f"{self.name} sends nothing; check that the sensor runs, and that this is its port")
         return data
+
+    def _lost(self, lost_s: float) -> str:
+        return f"{self.name} was lost after {lost_s - self._began_s:.1f} s"
+
+    def _reopen(self, lost_s: float, timeout_s: float) -> None:
+        """Try now and then to open the port again. Raises TransportError after `reconnect_s`."""
+        if self._clock() - self._tried_s < _RETRY_S:
+            time.sleep(timeout_s)
+            return
+        self._tried_s = self._clock()
+        try:
+            self._transport.reopen()
+        except TransportError as error:
+            if self._tried_s - lost_s > self._reconnect_s:
+                error.problem = f"{self._lost(lost_s)}: {error.problem}"
+                raise
+            return
+        self._lost_s = None
+        self._heard_s = self._clock()
+        self._placing.begin_again()
+        notes.warning("%s is back", self.name)
 
     def _recognised(self) -> Lines | Frames:
         """Read until format and rate can be known, and return the reader, which knows the description."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from vibrocast.codec import SignalFormat
 from vibrocast.codec.source import live_format
 from vibrocast.device_protocol.transports import SERIAL_FORM, serial_port
+from vibrocast.host.player import RECONNECT_S
 from vibrocast.host.serial_sensor import Losses, SerialSensor
 from vibrocast.textures import INPUT_UNITS, TextureError
 from vibrocast.textures.recording import Signal
@@ -92,11 +93,13 @@ def open_source(
     *,
     axes: str = "",
     rate_hz: int | None = None,
+    reconnect_s: float = 0.0,
 ) -> Iterator[Source]:
     """Open the sensor at an address, one of FORMS, and begin to record.
 
     `sensitivity`: also volts for a sound card, counts for a serial sensor that states no unit. `volts_full_scale`: of a
     sound card, the volts at digital full scale. `axes`: of the channels. `rate_hz`: None = that of the card or sensor.
+    `reconnect_s`: of a serial sensor, as there.
     Raises TransportError, TextureError for options that are missing or too many, and MissingExtraError.
     """
     if address.startswith("serial:"):
@@ -107,7 +110,8 @@ def open_source(
                 parameter="volts_full_scale",
             )
         port, baud = serial_port(address)
-        with SerialSensor(port, baud=baud, rate_hz=rate_hz, sensitivity=sensitivity, axes=axes) as sensor:
+        given = {"rate_hz": rate_hz, "sensitivity": sensitivity, "axes": axes, "reconnect_s": reconnect_s}
+        with SerialSensor(port, baud=baud, **given) as sensor:  # type: ignore[arg-type]
             yield sensor
         return
     if sensitivity is None or not sensitivity.in_volts:
@@ -238,7 +242,8 @@ def open_live(
     sensitivity = Sensitivity(1 / one, output_unit, not is_serial, f"1/({one:g} {output_unit})") if unit else None
     rate_hz = rate_hz if is_serial else rate_hz or usual_rate_hz
     try:
-        with open_source(address, sensitivity, None if is_serial else 1.0, rate_hz=rate_hz) as sensor:
+        volts = None if is_serial else 1.0
+        with open_source(address, sensitivity, volts, rate_hz=rate_hz, reconnect_s=RECONNECT_S) as sensor:
             yield sensor
     except TextureError as error:
         if "sensitivity" in error.parameter:

@@ -161,12 +161,15 @@ def live(
     delay: DelayOptions,
     coding: CodingOptions,
 ) -> None:
-    """Stream a sensor, sound, standard input or a generated texture to a controller.
+    """Stream a sensor, sound, standard input or a texture to a controller.
 
-    SOURCE is serial:PORT, the accelerometer at a serial port; audio:CARD, the sound of a microphone or of the monitor
-    of a card or, with --unit, a sensor there; the name of a texture; or - for samples from standard input: a WAV, AU or
-    CAF file, or raw ones. Raw samples are 32-bit floats, little-endian, with interleaved channels. Where a source
-    pauses, silence is played. Ctrl-C ends a sensor and sound.
+    SOURCE is serial:PORT, an accelerometer at a serial port, or the name of a generated texture. It may be audio:CARD,
+    the sound of a microphone or of a card's monitor. With --unit, that is a sensor at the card.
+
+    SOURCE - is standard input: a WAV, AU or CAF file, or raw samples. Raw samples are 32-bit floats, little-endian,
+    with interleaved channels.
+
+    Where a source pauses, silence is played. Ctrl-C ends a sensor and sound.
 
     A rate counts packets and their frames. If the link becomes slower, the stream lowers its rate.
 

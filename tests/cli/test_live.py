@@ -134,7 +134,7 @@ def test_a_file_with_a_header_is_streamed_as_it_says(data: bytes, channels: int)
     assert (streamed["channels"], streamed["stream_rate_hz"]) == (channels, 2000)
     assert streamed["seconds"] == pytest.approx(0.4, abs=0.02)
     assert streamed["live"]["pauses"] == 0
-    assert (streamed["decoded_equals_offline"], streamed["snr_db"] is None) == (True, True)
+    assert (streamed["decoded_equals_offline"], streamed["quality"]["snr_db"] is None) == (True, True)
 
 
 def test_samples_behind_a_header_have_their_values(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -171,7 +171,7 @@ def test_a_serial_sensor_is_streamed_and_the_lines_are_shown() -> None:
     assert "understood as text: time in us; x, y, z in g; 1000 Hz\n" in result.stderr
     streamed = json.loads(result.stdout)
     assert (streamed["channels"], streamed["stream_rate_hz"], streamed["seconds"]) == (3, 1000, 1.0)
-    assert streamed["snr_db"] > 10
+    assert streamed["quality"]["snr_db"] > 10
 
 
 class Microphone:
@@ -221,7 +221,7 @@ def test_a_sensor_on_a_card_is_streamed_in_its_unit() -> None:
     given = ("audio:Microphone:2", "--unit", "m/s^2", "--full-scale", 80, "--seconds", 0.5, *PATIENT)
     streamed = answer("live", *given)
     assert (streamed["channels"], streamed["seconds"]) == (1, 0.5)
-    assert streamed["snr_db"] > 10
+    assert streamed["quality"]["snr_db"] > 10
     assert "needs the physical unit" in fails("audio:Microphone", "--full-scale", 80)
     assert "--channels is for raw samples" in fails("audio:Microphone", "--channels", 1)
 

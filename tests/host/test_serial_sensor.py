@@ -241,6 +241,46 @@ def test_a_sensor_that_begins_to_send_rubbish_ends_the_recording() -> None:
     heard(opened(text(list(range(0, 2_000_000, 1000))) + rubbish), "lines in a row that hold no sample")
 
 
+@pytest.mark.parametrize("kind", ["text", "binary"])
+def test_a_lost_port_is_opened_again_for_a_live_stream(
+    kind: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("time.sleep", lambda seconds: None)
+    counts = np.repeat(np.arange(640)[:, None], 3, axis=1)
+    sent = description(FACTS) + frames(counts) if kind == "binary" else text(list(range(1000, 2_000_000, 1000)))
+    port = Port(sent, size=500)
+    reopened = 0
+
+    def reopen() -> None:
+        nonlocal reopened
+        reopened += 1
+        port.now_s += 0.3
+        if reopened < 3:
+            raise TransportError("cannot open")
+        port.pieces = [sent[start : start + 500] for start in range(7, len(sent), 500)] if reopened == 3 else []
+
+    port.reopen = reopen  # type: ignore[method-assign]
+    sensor = SerialSensor("PORT", open_port=lambda name, baud: port, clock=lambda: port.now_s, reconnect_s=2.0)
+    samples = []
+    while reopened < 3:
+        samples.append(sensor.read(0.01))
+        port.now_s += 0.01
+    before = sum(map(len, samples))
+    while port.pieces:
+        samples.append(sensor.read(0.01))
+    assert sum(map(len, samples)) - before > 0.8 * before
+    assert sensor.losses.gaps == 0
+    told = [record.getMessage() for record in caplog.records]
+    assert told[0].startswith("serial:PORT was lost after ")
+    assert told[0].endswith(" s; trying to open it again for 2 s")
+    assert told[1] == "serial:PORT is back"
+    reopened = -100  # it stays away
+    with pytest.raises(TransportError, match=r"serial:PORT was lost after .* s: cannot open"):
+        while True:
+            sensor.read(0.01)
+            port.now_s += 0.1
+
+
 def test_some_axes_may_be_chosen_and_are_put_in_order() -> None:
     times_us = list(range(0, 2_000_000, 1000))
     values = b"".join(line(time_us, np.array([3.0, 2.0, 1.0])) for time_us in times_us)

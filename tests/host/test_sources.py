@@ -87,9 +87,15 @@ def opened(*arguments: Any, **options: Any) -> Iterator[tuple[Any, Any]]:
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (("serial:P", None, None, None), (("serial:P", None, None), {"rate_hz": None})),
-        (("serial:P", "g", 0.5, 800), (("serial:P", (4.903325, "m/s^2", False), None), {"rate_hz": 800})),
-        (("audio:C", "m/s^2", 80, None), (("audio:C", (80.0, "m/s^2", True), 1.0), {"rate_hz": RATE_HZ})),
+        (("serial:P", None, None, None), (("serial:P", None, None), {"rate_hz": None, "reconnect_s": 10.0})),
+        (
+            ("serial:P", "g", 0.5, 800),
+            (("serial:P", (4.903325, "m/s^2", False), None), {"rate_hz": 800, "reconnect_s": 10.0}),
+        ),
+        (
+            ("audio:C", "m/s^2", 80, None),
+            (("audio:C", (80.0, "m/s^2", True), 1.0), {"rate_hz": RATE_HZ, "reconnect_s": 10.0}),
+        ),
         (("audio:C:1,2", None, None, None), (("audio:C:1,2", RATE_HZ), {})),
         (("audio:C", "drive", None, 8000), (("audio:C", 8000), {})),
     ],
