@@ -20,12 +20,15 @@ from tests import command
 from tests.command import answer, run, succeeds
 from tests.conftest import session
 from tests.harness.test_record_command import lines, needs_terminals, sensor
+from tests.sound_server import PAD, SoundServer
 from vibrocast import textures
 from vibrocast.errors import LIMIT_MISSED
 from vibrocast.host import live_playback
 from vibrocast.host.controller import Controller as Session
 from vibrocast.host.report import Minute
 from vibrocast.host.standard_input import StandardInput
+from vibrocast.output.actuator import Codes
+from vibrocast.output.sound_card import Playback, find
 from vibrocast.simulated_device.controller import Controller
 from vibrocast.simulated_device.device import Device
 from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire
@@ -214,6 +217,23 @@ def test_sound_is_streamed_as_a_drive_signal_until_ctrl_c() -> None:
     assert result.exit_code == 0, result.output
     assert "Microphone: sound from 40 to 800 Hz, compressed 4:1, 1 channel(s)\n" in result.stderr
     assert re.search(r"^played +audio:Microphone, 0\.70 s, 1 channel\(s\), live$", result.stdout, re.M)
+
+
+def test_what_a_computer_plays_is_streamed_from_the_monitor_of_its_card(pulseaudio: SoundServer) -> None:
+    at = 0
+
+    def fill(frames: int) -> Codes:
+        nonlocal at
+        numbers = np.arange(at, at + frames)
+        at += frames
+        tone: Codes = np.rint(3276 * np.sin(2 * np.pi * 200 * numbers / 48_000)).astype(np.int16)[:, None]
+        return tone
+
+    with Playback(find(PAD), [1], fill) as playback:
+        playback.wait_for_begin()
+        streamed = answer("live", f"audio:Monitor of {PAD}", "--seconds", 1, *PATIENT)
+    assert (streamed["channels"], streamed["stream_rate_hz"], streamed["seconds"]) == (1, 2800, 1.0)
+    assert streamed["quality"]["snr_db"] > 10
 
 
 @pytest.mark.usefixtures("microphone")
