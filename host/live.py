@@ -349,7 +349,7 @@ class LiveStream:
     def send(self, samples: Signal) -> None:
         """Code and send samples (n, channels), receive; start again if the clocks are out of step.
 
-        None: the source has none now. Just before the controller would have nothing to play, silence is sent.
+        No samples: the source has none now. Just before the controller would have nothing to play, silence is sent.
         """
         if len(samples):
             self._last_samples, self._heard_s = samples[-1], self.controller.clock()
