@@ -43,6 +43,11 @@ def test_a_texture_becomes_a_clip(suffix: str, tmp_path: Path) -> None:
     assert re.fullmatch(r"  frequency limited to \d+ to \d+ Hz: \d+\.\d % of the energy", told[2])
 
 
+def test_the_log_names_what_a_clip_leaves_open(tmp_path: Path) -> None:
+    succeeds("--log", tmp_path / "log", "encode", KNOCK, tmp_path / "knock.vct")
+    assert f"{KNOCK}: {'; '.join(textures.load(KNOCK).notes)}" in (tmp_path / "log").read_text()
+
+
 def test_a_clip_is_not_written_over(tmp_path: Path) -> None:
     clip = tmp_path / "clip.ahap"
     clip.write_bytes(KNOCK.read_bytes())

@@ -369,6 +369,14 @@ def test_each_band_of_hjif_is_limited_by_itself(loaded: Callable[..., Recording]
     np.testing.assert_allclose(loaded(".hjif", document).samples[:, 0], [1.0] * 40 + [0.5] * 40, atol=1e-9)
 
 
+def test_notes_name_what_is_odd_in_a_haptic_clip(loaded: Callable[..., Recording]) -> None:
+    content = haptic([point(0, 0.5, 0.4, 0), point(1, 0)], [])
+    content["version"]["minor"] = 3
+    odd = ("an emphasis is weaker than the vibration at its time", "version 1.3 is read as 1.0")
+    assert loaded(".haptic", content).notes[-2:] == odd
+    assert len(loaded(".haptic", haptic([point(0, 0.5, 0.5, 0), point(1, 0)], [])).notes) == 3
+
+
 def test_an_emphasis_ends_where_the_next_one_begins(loaded: Callable[..., Recording]) -> None:
     points = [point(0, 0), point(0.1, 0, 1, 0), point(0.105, 0, 0.5, 1), point(0.11, 0)]
     samples = loaded(".haptic", haptic(points, [])).samples[:, 0]

@@ -1,5 +1,6 @@
 """Reads haptic clips, which describe a vibration by events and envelopes, as signals at a stated rate."""
 
+import logging
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -33,9 +34,11 @@ SUFFIXES = tuple(READERS)
 MAX_BYTES = 5_000_000
 """Of a clip; those of programs have some kilobytes."""
 
+_log = logging.getLogger(__name__)
+
 
 def read(path: Path, rate_hz: float | None) -> Contents:
-    """Read a clip as its signal at `rate_hz`, by default RATE_HZ. Raises TextureError, OSError."""
+    """Read a clip as its signal at `rate_hz`, by default RATE_HZ; log its notes. Raises TextureError, OSError."""
     if path.stat().st_size > MAX_BYTES:
         raise unusable(path, f"longer than {MAX_BYTES} bytes, the most in a clip", "cut it into parts")
     suffix = path.suffix.lower()
@@ -45,4 +48,6 @@ def read(path: Path, rate_hz: float | None) -> Contents:
         except TextureError as error:
             error.problem = f"{path}: {error.problem}"
             raise
-        return rendered(clip, rate_hz or RATE_HZ, path)
+        contents = rendered(clip, rate_hz or RATE_HZ, path)
+    _log.info("%s: %s", path, "; ".join(contents.notes))
+    return contents

@@ -99,10 +99,12 @@ def read(data: bytes, device: Device = GENERIC) -> Clip:
         amplitudes = np.interp(times_s, *amplitude) * np.where(ducked, device.ducking, 1.0)
         return wave(times_s, amplitudes, np.interp(np.interp(times_s, *frequency), (0, 1), device.frequency_hz))
 
+    weak = any(each.emphasis and each.emphasis.amplitude < each.amplitude for each in envelopes.amplitude)
     notes = (
         f"as on a {device.name}: frequency 0 to 1 = {_range(device.frequency_hz, 1)} Hz",
         f"an emphasis of frequency 0 to 1 = {_range(device.emphasis_hz, 1)} Hz, sine to square wave, for "
         f"{_range(device.emphasis_s, 1000)} ms; the rest is multiplied by {device.ducking:g} meanwhile",
+        *(("an emphasis is weaker than the vibration at its time",) if weak else ()),
         *((f"version 1.{version.minor} is read as 1.0",) if version.minor else ()),
     )
     return Clip([Channel([[Part(0.0, end_s, values), *emphases]])], notes)
