@@ -29,6 +29,7 @@ NESTED = (
     messages.ImageDescription,
     messages.CodingDescription,
     messages.QueuedStream,
+    messages.OutputFaults,
 )
 _STRUCTS = {
     messages.Status: "vc_status_report",

@@ -525,6 +525,17 @@ class QueuedStream:
 
 
 @dataclass
+class OutputFaults:
+    """Faults of the chip behind the controller since Configure.
+
+    `refused`: values that it did not take. `restarts`: how often it was set up again.
+    """
+
+    refused: U32
+    restarts: U32
+
+
+@dataclass
 class Status(Message):
     """State, position, credit and counts: the answer to most requests, and the notification that grants credit.
 
@@ -533,7 +544,7 @@ class Status(Message):
     controller started, the fields after it since Configure. `output_gaps`: how often the DAC had no sample while it was
     away from rest; `late_samples`: for how many of its samples. `signed_images`: model images need a signature.
     `coding`: in the answers to Configure and Queue alone, since version 2.1. `queued`: while a stream is set up behind
-    the one under way, since version 2.2.
+    the one under way, since version 2.2. `output_faults`: once there are any, since version 2.2.
     """
 
     TYPE = 0x81
@@ -556,6 +567,17 @@ class Status(Message):
     signed_images: FLAG = False
     coding: Annotated[CodingDescription | None, Tag(0x01, "coding, in the answers to Configure and Queue")] = None
     queued: Annotated[QueuedStream | None, Tag(0x02, "queued, while a stream waits behind the one under way")] = None
+    output_faults: Annotated[OutputFaults | None, Tag(0x03, "output faults, once there are any")] = None
+
+    @property
+    def output_refused(self) -> int:
+        """How many values the output did not take since Configure."""
+        return 0 if self.output_faults is None else self.output_faults.refused
+
+    @property
+    def output_restarts(self) -> int:
+        """How often the output was set up again since Configure."""
+        return 0 if self.output_faults is None else self.output_faults.restarts
 
 
 COUNTERS = (
@@ -568,6 +590,8 @@ COUNTERS = (
     "power_limited",
     "output_gaps",
     "late_samples",
+    "output_refused",
+    "output_restarts",
 )
 """Fields of Status that count what went wrong."""
 

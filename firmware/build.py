@@ -48,8 +48,8 @@ WASM_FLAGS = (
 )
 M4F, M7, M33 = "cortex_m4+vfp4d16sp", "cortex_m7+fp_armv8d16", "cortex_m33+fp_armv8d16sp+dsp"
 """The compiler's names of processors with an FPU and DSP instructions."""
-M0_PLUS = "cortex_m0plus"
-"""And of one with neither."""
+M0_PLUS, M3 = "cortex_m0plus", "cortex_m3"
+"""And of two with neither."""
 _IN_RAM = (".stack", ".core", ".data", ".bss")
 _LIBRARY_SUFFIX = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
 
@@ -91,7 +91,7 @@ class Target:
 
 def cortex_m_flags(processor: str) -> tuple[str, ...]:
     """Return the compiler's flags for a Cortex-M."""
-    general = [flag.removesuffix("hf") if processor == M0_PLUS else flag for flag in CORTEX_M_FLAGS]
+    general = [flag.removesuffix("hf") if processor in (M0_PLUS, M3) else flag for flag in CORTEX_M_FLAGS]
     return (*general, f"-mcpu={processor}")
 
 
@@ -158,7 +158,7 @@ SMALL_BOARD: Mapping[str, int] = {
     "VC_PROFILE_SAMPLES": 0,
     "VC_CAPTURE_SAMPLES": 0,
     "VC_MAX_PAYLOAD_BYTES": 640,
-    "VC_OUTGOING_BYTES": 2 * 640,
+    "VC_OUTGOING_BYTES": 2 * 632,
     "VC_RATE_RATIO": 1,
 }
 """Sizes for a board with 32 KiB of RAM: one channel, buffered for 0.3 s at 2800 Hz, in packets of at most 128

@@ -75,7 +75,10 @@ def test_a_controller_with_a_key_takes_only_what_its_verifier_calls_signed(
 def test_a_controller_with_a_key_and_no_verifier_does_not_start() -> None:
     key = ffi.new("uint8_t[]", KEY)
     memory = ffi.new("int64_t[]", native.vc_controller_size() // 8)
-    settings = ffi.new("vc_controller_settings *", {"public_key": key})
+    name = ffi.new("char[]", b"a")
+    actuator = ffi.new("vc_actuator *", {"dac_rate_hz": 3000, "dac_bits": 16})
+    named = {"build": name, "hardware": name, "actuator": actuator, "watchdog_ms": 2000}
+    settings = ffi.new("vc_controller_settings *", {**named, "public_key": key})
     controller = ffi.cast("vc_controller *", memory)
     status = native.vc_controller_init(controller, settings, ffi.NULL, ffi.NULL, 0)
     assert status == native.VC_NO_VERIFIER

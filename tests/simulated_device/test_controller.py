@@ -203,6 +203,18 @@ def test_power_limit_holds_across_streams_and_restarts(played_ms: int) -> None:
     assert 0.01 < highest <= PIEZO_STACK.power_limit
 
 
+def test_an_output_that_fails_ramps_to_rest_and_says_so() -> None:
+    bench = Bench()
+    bench.start_all(stream(2.0))
+    bench.run(500)
+    bench.controller.output_has_failed = True
+    bench.run(500)
+    assert bench.status().state == State.FAULT
+    codes = bench.all_codes()
+    assert len(codes) <= 1500 + FADE_CODES + 3
+    assert codes[1400].any() and not codes[-1].any()
+
+
 @pytest.mark.parametrize(("step_us", "least_codes"), [(1000, 900), (3600 * 1_000_000, 0)])
 def test_silent_host_stops_the_output_within_the_watchdog_however_time_passes(step_us: int, least_codes: int) -> None:
     bench = Bench(Settings(watchdog_ms=300))

@@ -36,8 +36,8 @@ size_t vc_controller_profile_size(void);
  * `controller`, vc_controller_size() bytes, and `settings`, `flash` and `dac`. All must stay valid and in place.
  * `flash`: NULL: no slots for model images. `now_us`: the controller's clock in microseconds, from any start. A time
  * before the last one counts as that one.
- * Returns VC_OK. Returns VC_NO_VERIFIER, and has done nothing, if the settings have a public key and no verifier: then
- * call no other function with this controller. */
+ * Returns VC_OK. Returns VC_BAD_SETTINGS if a setting is none that settings.h allows, and VC_NO_VERIFIER if they have a
+ * public key and no verifier. Then it has done nothing: call no other function with this controller. */
 int vc_controller_init(vc_controller *controller, const vc_controller_settings *settings, const vc_flash *flash,
                        const vc_dac_port *dac, uint64_t now_us);
 

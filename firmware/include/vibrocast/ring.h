@@ -13,6 +13,14 @@
 extern "C" {
 #endif
 
+/* An interrupt may run while the flash that holds all other code cannot be read. So these two are a part of it, however
+ * a compiler optimises. */
+#if defined(__GNUC__)
+#define VC_RING_INLINE static inline __attribute__((always_inline))
+#else
+#define VC_RING_INLINE static inline
+#endif
+
 /* `bytes` and its `capacity`, a power of two up to 2^31, belong to the port. It begins with both counts at 0. They run
  * on for ever; only one side writes each. */
 typedef struct {
@@ -22,7 +30,7 @@ typedef struct {
 } vc_ring;
 
 /* Puts in a byte. Returns 0, and drops the byte, if the ring is full. */
-static inline int vc_ring_put(vc_ring *ring, uint8_t byte)
+VC_RING_INLINE int vc_ring_put(vc_ring *ring, uint8_t byte)
 {
     uint32_t put = ring->put;
     if (put - ring->taken == ring->capacity)
@@ -34,7 +42,7 @@ static inline int vc_ring_put(vc_ring *ring, uint8_t byte)
 }
 
 /* Takes out a byte. Returns 0 if the ring is empty. */
-static inline int vc_ring_take(vc_ring *ring, uint8_t *byte)
+VC_RING_INLINE int vc_ring_take(vc_ring *ring, uint8_t *byte)
 {
     uint32_t taken = ring->taken;
     if (taken == ring->put)

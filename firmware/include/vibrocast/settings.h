@@ -11,6 +11,10 @@
 
 #define VC_KEY_BYTES 32
 #define VC_SIGNED_MESSAGE_BYTES 36
+#define VC_TEXT_BYTES 63
+#define VC_SERIAL_NUMBER_BYTES 31
+#define VC_LEAST_WATCHDOG_MS 50
+#define VC_LEAST_RECORD_BYTES 92
 
 #ifdef __cplusplus
 extern "C" {
@@ -81,10 +85,11 @@ typedef struct {
     const char *serial_number; /* of this board, at most 31 bytes; NULL: it has none */
 } vc_controller_settings;
 
-/* Gaps of the output since the port was started: how often the DAC had no sample while it was away from rest, and for
- * how many of its samples. */
+/* Counts of the output since the port was started. `gaps`: how often the DAC had no sample while it was away from rest;
+ * `late_samples`: for how many of its samples. Of an output by a chip behind a bus, `refused`: values that it did not
+ * take; `restarts`: how often the port set it up again. */
 typedef struct {
-    uint32_t gaps, late_samples;
+    uint32_t gaps, late_samples, refused, restarts;
 } vc_output_counts;
 
 /* The way to the DAC. It plays a sample every 1 / dac_rate_hz seconds. Without codes it holds the last one, which is
@@ -96,11 +101,15 @@ typedef struct {
  * never runs out of codes while the next ones are being decoded.
  * `drop` throws away the codes that wait to be played, at a Stop: those that follow begin at another level, to which
  * the port fades from that of its output. NULL: none ever wait.
- * `count` fills in the counts. NULL: they stay 0. */
+ * `count` fills in the counts, which begin at 0. NULL: they stay 0.
+ * `has_failed` returns 1 while the output cannot play: an amplifier reports a fault, is too hot or lacks power. Then a
+ * stream under way ends in the state FAULT, by the same ramp to rest as at a Stop. It is called at each
+ * vc_controller_advance while a stream plays. NULL: it never fails. */
 typedef struct {
     void (*play)(void *context, const int16_t *codes, uint32_t samples, unsigned channels, uint64_t due_us);
     void (*drop)(void *context);
     void (*count)(void *context, vc_output_counts *counts);
+    int (*has_failed)(void *context);
     void *context;
 } vc_dac_port;
 /* cffi: end */

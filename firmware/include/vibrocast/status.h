@@ -19,7 +19,8 @@ enum vc_status {
     VC_TOO_SMALL = -9,         /* memory of the caller is too small */
     VC_BAD_CHECKSUM = -10,     /* a packet is damaged, or one before it is missing */
     VC_CUT = -11,              /* the file is cut short, or has surplus packets */
-    VC_NO_VERIFIER = -12       /* a controller with a public key cannot verify signatures */
+    VC_NO_VERIFIER = -12,      /* a controller with a public key cannot verify signatures */
+    VC_BAD_SETTINGS = -13      /* settings that no controller can have */
 };
 /* cffi: end */
 

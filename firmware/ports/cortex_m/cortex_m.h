@@ -25,6 +25,9 @@ int memcmp(const void *one, const void *other, size_t length);
 /* Code that runs while flash, which holds all other code, is being erased. */
 #define VC_IN_RAM __attribute__((section(".ramfunc"), noinline))
 
+/* A function of such code alone: whatever the optimisation, no compiler leaves it in flash. */
+#define VC_INSIDE_RAM static inline __attribute__((always_inline))
+
 /* Memory for the rings between interrupts and the loop and for height profiles. It is not cleared at a start. */
 #define VC_CORE_MEMORY __attribute__((section(".core")))
 
@@ -53,10 +56,13 @@ void Reset_Handler(void);
 
 int main(void);
 
-/* Enables an interrupt line of the NVIC (B3.4.4) at a priority, 0 = most urgent to 15. */
+/* Enables an interrupt line of the NVIC (B3.4.4) at a priority, 0 = most urgent to 15. An M0 or M0+ takes whole words
+ * alone (Armv6-M manual, DDI 0419, B3.4.7), and of a priority its two highest bits. */
 static inline void vc_enable_interrupt(unsigned line, unsigned priority)
 {
-    ((volatile uint8_t *)0xE000E400)[line] = (uint8_t)(priority << 4);
+    const unsigned shift = line % 4 * 8;
+    volatile uint32_t *const word = &VC_REGISTER(0xE000E400 + line / 4 * 4);
+    *word = (*word & ~(0xFFu << shift)) | (uint32_t)priority << (shift + 4);
     VC_REGISTER(0xE000E100 + line / 32 * 4) = 1u << line % 32;
 }
 

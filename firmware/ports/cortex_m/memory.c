@@ -1,8 +1,17 @@
 /* The three functions of libc that compilers and the core call. */
 #include "cortex_m.h"
 
+/* A compiler must not turn these loops into calls of the functions that they are. */
+#if defined(__clang__)
+#define LOOPS_STAY __attribute__((no_builtin))
+#elif defined(__GNUC__)
+#define LOOPS_STAY __attribute__((optimize("no-tree-loop-distribute-patterns")))
+#else
+#define LOOPS_STAY
+#endif
+
 /* Copies words if both ends are aligned to words, or can be after the same few bytes. */
-void *memcpy(void *destination, const void *source, size_t length)
+LOOPS_STAY void *memcpy(void *destination, const void *source, size_t length)
 {
     uint8_t *to = destination;
     const uint8_t *from = source;
@@ -17,7 +26,7 @@ void *memcpy(void *destination, const void *source, size_t length)
     return destination;
 }
 
-void *memset(void *destination, int value, size_t length)
+LOOPS_STAY void *memset(void *destination, int value, size_t length)
 {
     uint8_t *to = destination;
     uint32_t word = (uint8_t)value * 0x01010101u;
@@ -30,7 +39,7 @@ void *memset(void *destination, int value, size_t length)
     return destination;
 }
 
-int memcmp(const void *one, const void *other, size_t length)
+LOOPS_STAY int memcmp(const void *one, const void *other, size_t length)
 {
     const uint8_t *a = one, *b = other;
     for (; length > 0; length--, a++, b++)

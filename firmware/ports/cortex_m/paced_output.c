@@ -7,21 +7,21 @@
 #define LEAST_LAG_MS 4
 #define CAPACITY 4096u /* samples; a power of two */
 #define SPARE 64u      /* samples beyond the lag: the ramp to rest comes at once, in one piece */
-#define FADE_MS 50     /* to rest, and back, where samples are missing or dropped */
+#define FADE_MS 20     /* to rest, and back, where samples are missing or dropped: a Stop is at rest in 30 ms */
 #define ONE 32768      /* of the parts of a fade: the difference of two samples of 16 bits, times this, fits */
 
 /* Written by the loop. */
 static int16_t ring[CAPACITY][CHANNELS] VC_CORE_MEMORY;
 static volatile uint32_t put;
 static uint32_t rate_hz, least_lag_samples, lag_samples;
-static unsigned shift;
+static int shift;
 
 /* Written by the interrupt; by the loop as well where the ring is empty, or with interrupts off. */
 static volatile uint32_t taken;
 static volatile uint32_t waiting; /* samples to wait before the next is taken */
 static volatile int broken;       /* the next sample does not follow the last output */
 static volatile int missing;      /* the stream goes on, but the ring is empty */
-static vc_output_counts counts;
+vc_output_counts vc_paced_counts;
 
 /* Of the interrupt. */
 static int playing;                                   /* the last sample came from the ring */
@@ -34,7 +34,7 @@ static uint32_t samples_in(uint64_t us)
     return (uint32_t)(us * rate_hz / 1000000);
 }
 
-void vc_paced_start(uint32_t sample_rate_hz, unsigned bits_less)
+void vc_paced_start(uint32_t sample_rate_hz, int bits_less)
 {
     shift = bits_less;
     rate_hz = sample_rate_hz;
@@ -59,9 +59,9 @@ VC_IN_RAM const int32_t *vc_paced_next(void)
     }
     if (stopping && away && !missing) {
         missing = 1;
-        counts.gaps++;
+        vc_paced_counts.gaps++;
     }
-    counts.late_samples += missing && !taking;
+    vc_paced_counts.late_samples += missing && !taking;
     if (taking) {
         for (channel = 0; channel < CHANNELS; channel++)
             target[channel] = ring[next & (CAPACITY - 1)][channel];
@@ -80,11 +80,16 @@ VC_IN_RAM const int32_t *vc_paced_next(void)
     return level;
 }
 
+static int16_t as_output(int16_t code)
+{
+    return (int16_t)(shift >= 0 ? code >> shift : code * (1 << -shift));
+}
+
 static void put_sample(const int16_t *codes, unsigned channels)
 {
     unsigned channel;
     for (channel = 0; channel < CHANNELS; channel++)
-        ring[put & (CAPACITY - 1)][channel] = channel < channels ? (int16_t)(codes[channel] >> shift) : 0;
+        ring[put & (CAPACITY - 1)][channel] = channel < channels ? as_output(codes[channel]) : 0;
     __asm volatile("" ::: "memory"); /* the sample is stored before the count says so */
     put++;
 }
@@ -146,11 +151,11 @@ static void count(void *context, vc_output_counts *filled)
 {
     (void)context;
     __asm volatile("cpsid i" ::: "memory");
-    *filled = counts;
+    *filled = vc_paced_counts;
     __asm volatile("cpsie i" ::: "memory");
 }
 
-const vc_dac_port vc_paced_dac = {play, drop, count, NULL};
+const vc_dac_port vc_paced_dac = {.play = play, .drop = drop, .count = count};
 
 const int32_t *vc_paced_rest(void)
 {

@@ -12,15 +12,18 @@
 
 #define VC_PACED_CHANNELS 2
 
-/* Prepares the output at rest, before the sample clock runs. `rate_hz`: of this clock. `shift`: bits that the output
- * has less than the codes of vc_paced_dac. */
-void vc_paced_start(uint32_t rate_hz, unsigned shift);
+/* Prepares the output at rest, before the sample clock runs. `rate_hz`: of this clock. `bits_less`: bits
+ * that the output has less than the codes of vc_paced_dac; below 0, more. */
+void vc_paced_start(uint32_t rate_hz, int bits_less);
 
 /* Returns the next sample of each channel; 0 = rest. The interrupt of the sample clock calls it, at each sample. */
 const int32_t *vc_paced_next(void);
 
 /* For a fault: switches interrupts off and returns the samples one step nearer to rest. */
 const int32_t *vc_paced_rest(void);
+
+/* Written in the interrupt of the sample clock alone. A port adds the faults of its chip. */
+extern vc_output_counts vc_paced_counts;
 
 extern const vc_dac_port vc_paced_dac;
 

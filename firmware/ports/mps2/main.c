@@ -30,7 +30,7 @@ int main(void)
     static const vc_dac_port dac = {.play = play};
     vc_board_start();
     if (vc_loop_start(&settings, &vc_board_flash, &dac) != VC_OK)
-        return 1; /* a public key and no verifier: the board does nothing */
+        return 1; /* settings that cannot be, or a key without a verifier: the board does nothing */
     for (;;)
         if (!vc_loop_turn())
             vc_board_wait();

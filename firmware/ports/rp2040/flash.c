@@ -17,7 +17,10 @@ typedef void *(*rom_lookup)(const uint16_t *table, uint32_t code);
 /* 2.8.3: the addresses of the ROM's table of functions and of the function that searches it are at 0x14 and 0x18. */
 static uintptr_t rom_function(uint32_t code)
 {
-    const volatile uint16_t *known = (const volatile uint16_t *)0x14u;
+    uintptr_t table = 0x14u;
+    const volatile uint16_t *known;
+    __asm("" : "+r"(table)); /* else GCC takes an address near 0 for a mistake */
+    known = (const volatile uint16_t *)table;
     const rom_lookup look_up = (rom_lookup)(uintptr_t)known[2];
     return (uintptr_t)look_up((const uint16_t *)(uintptr_t)known[0], code);
 }

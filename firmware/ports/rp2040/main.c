@@ -54,7 +54,7 @@ int main(void)
     vc_output_start();
     vc_uart_start();
     if (vc_loop_start(&settings, &vc_board_flash, &vc_paced_dac) != VC_OK)
-        return 1; /* a public key and no verifier: the board does nothing */
+        return 1; /* settings that cannot be, or a key without a verifier: the board does nothing */
     for (;;) {
         vc_watchdog_feed();
         if (!vc_loop_turn())

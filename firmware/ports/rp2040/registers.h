@@ -90,6 +90,7 @@ enum {
 #define VC_I2C_FS_HCNT VC_REGISTER(VC_I2C0 + 0x1C)
 #define VC_I2C_FS_LCNT VC_REGISTER(VC_I2C0 + 0x20)
 #define VC_I2C_INTR_MASK VC_REGISTER(VC_I2C0 + 0x30)
+#define VC_I2C_RAW_INTR_STAT VC_REGISTER(VC_I2C0 + 0x34)
 #define VC_I2C_CLR_TX_ABRT VC_REGISTER(VC_I2C0 + 0x54)
 #define VC_I2C_ENABLE VC_REGISTER(VC_I2C0 + 0x6C)
 #define VC_I2C_TXFLR VC_REGISTER(VC_I2C0 + 0x74) /* entries that wait to be sent */
@@ -97,12 +98,14 @@ enum {
 #define VC_I2C_FS_SPKLEN VC_REGISTER(VC_I2C0 + 0xA0)
 enum {
     VC_I2C_MASTER_FAST = 0x65, /* of CON: master, fast mode, restart, no slave; an empty FIFO does not stop */
-    VC_I2C_STOP = 1 << 9       /* of DATA_CMD */
+    VC_I2C_STOP = 1 << 9,      /* of DATA_CMD */
+    VC_I2C_TX_ABRT = 1 << 6    /* of RAW_INTR_STAT: an address or a byte was not acknowledged */
 };
 
 /* PWM, 4.5.3 */
 #define VC_PWM 0x40050000u
 #define VC_PWM_CSR(slice) VC_REGISTER(VC_PWM + 0x14 * (slice) + 0x00)
+#define VC_PWM_DIV(slice) VC_REGISTER(VC_PWM + 0x14 * (slice) + 0x04)
 #define VC_PWM_CTR(slice) VC_REGISTER(VC_PWM + 0x14 * (slice) + 0x08)
 #define VC_PWM_CC(slice) VC_REGISTER(VC_PWM + 0x14 * (slice) + 0x0C)
 #define VC_PWM_TOP(slice) VC_REGISTER(VC_PWM + 0x14 * (slice) + 0x10)

@@ -16,7 +16,7 @@ static const uint32_t sector_start[SECTORS + 1] = {0x00000, 0x04000, 0x08000, 0x
                                                    0x60000, 0x80000, 0xA0000, 0xC0000, 0xE0000, 0x100000};
 
 /* Waits until the flash is ready; returns 0 if it reports no error. */
-static inline int finish(void)
+VC_INSIDE_RAM int finish(void)
 {
     uint32_t turns = 0;
     __asm volatile("dsb" ::: "memory"); /* all writes to flash have arrived */

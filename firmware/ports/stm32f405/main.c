@@ -55,7 +55,7 @@ int main(void)
     vc_dac_output_start(ACTUATOR.dac_rate_hz, ACTUATOR.dac_bits);
     vc_uart_start();
     if (vc_loop_start(&settings, &vc_board_flash, &vc_paced_dac) != VC_OK)
-        return 1; /* a public key and no verifier: the board does nothing */
+        return 1; /* settings that cannot be, or a key without a verifier: the board does nothing */
     for (;;) {
         vc_watchdog_feed();
         if (!vc_loop_turn())

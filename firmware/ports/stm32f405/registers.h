@@ -86,6 +86,7 @@ enum {
 #define VC_TIM6_CR1 VC_REGISTER(VC_TIM6 + 0x00)  /* 20.4.1 */
 #define VC_TIM6_DIER VC_REGISTER(VC_TIM6 + 0x0C) /* 20.4.3 */
 #define VC_TIM6_SR VC_REGISTER(VC_TIM6 + 0x10)   /* 20.4.4 */
+#define VC_TIM6_PSC VC_REGISTER(VC_TIM6 + 0x28)  /* 20.4.7 */
 #define VC_TIM6_ARR VC_REGISTER(VC_TIM6 + 0x2C)  /* 20.4.8 */
 
 /* Digital-to-analogue converter, 14.5 */

@@ -26,7 +26,7 @@ void vc_uart_start(void)
 }
 
 /* Sends as much as the port takes at once, and leaves the rest to the interrupt. */
-static inline void send_waiting(void)
+VC_INSIDE_RAM void send_waiting(void)
 {
     uint8_t byte;
     while (VC_USART_SR & VC_USART_TXE) {

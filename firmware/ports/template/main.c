@@ -116,7 +116,7 @@ int main(void)
     };
     board_start();
     if (vc_loop_start(&settings, &flash, &dac) != VC_OK)
-        return 1; /* a public key and no verifier: the board does nothing */
+        return 1; /* settings that cannot be, or a key without a verifier: the board does nothing */
     /* The loop never sleeps. Where an interrupt comes every millisecond at least, such as that of
      * ports/cortex_m/systick.h, the board may save power: call vc_wait_for_interrupt() if vc_loop_turn() returns 0. */
     for (;;) {

@@ -550,9 +550,33 @@ static void handle(vc_controller *controller, vc_piece payload)
 
 /* ---- time ---- */
 
+static int fits(const char *text, size_t most_bytes)
+{
+    size_t length = 0;
+    while (length <= most_bytes && text[length] != 0)
+        length++;
+    return length <= most_bytes;
+}
+
+/* Whether the settings and the flash are as settings.h says, as far as that can be seen. */
+static int are_usable(const vc_controller_settings *settings, const vc_flash *flash)
+{
+    const vc_actuator *actuator = settings->actuator;
+    return settings->build != NULL && settings->hardware != NULL && fits(settings->build, VC_TEXT_BYTES) &&
+           fits(settings->hardware, VC_TEXT_BYTES) &&
+           (settings->serial_number == NULL || fits(settings->serial_number, VC_SERIAL_NUMBER_BYTES)) &&
+           settings->watchdog_ms >= VC_LEAST_WATCHDOG_MS && actuator != NULL && actuator->dac_rate_hz > 0 &&
+           actuator->dac_bits >= 2 && actuator->dac_bits <= 16 &&
+           (flash == NULL || (flash->base != NULL && flash->erase != NULL && flash->program != NULL &&
+                              flash->record_bytes >= VC_LEAST_RECORD_BYTES && flash->record[0] != flash->record[1] &&
+                              flash->slot_bytes > 0 && flash->slot[0] != flash->slot[1]));
+}
+
 int vc_controller_init(vc_controller *controller, const vc_controller_settings *settings, const vc_flash *flash,
                        const vc_dac_port *dac, uint64_t now_us)
 {
+    if (!are_usable(settings, flash))
+        return VC_BAD_SETTINGS;
     if (settings->public_key != NULL && settings->verify_signature == NULL)
         return VC_NO_VERIFIER;
     controller->settings = settings;
@@ -589,6 +613,9 @@ int vc_controller_advance(vc_controller *controller, uint64_t now_us)
         if (is_active(playback->state))
             vc_playback_stop(playback, VC_STATE_WATCHDOG);
     }
+    if (is_active(playback->state) && playback->dac_port->has_failed != NULL &&
+        playback->dac_port->has_failed(playback->dac_port->context))
+        vc_playback_stop(playback, VC_STATE_FAULT);
     behind = vc_playback_advance(playback, controller->time_us);
     notify(controller);
     return behind;

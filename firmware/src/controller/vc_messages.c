@@ -267,6 +267,13 @@ static void write_queued_stream(vc_frame_writer *writer, uint8_t tag, const vc_q
     vc_frame_write_number(writer, value->credit_until, 8);
 }
 
+static void write_output_faults(vc_frame_writer *writer, uint8_t tag, const vc_output_faults *value)
+{
+    write_tag(writer, tag, 4 + 4);
+    vc_frame_write_number(writer, value->refused, 4);
+    vc_frame_write_number(writer, value->restarts, 4);
+}
+
 void vc_write_hello_response(vc_frame_writer *writer, uint16_t sequence, const vc_hello_response *message)
 {
     unsigned i;
@@ -312,6 +319,8 @@ void vc_write_status(vc_frame_writer *writer, uint16_t sequence, const vc_status
         write_coding_description(writer, 1, message->coding);
     if (message->queued != NULL)
         write_queued_stream(writer, 2, message->queued);
+    if (message->output_faults != NULL)
+        write_output_faults(writer, 3, message->output_faults);
 }
 
 void vc_write_capture_data(vc_frame_writer *writer, uint16_t sequence, const vc_capture_data *message)

@@ -180,6 +180,13 @@ typedef struct {
     uint64_t credit_until;
 } vc_queued_stream;
 
+/* Faults of the chip behind the controller since Configure. `refused`: values that it did not take. `restarts`: how
+ * often it was set up again. */
+typedef struct {
+    uint32_t refused;
+    uint32_t restarts;
+} vc_output_faults;
+
 /* The controller's version, limits, actuator, codecs and model images. `public_key`: of Ed25519; model images need its
  * signature. Empty: they need none. `serial_number`: of the board; empty: it has none. */
 typedef struct {
@@ -203,7 +210,7 @@ typedef struct {
  * started, the fields after it since Configure. `output_gaps`: how often the DAC had no sample while it was away from
  * rest; `late_samples`: for how many of its samples. `signed_images`: model images need a signature. `coding`: in the
  * answers to Configure and Queue alone, since version 2.1. `queued`: while a stream is set up behind the one under way,
- * since version 2.2. */
+ * since version 2.2. `output_faults`: once there are any, since version 2.2. */
 typedef struct {
     uint8_t state;
     uint8_t stream;
@@ -223,6 +230,7 @@ typedef struct {
     uint8_t signed_images;
     const vc_coding_description *coding; /* NULL: none */
     const vc_queued_stream *queued; /* NULL: none */
+    const vc_output_faults *output_faults; /* NULL: none */
 } vc_status_report;
 
 /* Captured samples, int16 little-endian, channels interleaved. `offset`: of the first sample, later than requested if

@@ -738,4 +738,7 @@ void vc_playback_report(vc_playback *playback, vc_status_report *status)
     status->power_limited = limited->power_limited;
     status->output_gaps = counts.gaps - playback->counts_before.gaps;
     status->late_samples = counts.late_samples - playback->counts_before.late_samples;
+    playback->faults.refused = counts.refused - playback->counts_before.refused;
+    playback->faults.restarts = counts.restarts - playback->counts_before.restarts;
+    status->output_faults = playback->faults.refused || playback->faults.restarts ? &playback->faults : NULL;
 }

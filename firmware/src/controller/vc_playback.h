@@ -49,6 +49,7 @@ typedef struct {
     /* The stream that follows it, if there is one. Its packets wait behind the last one of the stream under way. */
     int has_next;
     vc_queued_stream queued; /* of the last Status */
+    vc_output_faults faults; /* of the last Status */
     vc_stream_header next_header;
     vc_coding next_coding;
     uint32_t next_packets;

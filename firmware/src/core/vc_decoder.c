@@ -276,6 +276,8 @@ const char *vc_status_text(int status)
         return "this build lacks the codec: compile it with VC_WITH_... or encode with another codec";
     case VC_NO_VERIFIER:
         return "the controller has a public key and nothing that verifies signatures: build it with --verifier";
+    case VC_BAD_SETTINGS:
+        return "the controller's settings are none that settings.h allows: compare them with it";
     case VC_NEEDS_MODEL:
         return "the stream was coded for a model image: give that image";
     case VC_TOO_SMALL:

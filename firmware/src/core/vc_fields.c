@@ -128,7 +128,8 @@ size_t vc_text_cut(vc_piece text, size_t limit)
 vc_piece vc_text_piece(const char *text)
 {
     vc_piece piece = {(const uint8_t *)text, 0};
-    while (text[piece.length] != 0)
+    const volatile char *letter = text; /* else GCC calls strlen, which no port needs to have */
+    while (*letter++ != 0)
         piece.length++;
     return piece;
 }

@@ -305,6 +305,7 @@ void vc_slp_dct(const int32_t *values, uint32_t frame, int32_t *spectrum)
 {
     int64_t folded[VC_SLP_MAX_FRAME], differences[VC_SLP_MAX_FRAME / 2];
     uint32_t n, k, half;
+    folded[0] = 0; /* a compiler cannot know that frame is above 0 */
     for (n = 0; n < frame; n++)
         folded[n] = values[n];
     /* Odd bins take the differences of opposite values. Even bins are a transform, half as long, of their sums. */

@@ -31,10 +31,13 @@ def test_the_board_states_its_unique_number_and_a_haptic_driver_gets_the_upper_b
     expected = play_as_computed(link, host, coded("mdct", channels=1), LRA)
     inputs = np.maximum(expected[:, 0] >> 8, -127)
     changes = inputs[np.flatnonzero(np.diff(inputs, prepend=0))]
-    assert {address for address, _ in device.haptic_writes} == {2}
-    written = np.array([value for _, value in device.haptic_writes], np.uint8).astype(np.int8)
-    np.testing.assert_array_equal(written[: len(changes)], changes)
-    assert len(changes) > 100 and written[-1] == 0
+    values = [value for address, value in device.haptic_writes if address == 2]
+    written = np.array(values, np.uint8).astype(np.int8)
+    written = written[np.flatnonzero(np.diff(written, prepend=0))]
+    # Every 40 ms a value or a register of the set-up is sent again, in place of a sample.
+    assert len(changes) > 100 and 0 <= len(changes) - len(written) < 10
+    assert set(written) <= set(changes) and written[-1] == 0
+    assert len(device.haptic_writes) - len(values) >= 4
 
 
 def test_images_outlive_a_restart_and_a_stream_of_bytes_goes_on_meanwhile() -> None:

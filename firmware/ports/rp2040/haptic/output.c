@@ -12,21 +12,30 @@
 
 const vc_actuator *const vc_output_actuator = &vc_lra;
 
-/* Sends a register of the driver, unless bytes of earlier ones still wait: then the driver does not answer, or holds
- * the bus. If it has not answered, the port throws bytes away until this is cleared (4.3.17). */
-VC_IN_RAM static void write_register(uint8_t address, uint8_t value)
+/* Sends a register of the driver. Refuses where bytes of earlier ones still wait, because the driver holds the bus, and
+ * where it has not acknowledged: the port throws bytes away until that is cleared (4.3.17). */
+VC_IN_RAM static int write_register(uint8_t address, uint8_t value)
 {
-    (void)VC_I2C_CLR_TX_ABRT;
+    if (VC_I2C_RAW_INTR_STAT & VC_I2C_TX_ABRT) {
+        (void)VC_I2C_CLR_TX_ABRT;
+        return 0;
+    }
     if (VC_I2C_TXFLR + 2 > FIFO_ENTRIES)
-        return;
+        return 0;
     VC_I2C_DATA_CMD = address;
     VC_I2C_DATA_CMD = value | VC_I2C_STOP;
+    return 1;
 }
 
 /* For an LRA whose response the controller compensates. The two voltages are those of a driver after power-up: set
  * them for your actuator. */
 static const vc_drv260x driver = {
-    .mode = VC_DRV260X_WAVEFORM, .rated_voltage = 0x3E, .overdrive_clamp = 0x8C, .write = write_register};
+    .mode = VC_DRV260X_WAVEFORM,
+    .rated_voltage = 0x3E,
+    .overdrive_clamp = 0x8C,
+    .write = write_register,
+    .counts = &vc_paced_counts,
+};
 
 /* 4.3.14.1: the clock is low for three fifths of its period. */
 static void start_i2c(void)
@@ -51,7 +60,7 @@ static void start_i2c(void)
 
 void vc_output_start(void)
 {
-    vc_paced_start(vc_output_actuator->dac_rate_hz, (unsigned)vc_output_actuator->dac_bits - BITS);
+    vc_paced_start(vc_output_actuator->dac_rate_hz, vc_output_actuator->dac_bits - BITS);
     vc_board_enable(VC_RESET_PWM);
     start_i2c();
     vc_drv260x_start(&driver, vc_output_actuator->dac_rate_hz);

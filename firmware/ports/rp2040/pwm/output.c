@@ -23,7 +23,7 @@ void vc_output_start(void)
 {
     static const int32_t rest[VC_PACED_CHANNELS] = {0};
     unsigned pin;
-    vc_paced_start(vc_output_actuator->dac_rate_hz, (unsigned)vc_output_actuator->dac_bits - DAC_BITS);
+    vc_paced_start(vc_output_actuator->dac_rate_hz, vc_output_actuator->dac_bits - DAC_BITS);
     vc_board_enable(VC_RESET_PWM);
     VC_PWM_TOP(1) = STEPS - 1;
     VC_PWM_CTR(1) = 0;
