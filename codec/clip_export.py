@@ -7,7 +7,7 @@ import numpy as np
 
 from vibrocast import textures
 from vibrocast.codec import metrics, parametric
-from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ
+from vibrocast.codec.source import DEFAULT_STREAM_RATE_HZ
 from vibrocast.textures import Recording, TextureError, clips
 from vibrocast.textures.clips.synthesis import Envelope
 

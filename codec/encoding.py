@@ -17,6 +17,7 @@ from vibrocast.codec.metrics import channel_snrs_db
 from vibrocast.codec.metrics import snr_db as mean_snr_db
 from vibrocast.codec.rate_control import Outcome, RateTarget, encode_rate_controlled, outcome
 from vibrocast.codec.registry import DEFAULT_CODEC, codec_by_identifier, codec_by_name
+from vibrocast.codec.source import DEFAULT_STREAM_RATE_HZ as DEFAULT_STREAM_RATE_HZ
 from vibrocast.codec.source import Progress, Source, recording_format, timed_framing
 from vibrocast.codec.stream import CodingQuality, Stream, check_length
 from vibrocast.codec.target_search import RATE_TOLERANCE, SNR_TOLERANCE_DB, encode_to_rate, encode_to_snr
@@ -25,7 +26,6 @@ from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ, PROFILE_UNIT, St
 
 DEFAULT_SNR_DB = 14.8
 """With the default shape for touch, as many bytes as a flat error at 15 dB on average of the development recordings."""
-DEFAULT_STREAM_RATE_HZ = 2800
 BEGINNING_SAMPLES = 4096
 """In as many samples per channel, from all over a recording, the setting of a stream is found that plays at once."""
 PROFILE_BAND_HZ = 400.0
@@ -141,11 +141,8 @@ class _Task:
         self, recording: textures.Recording, stream_rate_hz: int, codec_name: str | None, options: EncodingOptions
     ) -> None:
         """Filter and resample the recording, and check the choices. Raises as `encode_recording`."""
-        self._rate_bps, self._snr_db, self._target = (
-            options.get("rate_bps"),
-            options.get("snr_db"),
-            options.get("target"),
-        )
+        self._rate_bps, self._snr_db = options.get("rate_bps"), options.get("snr_db")
+        self._target = options.get("target")
         if self._rate_bps is not None and self._snr_db is not None:
             raise CodecError(
                 "`rate_bps` and `snr_db` are both given", action="give one of them", parameter=("rate_bps", "snr_db")

@@ -196,9 +196,7 @@ def _log_spectral_distance_db(reference: Signal, decoded: Signal, rate_hz: float
     if not np.any(kept):
         return None
     x, y = x[kept], y[kept]
-    floor = FLOOR * np.mean(x)
-    differences_db = 10 * np.log10(np.maximum(x, floor) / np.maximum(y, floor))
-    return float(np.mean(np.sqrt(np.mean(np.square(differences_db), axis=1))))
+    return _rms_difference_db(x, y, FLOOR * np.mean(x))
 
 
 def _third_octave_distance_db(
@@ -230,7 +228,12 @@ def _third_octave_distance_db(
     kept = np.any(np.maximum(x, y) > floor, axis=1)
     if not np.any(kept):
         return None
-    differences_db = 10 * np.log10(np.maximum(x[kept], floor) / np.maximum(y[kept], floor))
+    return _rms_difference_db(x[kept], y[kept], floor)
+
+
+def _rms_difference_db(x: Signal, y: Signal, floor: Signal) -> float:
+    """Return the mean over frames of the RMS difference of levels, (frames, bins) of power, at least a floor."""
+    differences_db = 10 * np.log10(np.maximum(x, floor) / np.maximum(y, floor))
     return float(np.mean(np.sqrt(np.mean(np.square(differences_db), axis=1))))
 
 

@@ -81,39 +81,6 @@ def added_bytes(packet: bytes) -> int:
         ) from error
 
 
-class SnrMeter:
-    """The quality of a decoded packet: its signal-to-noise ratio in dB, the mean over channels.
-
-    A quiet packet need not reach it: a strong vibration masks a weaker one shortly after. For each channel, the error
-    is compared with the greatest of three powers: the packet's; 20 dB below that of the last 0.25 s (an exponential
-    mean); that of one least significant bit. So a pause after a loud texture gets no bits for masked noise, and digital
-    silence gets none at all. The loud texture is forgotten by 17 dB a second; then a quiet texture is coded in full.
-    """
-
-    def __init__(self, rate_hz: float) -> None:
-        self._rate_hz = rate_hz
-        self._power: NDArray[np.float64] | None = None
-
-    def quality_db(self, samples: Signal, decoded: Signal) -> float:
-        """Return the ratio of a packet; both arrays: float64 (packet_samples, channels), full scale 1."""
-        floor = np.maximum(self._recent_power(samples) * 10 ** (-_QUIET_DB / 10), _MIN_BIT**2)
-        power = np.maximum(np.mean(np.square(samples), axis=0), floor)
-        # The error of rounding to int16, uniform over one least significant bit, has this power.
-        error = np.maximum(np.mean(np.square(samples - decoded), axis=0), _MIN_BIT**2 / 12)
-        return float(np.mean(10 * np.log10(power / error)))
-
-    def update(self, samples: Signal, decoded: Signal) -> None:
-        """Remember the power of the packet that was chosen."""
-        self._power = self._recent_power(samples)
-
-    def _recent_power(self, samples: Signal) -> NDArray[np.float64]:
-        power: NDArray[np.float64] = np.mean(np.square(samples), axis=0)
-        if self._power is None:
-            return power
-        kept = math.exp(-len(samples) / self._rate_hz / _MASKING_S)
-        return kept * self._power + (1 - kept) * power
-
-
 class Attempts:
     """The packets of a trial at its quantiser offsets, each coded once."""
 
@@ -177,28 +144,54 @@ def within(quantiser_offsets: range, quantiser_offset: int) -> int:
     return min(max(quantiser_offset, quantiser_offsets[0]), quantiser_offsets[-1])
 
 
-class DecoderProbe:
-    """Decodes the packets of one stream as the far end will; a meter measures their quality."""
+class SnrMeter:
+    """The quality of packets as the far end decodes them: the signal-to-noise ratio in dB, the mean over channels.
 
-    def __init__(self, meter: SnrMeter) -> None:
-        self._meter = meter
+    A quiet packet need not reach it: a strong vibration masks a weaker one shortly after. For each channel, the error
+    is compared with the greatest of three powers: the packet's; 20 dB below that of the last 0.25 s (an exponential
+    mean); that of one least significant bit. So a pause after a loud texture gets no bits for masked noise, and digital
+    silence gets none at all. The loud texture is forgotten by 17 dB a second; then a quiet texture is coded in full.
+    """
+
+    def __init__(self, rate_hz: float) -> None:
+        self._rate_hz = rate_hz
+        self._power: NDArray[np.float64] | None = None
         self._decoder: Decoder | None = None
 
+    def quality_db(self, samples: Signal, decoded: Signal) -> float:
+        """Return the ratio of a packet; both arrays: float64 (packet_samples, channels), full scale 1."""
+        floor = np.maximum(self._recent_power(samples) * 10 ** (-_QUIET_DB / 10), _MIN_BIT**2)
+        power = np.maximum(np.mean(np.square(samples), axis=0), floor)
+        # The error of rounding to int16, uniform over one least significant bit, has this power.
+        error = np.maximum(np.mean(np.square(samples - decoded), axis=0), _MIN_BIT**2 / 12)
+        return float(np.mean(10 * np.log10(power / error)))
+
+    def update(self, samples: Signal) -> None:
+        """Remember the power of the packet that was chosen."""
+        self._power = self._recent_power(samples)
+
+    def _recent_power(self, samples: Signal) -> NDArray[np.float64]:
+        power: NDArray[np.float64] = np.mean(np.square(samples), axis=0)
+        if self._power is None:
+            return power
+        kept = math.exp(-len(samples) / self._rate_hz / _MASKING_S)
+        return kept * self._power + (1 - kept) * power
+
     def begin(self, decoder: Decoder) -> None:
-        """Begin with a decoder in the state of the far end."""
+        """Begin a stream, with a decoder in the state of the far end."""
         self._decoder = decoder
 
-    def quality_db(self, attempts: Attempts, quantiser_offset: int) -> float:
+    def quality_at_db(self, attempts: Attempts, quantiser_offset: int) -> float:
         """Return the quality of the packet; infinity if it is too long to be coded."""
         packet = attempts.packet(quantiser_offset)
         if packet is None:
             return math.inf
         assert self._decoder is not None, "it has begun"
-        return self._meter.quality_db(attempts.trial.samples, copy(self._decoder).decode(packet) / 32768)
+        return self.quality_db(attempts.trial.samples, copy(self._decoder).decode(packet) / 32768)
 
     def coarsest_with(self, attempts: Attempts, quality_db: float) -> int:
         """Return the coarsest offset with the quality; the finest that can be coded if none has it."""
-        worse = attempts.finest(lambda each: self.quality_db(attempts, each) < quality_db, attempts.trial.previous)
+        worse = attempts.finest(lambda each: self.quality_at_db(attempts, each) < quality_db, attempts.trial.previous)
         quantiser_offset = (
             attempts.quantiser_offsets[-1] if worse is None else within(attempts.quantiser_offsets, worse - 1)
         )
@@ -207,10 +200,11 @@ class DecoderProbe:
         codable = attempts.finest(lambda each: attempts.packet(each) is not None, quantiser_offset)
         return attempts.quantiser_offsets[-1] if codable is None else codable
 
-    def update(self, attempts: Attempts, quantiser_offset: int) -> None:
-        """Decode the packet that was chosen."""
+    def choose(self, attempts: Attempts, quantiser_offset: int) -> None:
+        """Decode the packet that was chosen, and remember it."""
         assert self._decoder is not None, "it has begun"
-        self._meter.update(attempts.trial.samples, self._decoder.decode(attempts.coded(quantiser_offset)) / 32768)
+        self._decoder.decode(attempts.coded(quantiser_offset))
+        self.update(attempts.trial.samples)
 
 
 class RateBuffer:
@@ -272,7 +266,7 @@ class RatePolicy(ABC):
     `begin` a stream, then call the policy for each packet. A later stream replaces it.
     """
 
-    _probe: DecoderProbe | None = None
+    _meter: SnrMeter | None = None
 
     def __init__(self, rate_buffer: RateBuffer, frame_bytes: FrameBytes | int) -> None:
         """`frame_bytes`: bytes that the frame of a packet adds to it, or a function that counts them."""
@@ -302,8 +296,8 @@ class RatePolicy(ABC):
         `min_bytes`: bytes that suffice for a packet at its coarsest, whatever the signal, with its frame. Raises
         TargetUnreachable if they do not fit the rate.
         """
-        if self._probe is not None:
-            self._probe.begin(decoder)
+        if self._meter is not None:
+            self._meter.begin(decoder)
         self._seconds = seconds
         self.min_bytes = min_bytes
         self.min_bits_per_second = 8 * min_bytes / seconds
@@ -343,7 +337,7 @@ class RatePolicy(ABC):
 class CappedRate(RatePolicy):
     """A constant quality while the rate buffer holds it; else the finest quality that fits."""
 
-    _probe: DecoderProbe
+    _meter: SnrMeter
 
     def __init__(
         self,
@@ -355,15 +349,15 @@ class CappedRate(RatePolicy):
     ) -> None:
         super().__init__(RateBuffer(bits_per_second, rate_buffer_s, full=0.0), frame_bytes)
         self.quality_db = quality_db
-        self._probe = DecoderProbe(meter)
+        self._meter = meter
 
     def __call__(self, trial: Trial) -> Choice:
         """Choose the coarsest packet with the quality, or a coarser one that fits. Raises TargetUnreachable."""
         attempts = Attempts(trial, self.sent_bytes)
-        quantiser_offset = self._probe.coarsest_with(attempts, self.quality_db)
+        quantiser_offset = self._meter.coarsest_with(attempts, self.quality_db)
         if attempts.size_bytes(quantiser_offset) > self.rate_buffer.max_bytes(self._seconds):
             quantiser_offset = self._finest_that_fits(attempts, quantiser_offset)
-        self._probe.update(attempts, quantiser_offset)
+        self._meter.choose(attempts, quantiser_offset)
         self.rate_buffer.fill(self.sent_bytes(attempts.coded(quantiser_offset)), self._seconds)
         self.rate_buffer.fullness_bytes = max(0.0, self.rate_buffer.fullness_bytes)
         return Choice(quantiser_offset)
@@ -385,7 +379,7 @@ class ConstantRate(RatePolicy):
         meter: SnrMeter | None = None,
     ) -> None:
         super().__init__(RateBuffer(bits_per_second, rate_buffer_s, full=0.5), frame_bytes)
-        self._probe = None if meter is None else DecoderProbe(meter)
+        self._meter = meter
         self._mean_db, self._measured = 0.0, 0  # the mean quality, and the number of packets in it
 
     def __call__(self, trial: Trial) -> Choice:
@@ -398,10 +392,10 @@ class ConstantRate(RatePolicy):
         elif attempts.size_bytes(quantiser_offset) < min_bytes:
             quantiser_offset = self._coarsest_that_fills(attempts, quantiser_offset, min_bytes, max_bytes)
         # A packet that needs padding does not show which quality the rate allows.
-        if self._probe is not None:
+        if self._meter is not None:
             if attempts.size_bytes(quantiser_offset) >= min_bytes:
-                self._remember(self._probe.quality_db(attempts, quantiser_offset))
-            self._probe.update(attempts, quantiser_offset)
+                self._remember(self._meter.quality_at_db(attempts, quantiser_offset))
+            self._meter.choose(attempts, quantiser_offset)
         packet = attempts.coded(quantiser_offset)
         padded = self._padded(packet, min_bytes, max_bytes)
         self.padding_bytes += len(padded) - len(packet)
@@ -410,12 +404,12 @@ class ConstantRate(RatePolicy):
 
     def _aim(self, attempts: Attempts) -> int:
         """Return the offset for the target quality or, if none is known, for the packet's share of the rate."""
-        if self._probe is None or self._measured == 0:
+        if self._meter is None or self._measured == 0:
             share_bytes = self.bits_per_second * self._seconds / 8
             aim = attempts.finest(lambda each: attempts.size_bytes(each) <= share_bytes, attempts.trial.previous)
             return attempts.quantiser_offsets[-1] if aim is None else aim
         swing_db = _SWING_DB * min(1.0, self.rate_buffer.rate_buffer_s / self._seconds / _PACKETS_FOR_FULL_SWING)
-        return self._probe.coarsest_with(attempts, self._mean_db + swing_db * (0.5 - self.rate_buffer.full))
+        return self._meter.coarsest_with(attempts, self._mean_db + swing_db * (0.5 - self.rate_buffer.full))
 
     def _coarsest_that_fills(self, attempts: Attempts, start: int, min_bytes: int, max_bytes: int) -> int:
         """Return the coarsest offset without padding or, if that does not fit, the one with the least padding."""

@@ -31,6 +31,7 @@ from vibrocast.codec.stream import MAX_GAIN, Stream, gain_for, image_hash
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT, StreamHeader
 from vibrocast.models import Model
 
+DEFAULT_STREAM_RATE_HZ = 2800
 LIVE_PACKET_BLOCKS = 4
 LIVE_REFRESH_S = 0.25
 REFRESH_S = 2.0

@@ -38,15 +38,13 @@ class _Target(ABC):
     """A target of a search. The excess of a coded signal over it falls, on the whole, from fine settings to coarse.
 
     `low`, `high`: the excess that meets the target. `is_ceiling`: whether one above is on the wrong side; else one
-    below is. `fall`: of the excess from one octave of steps to the next, about. `doubt`: the part by which a difference
-    of two excesses may be another in an excerpt.
+    below is. `fall`: of the excess from one octave of steps to the next, about.
     """
 
     low: float
     high: float
     is_ceiling: bool
     fall: float
-    doubt: float
 
     @abstractmethod
     def excesses(self, source: Source, coded: Stream) -> list[float]:
@@ -73,7 +71,7 @@ class _SnrTarget(_Target):
     """An SNR in dB of every channel that is not silent."""
 
     low, high, is_ceiling = -SNR_TOLERANCE_DB, SNR_TOLERANCE_DB, False
-    fall, doubt = 5.0, 1 / 8
+    fall = 5.0
 
     def __init__(self, source: Source, target_db: float) -> None:
         self._whole, self._heard, self._target_db = source, source.heard, target_db
@@ -104,7 +102,7 @@ class _RateTarget(_Target):
     """A rate of the whole file, which is never exceeded: the excess is the logarithm of rate over target."""
 
     low, high, is_ceiling = math.log1p(-RATE_TOLERANCE), 0.0, True
-    fall, doubt = 0.6, 1 / 3
+    fall = 0.6
 
     def __init__(self, source: Source, bits_per_second: float) -> None:
         self._whole, self._bits_per_second = source, bits_per_second
@@ -383,15 +381,11 @@ def _search_settings(source: Source, target: _Target, given: Setting) -> _Trial:
     if excerpt is None:
         return trials[best]
     whole, place = _Trials(source, target, every), best
-    while place in places and place not in whole:
-        excess = whole[place].least
+    while place in places and place not in whole and not target.meets(excess := whole[place].least):
         following = place + (1 if excess < target.low else -1)
-        if target.meets(excess):
-            break
-        if {place, following} <= trials.keys() and not target.misses(excess):
-            difference = trials[following].least - trials[place].least
-            others = [excess + part * difference for part in (1 - target.doubt, 1, 1 + target.doubt)]
-            if target.preference(excess) <= min(map(target.preference, others)):
+        if {place, following} <= trials.keys():
+            expected = excess + trials[following].least - trials[place].least
+            if target.preference(excess) <= target.preference(expected):
                 break
         place = following
     return whole[whole.preferred(tuple(whole))]
