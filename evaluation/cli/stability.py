@@ -72,7 +72,8 @@ def stability(
     if len(failures) > MAX_FAILURES:
         tell(f"{len(failures) - MAX_FAILURES} more failures are on the page")
     tell(f"{outcomes.total()} conditions: {counts}", conditions=outcomes.total(), outcomes=dict(outcomes))
-    tell(f"page: {out / page.PAGE}", page=str(out / page.PAGE), failures=[vars(each) for each in failures])
+    named = [{**vars(each), "map": each.map.name} for each in failures]
+    tell(f"page: {out / page.PAGE}", page=str(out / page.PAGE), failures=named)
 
 
 def load_all(recordings: Path) -> tuple[Recording, ...]:

@@ -1,7 +1,7 @@
 """The parts of a map: rows of trials, the rule of their outcomes, its words, and the table of what they showed."""
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
@@ -144,7 +144,7 @@ class Map:
     """
 
     name: str
-    constants: Mapping[str, Any]
+    constants: Mapping[str, Any] = field(repr=False)
     rows: Sequence[Row] = ()
     judged: Callable[[Cells], Cells] = lambda cells: cells
 

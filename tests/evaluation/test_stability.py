@@ -1,6 +1,7 @@
 """Tests of the stability maps: rules of outcomes, trials that raise, crash or hang, every map, the page."""
 
 import csv
+import json
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -425,6 +426,14 @@ def test_bad_arguments_are_rejected_and_a_page_of_other_origin_is_kept(
     said = run_command("stability", "--out", tmp_path, *arguments)
     assert said.exit_code == 2 and message in said.stderr
     assert (tmp_path / "stability.md").read_text() == "mine"
+
+
+def test_the_answer_in_json_names_the_map_of_each_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(all_maps, "run", here)
+    said = succeeds("stability", "--out", tmp_path, "--codecs", "mdct", "--quick", "--maps", "resonance", "--json")
+    (failure,) = json.loads(said)["failures"]
+    assert failure["map"] == "resonance" and failure["boundary"].startswith("fails: ")
+    assert "resonance" in repr(output.RESONANCE) and "constants" not in repr(output.RESONANCE)
 
 
 def test_all_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
