@@ -3,14 +3,12 @@
 import struct
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from studies import page, worst_case
 from studies.emulated_core import CORES, RISC_V, Core, EmulatedCore, codec_of, compile_core
-from vibrocast import codec
-from vibrocast.device_protocol.coded_stream import StreamHeader, pack_file
-from vibrocast.device_protocol.model_image import ModelImage, sha256
+from vibrocast.device_protocol.coded_stream import pack_file
 from vibrocast.evaluation import points
 from vibrocast.firmware.build import ROOT, only, size
 from vibrocast.firmware.native_core import BuildError
@@ -59,15 +57,6 @@ def compile_decoder(output: Path, processor: Core, codec_name: str) -> Path:
     return compile_core(output, processor, _FUNCTIONS, switches, options, further)
 
 
-def file_of(hostile: worst_case.Hostile, image: bytes | None) -> bytes:
-    """Return the .vct file of a stream from worst_case; `image`: its model image."""
-    stream = hostile.stream
-    name = codec.CODECS[stream.codec_name].identifier
-    hashed = b"" if image is None else sha256(image)[:4]
-    header = StreamHeader(name, stream.header.rate_hz, None, "full scale", (1.0,), stream.header.configuration, hashed)
-    return pack_file(header, hostile.packets)
-
-
 def run(core: EmulatedCore, processor: Core, file: bytes, image: bytes | None) -> tuple[int, float]:
     """Decode a file; return the bytes of the decoder's state, and what a sample takes. Raises BuildError."""
     core.write(_FILE, file)
@@ -97,10 +86,7 @@ def hostile_stream(folder: Path, decoder: str) -> tuple[bytes, bytes | None]:
     costs = [row for row in rows if (row.decoder, row.channels) == (decoder, 1)]
     block = max(costs, key=lambda cost: cost.hostile_cycles).block
     _, hostile = worst_case.costliest(worst_case.emulated(folder), decoder, block, 1, 0)
-    model, image = worst_case.finest_model(decoder), None
-    if model is not None and hostile.tables is not None:
-        image = replace(ModelImage.unpack(model.image), payload=hostile.tables, number=0, signature=b"").pack()
-    return file_of(hostile, image), image
+    return pack_file(hostile.header(worst_case.RATE_HZ), hostile.packets), hostile.image()
 
 
 def measure(folder: Path) -> Iterator[Cost]:

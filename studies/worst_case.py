@@ -29,7 +29,7 @@ from vibrocast.codec.eva_image import EvaImage
 from vibrocast.device_protocol.coded_stream import StreamHeader
 from vibrocast.device_protocol.encoding import pack_varint
 from vibrocast.device_protocol.messages import Configure, ErrorCode, Start, Status, Stop, StreamData
-from vibrocast.device_protocol.model_image import ModelImage
+from vibrocast.device_protocol.model_image import ModelImage, sha256
 from vibrocast.evaluation import points
 from vibrocast.firmware.build import build
 from vibrocast.firmware.elf import Elf
@@ -111,18 +111,33 @@ class Turn:
     late_samples: int | None = None
 
 
+def finest_model(decoder: str) -> Model | None:
+    """Return the model of a family that spends most bits; None for a codec's own name."""
+    return next(reversed(members_of(decoder)), None)
+
+
 @dataclass(frozen=True)
 class Hostile:
-    """Packets that cost much, the stream that they are to be part of, and the payload of its model."""
+    """Packets that cost much, the stream that they are to be part of, the payload of its model, and their decoder."""
 
+    decoder: str
     stream: Stream
     tables: bytes | None
     packets: list[bytes]
 
+    def image(self) -> bytes | None:
+        """Return the unsigned image of the model; None for a codec without one."""
+        model = finest_model(self.decoder)
+        if model is None or self.tables is None:
+            return None
+        return replace(ModelImage.unpack(model.image), payload=self.tables, number=0, signature=b"").pack()
 
-def finest_model(decoder: str) -> Model | None:
-    """Return the model of a family that spends most bits; None for a codec's own name."""
-    return next(reversed(members_of(decoder)), None)
+    def header(self, rate_hz: int) -> StreamHeader:
+        """Return the header of the stream at another rate."""
+        own, image = self.stream.header, self.image()
+        identifier, gains = codec.CODECS[self.stream.codec_name].identifier, (1.0,) * own.channels
+        image_hash = b"" if image is None else sha256(image)[:4]
+        return StreamHeader(identifier, rate_hz, None, "full scale", gains, own.configuration, image_hash)
 
 
 def emulated(folder: Path) -> EmulatedCore:
@@ -169,7 +184,7 @@ def costliest(processor: EmulatedCore, decoder: str, block: str, channels: int, 
         most_bytes = min(_MOST_PACKET_BYTES, _BYTES_PER_SAMPLE * stream.packet_samples)
         for tables in hostile_tables(name, model):
             for packets in filled(list(stream.packets[:_PACKETS]), most_bytes, random):
-                hostile = Hostile(stream, tables, packets)
+                hostile = Hostile(decoder, stream, tables, packets)
                 begun.append((cost_of(processor, hostile), hostile))
     begun.sort(key=lambda one: -one[0].sample_cycles)
     climbed = [climb(processor, *one, tries, random) for one in begun[:2]]
@@ -237,21 +252,15 @@ class Board:
         self._hostile, self._turn, self._sent, self._dropped_us = hostile, turn, 0, 0.0
         drop = Elf(build(BOARD)).symbols["drop"] & ~1  # of the DAC's driver; the next code goes to rest
         self._device.processor.unicorn.hook_add(unicorn.UC_HOOK_CODE, self._drop, None, drop, drop)
-        model = finest_model(turn.decoder)
-        image_hash = b""
-        if model is not None:
-            assert hostile.tables is not None, "models have tables"
-            image = replace(ModelImage.unpack(model.image), payload=hostile.tables).pack()
-            image_hash = uploader.flash(self._host, image).sha256[:4]
-        stream, known = hostile.stream, codec.CODECS[hostile.stream.codec_name]
-        gains = (1.0,) * stream.header.channels
-        header = StreamHeader(
-            known.identifier, turn.rate_hz, None, "full scale", gains, stream.header.configuration, image_hash
-        ).pack()
-        self._packet_samples = known.make_decoder(
-            stream.header.configuration, stream.header.channels, hostile.tables
-        ).packet_samples
-        self._configure = Configure(1, header, self._packet_samples)
+        if (image := hostile.image()) is not None:
+            uploader.flash(self._host, image)
+        stream = hostile.stream
+        self._packet_samples = (
+            codec.CODECS[stream.codec_name]
+            .make_decoder(stream.header.configuration, stream.header.channels, hostile.tables)
+            .packet_samples
+        )
+        self._configure = Configure(1, hostile.header(turn.rate_hz).pack(), self._packet_samples)
         self._host.request(self._configure, Status)
 
     def play(self, stop_after_s: float) -> Turn:
@@ -289,9 +298,9 @@ class Board:
         self._dropped_us = self._device.now_us
 
 
-def on_board(hostile: Hostile, decoder: str, rate_hz: int, stops: int) -> Turn:
+def on_board(hostile: Hostile, rate_hz: int, stops: int) -> Turn:
     """Return the worst of several plays of a hostile stream on the board, each with a Stop at another moment."""
-    turn = Turn(decoder, hostile.stream.header.channels, rate_hz)
+    turn = Turn(hostile.decoder, hostile.stream.header.channels, rate_hz)
     try:
         board = Board(hostile, turn)
     except ControllerError as error:
@@ -316,7 +325,7 @@ def measured_turns(found: Sequence[tuple[Cost, Hostile]], stops: int) -> Iterato
     costs, streams = zip(*found, strict=True)
     for decoder, channels, rate_hz in product(DECODERS, CHANNELS, BOARD_RATES_HZ):
         hostile = streams[costs.index(of_longest_block(costs, decoder, channels))]
-        yield on_board(hostile, decoder, rate_hz, stops)
+        yield on_board(hostile, rate_hz, stops)
 
 
 def of_longest_block(costs: Sequence[Cost], decoder: str, channels: int) -> Cost:

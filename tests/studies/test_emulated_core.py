@@ -252,14 +252,14 @@ def test_noise_costs_no_more_than_the_firmware_states(decoder: str, block: str, 
 
 def test_a_board_stops_at_once_whatever_it_decodes(hostile: EmulatedCore) -> None:
     _, stream = worst_case.measure(hostile, "dct", "1024", 2, tries=2)
-    turn = worst_case.on_board(stream, "dct", 12_000, stops=2)
+    turn = worst_case.on_board(stream, 12_000, stops=2)
     assert turn.turn_ms is not None and 5 < turn.turn_ms < PROMPT_MS
     assert turn.stop_ms is not None and 0 < turn.stop_ms < PROMPT_MS
 
 
 def test_a_board_rejects_a_stream_that_it_cannot_decode_in_time(hostile: EmulatedCore) -> None:
     _, stream = worst_case.measure(hostile, "slp", "128", 2, tries=0)
-    assert worst_case.on_board(stream, "slp", 12_000, stops=1) == Turn("slp", 2, 12_000)
+    assert worst_case.on_board(stream, 12_000, stops=1) == Turn("slp", 2, 12_000)
 
 
 def test_the_table_of_turns_has_none_that_is_late() -> None:
