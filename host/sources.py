@@ -253,6 +253,12 @@ def open_live(
         raise
 
 
+def skip_kept(source: SerialSensor | AnalogueSensor | SoundInput) -> None:
+    """Leave out what a source has kept since it was opened: a stream begins with what is taken from now on."""
+    while len(source.read(0.0)):
+        pass
+
+
 def format_of(source: SerialSensor | AnalogueSensor | SoundInput) -> SignalFormat:
     """Return the format of a live stream from a source. Raises CodecError."""
     if isinstance(source, SerialSensor):

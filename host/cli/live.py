@@ -243,6 +243,8 @@ def source_blocks(playing: LivePlayback, samples: SampleOptions, given: Given) -
         highpass = textures.LiveHighPass(signal_format.rate_hz, textures.HIGHPASS_HZ)
     if isinstance(given, textures.Recording):
         return map(highpass, playing.paced(given.samples))
+    if not isinstance(given, StandardInput):
+        sources.skip_kept(given)
     left = math.inf if samples.seconds is None else round(samples.seconds * signal_format.rate_hz)
 
     def read(timeout_s: float) -> Signal | None:

@@ -124,6 +124,12 @@ def test_wrong_options_are_named(arguments: Any, told: str, monkeypatch: pytest.
         pass
 
 
+def test_what_a_source_kept_before_the_stream_began_is_left_out() -> None:
+    sound = SoundInput("a card", Card(tone(200, -20)), 1, False)
+    sources.skip_kept(sound)
+    assert len(sound.read(0.1)) == 0
+
+
 def test_a_rate_too_low_for_sound_is_rejected() -> None:
     with pytest.raises(TextureError, match="60 Hz; give a `rate_hz` of 400 or more"):
         SoundInput("a card", Card(np.zeros((1, 1)), 60), 1, False)
