@@ -33,9 +33,10 @@ _TIME = re.compile(r"time|stamp|elapsed|epoch|clock|uptime|\b(?:t|ts|tow|dt|delt
 _SENSOR = r"accelerometer|accelero|acceleration|accel|acc|a|linear|lin|user|raw|axis|vibration|vib|displacement|disp"
 _WORD = rf"{_SENSOR}|position|pos|sensor|imu|device|dev|body|calibrated|cal|filtered|data|value|channel|ch|\d+|[ .]"
 _AXIS = re.compile(rf"((?:{_WORD})*)([xyz])((?:{_WORD})*)")
+_ANY_AXIS = re.compile(rf"{_AXIS.pattern}|(.*)\b([xyz])\b(.*)")
 _MAGNITUDE = re.compile(r"(?!.*\b[xyz]\b).*\b(?:absolute|abs|magnitude|mag|norm|total|resultant|vector sum)\b.*")
 _BRACKETED = re.compile(r"(.*?)[\s_]*[(\[]\s*(.*?)\s*[)\]]")
-_CHANNEL = re.compile(r"(?:channel|ch|actuator|motor|sensor|left|right)[ \d]*(?:raw)?")
+_CHANNEL = re.compile(r"(?:channel|ch|actuator|motor|sensor|left|right)[ \d]*[a-d]?(?: ?raw)?")
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,13 @@ class Table:
             for column, (words, unit) in enumerate(zip(self.words, self.own_units, strict=True))
             if unit in SECONDS or is_time(words)
         ]
+
+    @property
+    def axes(self) -> dict[int, tuple[str, str]]:
+        """The axis and the sensor of each column whose name states an axis, in any language if it states its unit."""
+        forms = [_ANY_AXIS if unit in FILE_UNITS else _AXIS for unit in self.own_units]
+        found = enumerate(_axis(name, form) for name, form in zip(self.names, forms, strict=True))
+        return {column: axis for column, axis in found if axis[0]}
 
     @property
     def counts(self) -> list[int]:
@@ -169,7 +177,7 @@ def _channels(table: Table, path: Path) -> list[int]:
     _reject_rising(table, rest, path)
     if len(rest) == 1 or not any(table.names):
         return rest
-    axes = {column: found for column in rest if (found := _axis(table.names[column]))[0]}
+    axes = {column: axis for column, axis in table.axes.items() if column in rest}
     others = [column for column in rest if column not in axes and not _MAGNITUDE.fullmatch(table.words[column])]
     letters = {letter for letter, _ in axes.values()}
     if axes and not others and len({sensor for _, sensor in axes.values()}) == 1 and len(letters) == len(axes):
@@ -211,7 +219,7 @@ def _chosen(name: str, table: Table, path: Path) -> int:
     wanted = {_words(name), _words(name_and_unit(name)[0])}
     found = [column for column, words in enumerate(table.words) if words and words in wanted]
     if not found and name:
-        found = [column for column, other in enumerate(table.names) if axis_of(other) == name.lower()]
+        found = [column for column, (letter, _) in table.axes.items() if letter == name.lower()]
     if not found and name.isdecimal() and 1 <= int(name) <= len(table.names):
         found = [int(name) - 1]
     if len(found) != 1:
@@ -240,10 +248,11 @@ def axis_of(name: str) -> str:
     return _axis(name)[0]
 
 
-def _axis(name: str) -> tuple[str, str]:
-    """Return the axis that a name states, as `axis_of` does, and the rest of the name, which is that of the sensor."""
-    match = _AXIS.fullmatch(_words(name))
-    return (match[2], f"{match[1]}{match[3]}") if match else ("", "")
+def _axis(name: str, forms: re.Pattern[str] = _AXIS) -> tuple[str, str]:
+    """Return the axis that a name states in one of the forms, and the rest of the name, which is that of the sensor."""
+    match = forms.fullmatch(_words(name))
+    before, axis, after = [part for part in match.groups() if part is not None] if match else ["", "", ""]
+    return axis, before + after
 
 
 def _words(name: str) -> str:

@@ -75,7 +75,8 @@ def read(path: Path) -> Contents:
     unit, full_scale, axes = commented or ("full scale", 1.0, "")
     samples *= full_scale
     # Only three axes can be reduced; one or two are channels.
-    return Contents(samples, rate_hz, unit, axes=AXES if len(axes) == len(AXES) == samples.shape[1] else ())
+    names = tuple(axes) if len(axes) == samples.shape[1] else ()
+    return Contents(samples, rate_hz, unit, axes=AXES if len(names) == len(AXES) else (), names=names)
 
 
 def write(path: Path, recording: Recording, sixteen_bit: bool, note: str = "") -> float:

@@ -172,6 +172,32 @@ def test_decodes_into_every_format(suffix: str, coded: Path, tmp_path: Path) -> 
     succeeds("encode", out, tmp_path / "again.vct", *(("--rate-hz", RATE_HZ, "--unit", "g") if options else ()))
 
 
+def test_a_text_file_is_completed_by_options_and_doubts_are_told(tmp_path: Path) -> None:
+    path, out = tmp_path / "log.csv", tmp_path / "out.vct"
+    places = np.arange(400)
+    noise = np.random.default_rng(4).normal(size=len(places))
+    times_ms = np.floor(places / 0.8) + 40 * (places > 200)
+    rows = [f"{time:.0f},{value:.4f},87" for time, value in zip(times_ms, noise, strict=True)]
+    path.write_text("\n".join(["1,2,3", "Time (ms),Channel A,battery", *rows]))
+    assert "pass over lines at the start with --skip-lines" in fails(2, "encode", path, out)
+    given = ["encode", path, out, "--skip-lines", 1]
+    assert "choose columns by name or number with --columns" in fails(2, *given)
+    assert "with `vibrocast encode --columns`" in fails(2, "play", three_columns(tmp_path))
+    given += ["--columns", "Channel A", "--unit", "mV", "--rate-hz", 800]
+    assert "a gap of" in (told := fails(2, *given)) and "give --resample" in told
+    assert "give the sensor's --sensitivity" in fails(2, *given, "--resample")
+    assert "'much' is no sensitivity" in fails(2, *given, "--resample", "--sensitivity", "much")
+    done = run(*given, "--resample", "--sensitivity", "100mV/g")
+    assert done.exit_code == 0
+    assert f"note: {path}: column of times 'Time': samples interpolated at 800 Hz" in done.stderr
+
+
+def three_columns(folder: Path) -> Path:
+    path = folder / "three.csv"
+    path.write_text("time_s,x_g,battery\n0,1,87\n0.001,2,87\n")
+    return path
+
+
 def test_axes_are_chosen_or_reduced(three_axes: Path, tmp_path: Path) -> None:
     out = tmp_path / "out.vct"
     succeeds("encode", three_axes, out)

@@ -33,6 +33,7 @@ def written(folder: Path, header: str, delimiter: str = ",", times: int = 1) -> 
         ("time_s,seconds_elapsed,z,y,x", 2, [2, 1, 0]),  # a phone's log
         ("#time,accel_x,accel_y,accel_z", 1, [0, 1, 2]),  # a printer's
         ("Time (s),Acceleration x (g),Acceleration y (g),Acceleration z (g),Absolute acceleration (g)", 1, [0, 1, 2]),
+        ("Zeit (s),Beschleunigung x (g),Beschleunigung y (g),Beschleunigung z (g),Norm (g)", 1, [0, 1, 2]),
         ("elapsed_s,AccelX,AccelY,AccelZ", 1, [0, 1, 2]),
         ("# t [s],Linear Acceleration x,Linear Acceleration y,Linear Acceleration z,total", 1, [0, 1, 2]),
         ("time_of_week (s),uptime_s,Y-Axis,X-Axis,Z-Axis", 2, [1, 0, 2]),
@@ -58,6 +59,7 @@ def test_times_and_axes_are_known_by_name_in_any_order(
         ("time_s,acc_x,acc_y,acc_z,mag_x,mag_y,mag_z", "'mag_x', 'mag_y', 'mag_z'"),
         ("time_s,a1_x,a1_y,a1_z,a2_x,a2_y,a2_z", "'a1_x', 'a1_y', 'a1_z', 'a2_x'"),
         ("time_s,force,speed", "'force', 'speed'"),
+        ("time_s,a x (g),a y (g),a z (g),gravity x (g),gravity y (g),gravity z (g)", "'a x', 'a y', .* 'gravity z'"),
     ],
 )
 def test_an_unknown_column_is_an_error_that_lists_all(tmp_path: Path, header: str, unknown: str) -> None:

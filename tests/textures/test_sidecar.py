@@ -32,6 +32,14 @@ def edited(folder: Path, subtype: str = "FLOAT") -> Path:
     return path
 
 
+def test_two_axes_are_chosen_by_name(tmp_path: Path) -> None:
+    path = tmp_path / "out.wav"
+    soundfile.write(path, SAMPLES[:, :2], 1000, "FLOAT")
+    facts = {"unit": "m/s^2", "rate_hz": 1000, "channels": 2, "axes": "xz"}
+    sidecar.write(sidecar.path_of(path), facts)
+    assert textures.load(path, columns="z").samples == pytest.approx(SAMPLES[:, 1:2], rel=1e-6)
+
+
 def test_a_file_written_in_pieces_states_unit_and_axes(tmp_path: Path) -> None:
     recording = textures.load(written(tmp_path))
     assert recording.samples == pytest.approx(SAMPLES, rel=1e-6)
