@@ -2,6 +2,8 @@
 
 import ast
 import re
+from dataclasses import fields
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -9,6 +11,7 @@ import pytest
 
 from tests.lint import tracked
 from vibrocast import textures
+from vibrocast.codec import Codec
 from vibrocast.device_protocol import coded_stream
 from vibrocast.textures import recording
 
@@ -94,6 +97,16 @@ def test_products_are_used_by_their_public_names(module: str) -> None:
 
 def test_no_module_imports_itself_through_others() -> None:
     TopologicalSorter({module: imports(module) for module in SOURCES}).prepare()  # raises CycleError, which names them
+
+
+def test_the_codecs_are_described_in_few_words_and_stand_on_few_floors() -> None:
+    @cache
+    def floor(module: str) -> int:
+        below = {name for name in imports(module) if name.startswith("codec")}
+        return 1 + max(map(floor, below), default=0)
+
+    assert max(floor(module) for module in SOURCES if module.startswith("codec")) <= 8
+    assert len(fields(Codec)) <= 14
 
 
 def test_no_source_in_c_needs_itself_through_others() -> None:
