@@ -14,7 +14,8 @@ from tests.harness.runs import RUN
 from vibrocast.errors import InputError
 from vibrocast.harness import page, results
 from vibrocast.harness.results import Results
-from vibrocast.host.figures import BenchLimits, missed
+from vibrocast.host.figures import FIGURES, BenchLimits, missed
+from vibrocast.planner.plan_file import Forecast
 
 
 def test_a_run_is_read_as_it_was_written(tmp_path: Path) -> None:
@@ -121,6 +122,13 @@ def test_limits_name_the_figures_that_miss_them() -> None:
     unknown = changed(*REPORT, "quality", "skin", "gain", value=None)
     assert missed(BenchLimits(min_gain=0.9), unknown.figures()) == ["rough: gain is not known, min_gain = 0.9"]
     assert missed(BenchLimits(), RUN.figures()) == []
+
+
+def test_every_limit_and_every_forecast_is_a_figure_of_the_table() -> None:
+    limits = {name.partition("_")[2] for name in BenchLimits.__struct_fields__}
+    assert limits | set(Forecast.__struct_fields__) <= set(FIGURES)
+    figures = [(each.label, each.unit) for each in FIGURES.values()]
+    assert len(set(figures)) == len(figures)
 
 
 @pytest.mark.parametrize(
