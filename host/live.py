@@ -52,6 +52,8 @@ _REST_S = 0.1
 # A source that gives nothing for so long pauses, also where nothing is played yet.
 _PAUSE_S = 0.5
 _MIN_READ_S = 0.001
+# Out of step so soon, a source is so by what it has kept before.
+_KEPT_S = 1.0
 # A link this many times as fast as needed requires no longer playout delay.
 _AMPLE = 8
 # Part of the queue on the link that one packet drains.
@@ -401,6 +403,10 @@ class LiveStream:
         out_of_step = since_s is not None and self.controller.clock() - since_s > _OUT_OF_STEP_S
         if out_of_step:
             self._reject_floods()
+            if not (self._has_paused or self.earlier) and self.status.position < _KEPT_S * self.format.rate_hz:
+                # What a source has kept until it was heard comes at once, as after a pause; no wire has lost it.
+                self.pauses += 1
+                self._has_paused = True
         if out_of_step or self.status.state == State.WATCHDOG:
             self.begin_again()
 
