@@ -35,11 +35,12 @@ BENCH = '[[controllers]]\nname = "it"\naddress = "sim"\n[[textures]]\ngenerate =
 
 
 def kept(value: Any) -> Any:
-    """Return a document with nothing in place of the values of CHANGES."""
+    """Return a document with nothing in place of the values of CHANGES, and without the controller's last Status."""
     if isinstance(value, dict):
         return {
             key: type(part)() if key in CHANGES and not isinstance(part, dict) else kept(part)
             for key, part in value.items()
+            if key != "status"
         }
     return [kept(part) for part in value] if isinstance(value, list) else value
 
