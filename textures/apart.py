@@ -98,7 +98,7 @@ atexit.register(READERS.end)
 
 def _started() -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [sys.executable, "-m", __name__],
+        [sys.executable, "-c", f"from {__name__} import serve; serve()"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
@@ -116,7 +116,7 @@ def _error(told: dict[str, Any]) -> Exception:
     return OSError(told["number"], told["text"]) if "number" in told else MemoryError()
 
 
-def _serve() -> None:
+def serve() -> None:
     """Answer each line of standard input by one of standard output, until the input ends."""
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # no parser writes between the answers
@@ -157,7 +157,3 @@ def _limit_memory(free_bytes: int) -> None:
         most_bytes = psutil.Process().memory_info().vms + free_bytes
         resource.setrlimit(resource.RLIMIT_AS, (most_bytes, resource.getrlimit(resource.RLIMIT_AS)[1]))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-
-
-if __name__ == "__main__":
-    _serve()

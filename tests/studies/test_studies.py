@@ -40,9 +40,7 @@ def is_run(path: Path) -> bool:
     )
 
 
-WORKERS = ("textures/apart.py",)
-"""Run by this package alone, which talks to them by standard input."""
-PROGRAMS = [path for path in lint.tracked("*.py", ":!tests") if path not in WORKERS and is_run(ROOT / path)]
+PROGRAMS = [path for path in lint.tracked("*.py", ":!tests") if is_run(ROOT / path)]
 
 
 def test_programs_are_found() -> None:
