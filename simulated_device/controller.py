@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from threading import Event
 from typing import Any
 
 import numpy as np
@@ -57,11 +58,9 @@ class Controller:
 
     `flash`: None = a blank one that lasts as long as this object. Exceptions of the flash (PowerCut), of `on_dac` and
     of the position sensor pass through the method that was called; the controller is then without power. `firmware`:
-    declarations (FFI) and functions of a build with other sizes, None = the installed one. `output_has_failed`: set it,
-    and the output reports a fault. Raises ValueError for settings that no controller can have, and MissingExtraError.
+    declarations (FFI) and functions of a build with other sizes, None = the installed one. `output_fault`: while it is
+    set, the output reports a fault. Raises ValueError for settings that no controller can have, and MissingExtraError.
     """
-
-    output_has_failed = False
 
     def __init__(
         self,
@@ -87,7 +86,8 @@ class Controller:
         fields = self._settings_fields(ffi)
         made = ffi.new("vc_controller_settings *", fields)
         play = self._callbacks.make("void(void *, const int16_t *, uint32_t, unsigned, uint64_t)", _play(ffi, on_dac))
-        failed = self._callbacks.make("int(void *)", lambda context: self.output_has_failed, 0)
+        self.output_fault = fault = Event()
+        failed = self._callbacks.make("int(void *)", lambda context: fault.is_set(), 0)
         dac = ffi.new("vc_dac_port *", {"play": play, "has_failed": failed})
         self._kept = flash_port, fields, made, play, failed, dac
         status = self._library.vc_controller_init(self._controller, made, flash_port.pointer, dac, self._time_us)

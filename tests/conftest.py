@@ -1,6 +1,7 @@
 """Settings of every test, and what tests share: signals, streams, and sessions in simulated time."""
 
 import contextlib
+import gc
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
@@ -36,6 +37,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if _SLOW_FIXTURES & set(getattr(item, "fixturenames", ())):
             item.add_marker(pytest.mark.slow)
+
+
+def pytest_unconfigure() -> None:
+    """Keep msgspec's types from the last collection of garbage, in which they may crash (its issue 717)."""
+    gc.freeze()
 
 
 def noise(seconds: float = 1.0, channels: int = 1, rms: float = 1.0, seed: int = 1) -> Signal:

@@ -54,7 +54,9 @@ CORE = (
     Subcommand("info", "Compress", f"{CLI}.decode:info", "Show the codec, rate and content of a .vct file."),
     Subcommand("codecs", "Compress", f"{CLI}.codecs:codecs", "List the codecs and their parameters."),
     Subcommand("play", "Play", f"{CLI}.play:play", "Play recordings, .vct files, folders and .m3u lists of them."),
-    Subcommand("live", "Play", f"{CLI}.live:live", "Stream a generated texture or standard input to a controller."),
+    Subcommand(
+        "live", "Play", f"{CLI}.live:live", "Stream a sensor, sound, standard input or a texture to a controller."
+    ),
     Subcommand("serve", "Play", f"{CLI}.serve:serve", "Play the files of a folder as OSC messages say.", "lab"),
     Subcommand("render", "Play", f"{CLI}.render:render", "Write the drive signal of a recording as a WAV file."),
     Subcommand(

@@ -207,7 +207,7 @@ def test_an_output_that_fails_ramps_to_rest_and_says_so() -> None:
     bench = Bench()
     bench.start_all(stream(2.0))
     bench.run(500)
-    bench.controller.output_has_failed = True
+    bench.controller.output_fault.set()
     bench.run(500)
     assert bench.status().state == State.FAULT
     codes = bench.all_codes()

@@ -6,7 +6,6 @@ from typing import Annotated, Literal
 
 import numpy as np
 from msgspec import Meta, Struct
-from scipy.interpolate import Akima1DInterpolator
 
 from vibrocast.textures.clips.documents import left_out, polyline, read_json
 from vibrocast.textures.clips.synthesis import (
@@ -222,6 +221,8 @@ def _akima(times: Signal, amplitudes: Signal) -> Values:
     """Return the curve of H. Akima, "A new method of interpolation and smooth curve fitting", 1970."""
     if len(times) < 3:
         return _linear(times, amplitudes)
+    from scipy.interpolate import Akima1DInterpolator
+
     return Akima1DInterpolator(times, amplitudes, extrapolate=True)
 
 

@@ -97,7 +97,8 @@ static void put_sample(const int16_t *codes, unsigned channels)
 /* The ring was empty: sets the lag, during which its samples wait. It grows only, until the stream is dropped. */
 static void begin_lag(uint64_t due_us)
 {
-    const uint32_t late = samples_in(vc_port_now_us() - due_us), needed = least_lag_samples + 2 * late;
+    /* Rounded up: a block that comes as late as the first one must not miss the lag by a part of a sample. */
+    const uint32_t late = samples_in(vc_port_now_us() - due_us) + 1, needed = least_lag_samples + 2 * late;
     if (lag_samples < needed)
         lag_samples = needed < CAPACITY - 2 * SPARE ? needed : CAPACITY - 2 * SPARE;
     waiting = late < lag_samples ? lag_samples - late : 0;
