@@ -60,7 +60,7 @@ class _ReaderProcess:
         """Return the answer, None if the process ended instead, and whether it took too long."""
         with self._lock:
             # A forked process starts its own.
-            if self._process is None or self._owner != os.getpid():
+            if self._process is None or self._owner != os.getpid() or self._process.poll() is not None:
                 self._process, self._owner = _started(), os.getpid()
             process, late = self._process, threading.Event()
 
@@ -71,18 +71,16 @@ class _ReaderProcess:
             timer = threading.Timer(seconds, give_up)
             timer.daemon = True
             timer.start()
-            assert process.stdin is not None and process.stdout is not None
             line = ""
-            with contextlib.suppress(BrokenPipeError):
-                process.stdin.write(json.dumps(request) + "\n")
-                process.stdin.flush()
-                line = process.stdout.readline()
-            timer.cancel()
-            if not line.endswith("\n"):
-                self.end()
-                return None, late.is_set()
-            answer: dict[str, Any] = json.loads(line)
-            return answer, False
+            try:
+                line = _line_for(process, request)
+            finally:
+                timer.cancel()
+                # After Ctrl-C, too: the next request must not get the answer to this one.
+                if late.is_set() or not line.endswith("\n"):
+                    self.end()
+            answer: dict[str, Any] | None = json.loads(line) if line.endswith("\n") else None
+            return answer, late.is_set() and answer is None
 
     def end(self) -> None:
         """End the process, if there is one."""
@@ -107,6 +105,16 @@ def _started() -> subprocess.Popen[str]:
     )
 
 
+def _line_for(process: subprocess.Popen[str], request: dict[str, Any]) -> str:
+    """Return the line that answers a request; an unfinished one if the process has ended."""
+    assert process.stdin is not None and process.stdout is not None
+    with contextlib.suppress(BrokenPipeError):
+        process.stdin.write(json.dumps(request) + "\n")
+        process.stdin.flush()
+        return process.stdout.readline()
+    return ""
+
+
 def _error(told: dict[str, Any]) -> Exception:
     """Return the error of a reader."""
     if "extra" in told:
@@ -125,7 +133,7 @@ def serve() -> None:
 
 
 def _answer(request: dict[str, Any], answers: IO[str]) -> None:
-    memory.free_at_start_bytes = request["free_bytes"]
+    memory.limit_bytes = request["free_bytes"]
     _limit_memory(request["free_bytes"])
     answer: dict[str, Any]
     try:

@@ -9,7 +9,7 @@ MAX_EXPANSION = 1100
 """Most bytes that one byte of a file stands for. Deflate reaches 1032 ("zlib Technical Details", zlib.net)."""
 PIPELINE_FACTOR = 10
 """How many times the memory of its float64 samples a recording takes from `load` to the end of `encode`."""
-free_at_start_bytes: int | None = None
+limit_bytes: int | None = None
 """Most that this process may take, where another one has started it; None = what the machine has."""
 _SMALL_BYTES = 2**20
 _GIB = 2**30
@@ -20,7 +20,7 @@ def available_bytes() -> int:
     import psutil
 
     free_bytes = min(int(psutil.virtual_memory().available), *_left_in_control_groups())
-    return free_bytes if free_at_start_bytes is None else min(free_bytes, free_at_start_bytes)
+    return free_bytes if limit_bytes is None else min(free_bytes, limit_bytes)
 
 
 def shortage(samples_bytes: int, factor: int = PIPELINE_FACTOR) -> str | None:

@@ -1,10 +1,11 @@
 """Tests of every format that is read and written: what it states, what it holds, what is rejected before it is read."""
 
+import json
 import tracemalloc
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import h5py
 import numpy as np
@@ -16,6 +17,7 @@ from hypothesis import strategies as st
 from matio import save_to_mat
 from scipy.io import savemat
 
+from tests.textures.damage import check_damaged
 from vibrocast.textures import Recording, TextureError, apart, load, save
 from vibrocast.textures.memory import available_bytes
 
@@ -276,6 +278,23 @@ def test_a_reader_that_takes_too_long_is_ended(tmp_path: Path, monkeypatch: pyte
         load(tmp_path / "a.mat")
 
 
+def test_an_interrupted_request_leaves_no_answer_to_the_next_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in (("first", 1.0), ("second", 2.0)):
+        savemat(tmp_path / f"{name}.mat", {"a": np.full(40, value), "fs": 2800, "unit": "um"})
+
+    def interrupted(process: Any, request: Any) -> NoReturn:
+        process.stdin.write(json.dumps(request) + "\n")
+        process.stdin.flush()
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(apart, "_line_for", interrupted)
+        load(tmp_path / "first.mat")
+    assert load(tmp_path / "second.mat").samples[0] == 2
+
+
 def test_one_of_several_stated_rates_is_chosen(tmp_path: Path) -> None:
     savemat(tmp_path / "a.mat", {"a": NOISE, "b": NOISE[:, :1], "Fs": 1000, "rate_hz": 2000, "unit": "g"})
     recording = load(tmp_path / "a.mat", key="b", rate_hz=2000)
@@ -444,14 +463,7 @@ def test_a_damaged_file_loads_or_is_rejected(
     file, write, _ = FORMATS[name]
     path = tmp_path_factory.getbasetemp() / f"damaged-{file}"
     write(path)
-    data = bytearray(path.read_bytes())
-    for position, value in changes:
-        data[position % len(data)] = value
-    path.write_bytes(data[: len(data) - cut])
-    try:
-        assert np.isfinite(load(path).samples).all()
-    except TextureError as error:
-        assert "\n" not in str(error)
+    check_damaged(path, changes, cut)
 
 
 @given(data=st.binary(max_size=400), head=st.sampled_from(HEADS))
