@@ -3,6 +3,7 @@
 import contextlib
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -144,7 +145,7 @@ class OscServer:
         if name not in self._files:
             raise InputError(f"{name[:80]!r} is not in the folder; it holds {', '.join(list(self._files)[:20])}")
         self._stop()
-        options = TrackOptions(**{**vars(self._options), "loops": loops})
+        options = replace(self._options, loops=loops)
         self._player = BackgroundPlayer(self._session, [self._files[name]], options, self._told)
         self._player.remote.send(Command("gain", self._gain_db))
 
@@ -175,8 +176,10 @@ class OscServer:
 def files_by_name(folder: Path) -> Mapping[str, Path]:
     """Return the tracks of a folder by their paths in it, also without suffix where that names one.
 
-    Raises as `tracks_of`.
+    Raises InputError for a folder that is none, and as `tracks_of`.
     """
+    if not folder.is_dir():
+        raise InputError(f"{folder}: not a folder; give one with recordings or .vct files")
     tracks = [track.relative_to(folder) for track in tracks_of([folder])]
     short = [track.with_suffix("").as_posix() for track in tracks]
     named = {name: folder / track for name, track in zip(short, tracks, strict=True) if short.count(name) == 1}

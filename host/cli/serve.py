@@ -16,6 +16,9 @@ from vibrocast.host.cli.options import (
 )
 from vibrocast.host.cli.sections import CONTROLLER, SectionedCommand, section
 from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
+from vibrocast.host.lab_network import TIMEOUT_S, Markers, OscServer
+from vibrocast.host.session import connect
+from vibrocast.host.track_player import TrackOptions
 
 
 @click.command(cls=SectionedCommand)
@@ -27,7 +30,7 @@ from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
     "--timeout",
     "timeout_s",
     type=Number("S", 0),
-    default=30.0,
+    default=TIMEOUT_S,
     show_default=True,
     help="Stop what plays where no message came for so long; 0: never.",
 )
@@ -41,11 +44,8 @@ def serve(
     sets the level. /pause, /resume and /stop do as they say, and /alive keeps a long texture alive. The client gets
     /track NAME, /ended NAME and /error TEXT.
     """
-    from vibrocast.host.lab_network import Markers, OscServer
-    from vibrocast.host.session import connect
-    from vibrocast.host.track_player import TrackOptions
-
     host, _, port = listen_at.rpartition(":")
+    host = host or "127.0.0.1"
     if not port.isdecimal():
         raise InputError(
             f"--osc {listen_at}: no port; give a number such as 9000, or 0.0.0.0:9000 for the whole network"
@@ -53,6 +53,6 @@ def serve(
     with connect(address) as session:
         tell = Markers(session.address).tell if has_markers else None
         options = TrackOptions(facts=recording.facts())
-        server = OscServer(session, folder, (host or "127.0.0.1", int(port)), options, timeout_s=timeout_s, tell=tell)
-        click.echo(f"listening at {host or '127.0.0.1'}:{server.port}; Ctrl-C ends")
+        server = OscServer(session, folder, (host, int(port)), options, timeout_s=timeout_s, tell=tell)
+        click.echo(f"listening at {host}:{server.port}; Ctrl-C ends")
         server.serve()

@@ -151,6 +151,8 @@ def test_a_controller_that_is_lost_ends_the_server(folder: Path, monkeypatch: py
 def test_a_folder_without_a_track_and_a_port_in_use_are_rejected(folder: Path, tmp_path: Path) -> None:
     session = session_with(linked()[1], "memory")
     (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match=r"oak\.wav: not a folder"):
+        OscServer(session, folder / "oak.wav", ("127.0.0.1", 0), TrackOptions())
     with pytest.raises(InputError, match="no recordings"):
         OscServer(session, tmp_path / "empty", ("127.0.0.1", 0), TrackOptions())
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
