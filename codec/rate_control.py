@@ -1,8 +1,8 @@
 """Rate control of live streams: targets, policies that choose the quality of each packet, and how a target was met.
 
 A policy is a codec.interface.RateControl. It chooses the quantiser offset of each packet from all of that packet's
-input, and no later input. `encode_rate_controlled` codes a signal with one. docs/benchmarks/rate_control.md shows the
-results.
+input, and no later input. `encode_rate_controlled` codes a signal with one. The results are in
+docs/benchmarks/further_results.md.
 """
 
 import math
@@ -473,8 +473,9 @@ def rate_controlled_framing(
 
     `bits_per_second`: of all channels, frames included. `max_s`: longest packet that the target delay allows. Encoders
     round up to whole blocks. A refresh comes every 2 s, so a lost packet silences the actuator for 1 s on average.
-    Refreshes cost some 0.15 dB (0.7 dB at one every 0.25 s; docs/benchmarks/rate_control.md). Raises TargetUnreachable
-    for a rate whose packets would last longer than 2 s.
+    Refreshes cost some 0.15 dB (0.7 dB at one every 0.25 s; docs/benchmarks/further_results.md).
+
+    Raises TargetUnreachable for a rate whose packets would last longer than 2 s.
     """
     packet = b"\xff"
     while frame_bytes(packet) > FRAMES_ADD * len(packet):

@@ -37,7 +37,7 @@ MAX_OCTAVES = 2.7
 SHAPE, FLAT = "shape", "flat"
 """The parameter, of codecs that have shapes, and its value for none."""
 DEFAULT_TOUCH = 0.25
-"""The strength of the shape for signals in a physical unit; docs/explanation/decisions/touch.md says why."""
+"""The strength of the shape for signals in a physical unit; docs/explanation/decisions/mdct.md says why."""
 _MOST_OVER_250_HZ_DB = 10.0
 _SPQI_NODE = NODES.index(1 / 16)
 _SPQI_DB = 6.0

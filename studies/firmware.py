@@ -377,7 +377,7 @@ def mean_loads(loads: Sequence[Load]) -> dict[tuple[str, str, str], Any]:
 @page.study
 @page.FROM_TABLES
 def main(out: Path, from_tables: bool) -> None:
-    """Count what decoding costs a Cortex-M and write the page OUT/firmware.md."""
+    """Count what decoding costs a Cortex-M and write its part of firmware.md."""
     if not from_tables:
         with tempfile.TemporaryDirectory() as temporary:
             folder, kinds = Path(temporary), list(GENERATORS)

@@ -139,13 +139,13 @@ def rendered(noticed: Sequence[Noticed], clean: Sequence[Clean]) -> str:
 
 @page.study
 def main(out: Path) -> None:
-    """Inject faults into a bench, measure sound ones as well, and write the page injected_faults.md."""
+    """Inject faults into a bench, measure sound ones as well, and write their part of stability.md."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         noticed = page.collected("injecting faults", notice(FAULTS, folder), len(FAULTS), str)
         clean = page.collected("clean runs", clean_runs(folder), CLEAN_RUNS * len(DEVICES), str)
     tables = ((TABLE, noticed, Noticed), (CLEAN_TABLE, clean, Clean))
-    page.publish(out, "injected_faults", rendered(noticed, clean), tables)
+    page.publish(out, "stability", rendered(noticed, clean), tables)
 
 
 if __name__ == "__main__":

@@ -54,7 +54,7 @@ def main(folder: Path, out: Path) -> None:
     limited = [loss for loss in losses if loss.snr_db <= LIMIT_TO_SNR_DB]
     worst = max(limited, key=lambda loss: loss.mean_db, default=None)
     text = page.render(STEM, globals(), losses=losses, recordings=len(recordings), worst=worst)
-    page.publish(out, STEM, text, [(f"{STEM}.csv", rows, Row)])
+    page.publish(out, "further_results", text, [(f"{STEM}.csv", rows, Row)])
 
 
 def compared(model: Model, recordings: Sequence[textures.Recording]) -> Iterator[Row]:

@@ -488,7 +488,7 @@ def main(out: Path) -> None:
         (f"{name}.csv", [page.rounded(row, ".4g") for row in rows], Result),
         (f"{name}_sensitivity.csv", [page.rounded(row, ".4g") for row in sensitivities], Sensitivity),
     ]
-    page.publish(out, name, text, tables)
+    page.publish(out, "papers", text, tables)
 
 
 if __name__ == "__main__":

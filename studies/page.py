@@ -23,23 +23,15 @@ FROM_TABLES = click.option("--from-tables", is_flag=True, help="Write the page f
 
 def study(main: Callable[..., None]) -> click.Command:
     """Make a command of a function: it gets the option `out`, and its errors are one line."""
-    return _command(main, required=True, help="Write the page and its tables into this folder.")
 
-
-def drawing(default: Path) -> Callable[[Callable[..., None]], click.Command]:
-    """Make commands as `study` does, of functions that write pictures into `default` or another folder."""
-    shown = "/".join(default.parts[-2:])
-    return lambda main: _command(main, default=default, help=f"Write into this folder. Default: {shown}.")
-
-
-def _command(main: Callable[..., None], **of_out: Any) -> click.Command:
     @wraps(main)
     def command(**options: Any) -> None:
         with errors_in_one_line():
             main(**options)
 
     kind = click.Path(file_okay=False, path_type=Path)
-    return click.command()(click.option("--out", type=kind, **of_out)(command))
+    out = click.option("--out", type=kind, required=True, help="Write the page and its tables into this folder.")
+    return click.command()(out(command))
 
 
 @contextmanager
@@ -85,7 +77,7 @@ def rounded(row: Row, form: str) -> Row:
 
 
 def write(out: Path, name: str, text: str, redrawn: bool = False) -> None:
-    """Write OUT/NAME.md; `redrawn` as `pages.write_figures` has it. Raises OSError."""
+    """Write a part of OUT/NAME.md; `redrawn` as `pages.write_figures` has it. Raises OSError."""
     pages.write_figures(out / f"{name}.md", text, redrawn)
     click.echo(str(out / f"{name}.md"))
 
@@ -97,7 +89,7 @@ def render(name: str, script: Mapping[str, Any], **values: object) -> str:
 
 
 def publish(out: Path, name: str, text: str, tables: Sequence[tuple[str, Sequence[Record], type[Record]]]) -> None:
-    """Write OUT/NAME.md, and each table of (file, rows, kind) in OUT/results. Raises OSError."""
+    """Write a part of OUT/NAME.md, and each table of (file, rows, kind) in OUT/results. Raises OSError."""
     for file, rows, kind in tables:
         write_rows(results_folder(out) / file, rows, kind)
     write(out, name, text)

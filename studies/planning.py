@@ -192,7 +192,7 @@ def rendered(rows: Sequence[Saving], left_out: Sequence[str], command: str) -> s
     groups = list(dict.fromkeys(row.group for row in rows))
     chosen = Counter((row.chosen.partition(",")[0], row.weights, row.delay) for row in rows)
     return page.render(
-        "planning_results",
+        "planning",
         globals(),
         rate_hz=DEFAULT_STREAM_RATE_HZ,
         snr_db=DEFAULT_SNR_DB,
@@ -228,7 +228,7 @@ def _planned(group: str, trace: DatasetEntry, unit: str | None) -> tuple[str, li
 @click.argument("folders", nargs=-1, required=True, type=page.EXISTING)
 @click.option("--unit", type=click.Choice(list(textures.INPUT_UNITS)), help="Give the unit of files that state none.")
 def main(folders: tuple[Path, ...], out: Path, unit: str | None) -> None:
-    """Plan all recordings of FOLDERS, and write the savings into planning_results.md."""
+    """Plan all recordings of FOLDERS, and write the savings."""
     found = [(folder.name, trace) for folder in folders for trace in entries(folder)]
     planned = page.collected("planning", (_planned(*each, unit) for each in found), len(found), lambda each: each[0])
     rows = [saving for _, savings, _ in planned for saving in savings]
@@ -238,7 +238,7 @@ def main(folders: tuple[Path, ...], out: Path, unit: str | None) -> None:
     given = "" if unit is None else f" --unit {unit}"
     names = " ".join(folder.name for folder in folders)
     command = f"python -m studies.planning {names}{given} --out docs/benchmarks"
-    page.publish(out, "planning_results", rendered(rows, left_out, command), [("planning.csv", rows, Saving)])
+    page.publish(out, "further_results", rendered(rows, left_out, command), [("planning.csv", rows, Saving)])
 
 
 if __name__ == "__main__":

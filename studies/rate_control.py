@@ -93,7 +93,7 @@ def main(folder: Path, out: Path) -> None:
         done.filter(pl.col("bits_per_second").is_in(MAIN_RATES_BPS), codec=DEFAULT_CODEC),
     )
     tables = (("rate_control.csv", held, Held), ("rate_control_refreshes.csv", refreshes, RefreshCost))
-    page.publish(out, "rate_control", rendered(held, refreshes, dataset.printable(folder.name)), tables)
+    page.publish(out, "further_results", rendered(held, refreshes, dataset.printable(folder.name)), tables)
 
 
 def _repeated(recording: textures.Recording) -> textures.Recording:

@@ -103,12 +103,12 @@ def measure(folder: Path) -> Iterator[Cost]:
 
 @page.study
 def main(out: Path) -> None:
-    """Count flash, RAM, stack and worst-case load of each codec, and write the page small_parts.md."""
+    """Count flash, RAM, stack and worst-case load of each codec, and write their part of firmware.md."""
     with tempfile.TemporaryDirectory() as folder:
         costs = list(measure(Path(folder)))
     controllers = {name: size(name) for name in CONTROLLERS}
     text = page.render("small_parts", globals(), costs=costs, controllers=controllers)
-    page.publish(out, "small_parts", text, [(TABLE, costs, Cost)])
+    page.publish(out, "firmware", text, [(TABLE, costs, Cost)])
 
 
 if __name__ == "__main__":

@@ -344,7 +344,7 @@ def main(out: Path, profiles: Path | None, recordings: Path | None) -> None:
     draw_levels(folder / "texture_paper.png", results)
     draw_spectra(folder / "texture_paper_spectra.png", lines)
     rounded = [(file, [page.rounded(row, ".4f") for row in rows], kind) for file, rows, kind in tables]
-    page.publish(out, "texture_paper", markdown(results, of_recordings), rounded)
+    page.publish(out, "papers", markdown(results, of_recordings), rounded)
 
 
 if __name__ == "__main__":

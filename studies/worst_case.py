@@ -361,12 +361,12 @@ def main(out: Path, from_tables: bool) -> None:
     if from_tables:
         results = page.results_folder(out)
         stored = points.read_rows(results / COSTS, Cost), points.read_rows(results / TURNS, Turn)
-        page.write(out, "worst_case", rendered(*stored), redrawn=True)
+        page.write(out, "firmware", rendered(*stored), redrawn=True)
         return
     found = page.collected("streams", measured_costs(TRIES), None, lambda one: one[0].decoder)
     turns = page.collected("streams", measured_turns(found, STOPS), None, lambda turn: f"{turn.decoder} on a board")
     costs = [cost for cost, _ in found]
-    page.publish(out, "worst_case", rendered(costs, turns), ((COSTS, costs, Cost), (TURNS, turns, Turn)))
+    page.publish(out, "firmware", rendered(costs, turns), ((COSTS, costs, Cost), (TURNS, turns, Turn)))
 
 
 if __name__ == "__main__":

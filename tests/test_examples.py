@@ -78,3 +78,9 @@ def test_the_example_for_psychopy_plays_its_stimuli_without_psychopy(
     runpy.run_path(example)
     assert capsys.readouterr().out.splitlines() == ["20 dB: 4.0 s, 0 underruns", "5 dB: 4.0 s, 0 underruns"]
     assert "psychopy" not in sys.modules
+
+
+def test_the_picture_of_the_data_path_states_the_rate_of_the_example() -> None:
+    stream = vibrocast.encode(vibrocast.load(EXAMPLES / "oak.wav"), random_access=True)
+    picture = (ROOT / "docs" / "figures" / "data_path.svg").read_text(encoding="utf-8")
+    assert f">{stream.bits_per_second / 1000:.1f} kbit/s<" in picture

@@ -19,18 +19,24 @@ def test_html_escapes_every_value_and_markdown_what_a_table_would_take_for_its_o
     assert render(tmp_path, "a.md.jinja", "| {{ text | cell }} |", text="<b> \\\n|") == "| &lt;b> \\\\ \\| |\n"
 
 
-def test_a_page_of_figures_ends_with_their_commit_and_keeps_it_when_it_is_drawn_again(
+def test_a_part_of_a_page_of_figures_ends_with_its_commit_and_leaves_the_other_parts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pages, "program", lambda: "commit 12ab34c (2026-01-02)")
     path = tmp_path / "page.md"
-    pages.write_figures(path, "# New\n", redrawn=True)
-    assert path.read_text() == "# New\n"
-    pages.write_figures(path, "# Measured\n")
-    assert path.read_text() == "# Measured\n\nFigures: commit 12ab34c (2026-01-02).\n"
-    monkeypatch.setattr(pages, "program", lambda: "commit 0000000 (2026-01-03)")
-    pages.write_figures(path, "# Drawn again\n", redrawn=True)
-    assert path.read_text() == "# Drawn again\n\nFigures: commit 12ab34c (2026-01-02).\n"
+
+    def write(text: str, commit: str = "") -> str:
+        monkeypatch.setattr(pages, "program", lambda: commit)
+        pages.write_figures(path, text, redrawn=not commit)
+        return path.read_text()
+
+    assert write("# New\n") == "# New\n"
+    assert write("# Page\n", "one") == "# Page\n\nFigures: one.\n"
+    page = write("## Part\n", "two")
+    assert page == "# Page\n\nFigures: one.\n\n## Part\n\nFigures: two.\n"
+    page = write("# Page\n\nDrawn again.\n")
+    assert page == "# Page\n\nDrawn again.\n\nFigures: one.\n\n## Part\n\nFigures: two.\n"
+    assert write("## Part\n", "three") == page.replace("two", "three")
+    assert write("# Another page\n", "four") == "# Another page\n\nFigures: four.\n"
 
 
 def test_the_program_is_its_commit_in_a_checkout_and_its_version_elsewhere(

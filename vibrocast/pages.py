@@ -13,7 +13,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from vibrocast.files import atomic_write
 
 FIGURES = "Figures: "
-"""Begins the last line of a page of figures."""
+"""Begins the last line of each part of a page of figures."""
 _CHECKOUT = Path(__file__).resolve().parents[1]
 
 
@@ -35,18 +35,23 @@ def render(template: Path, **values: object) -> str:
     return (text if is_html else re.sub(r"\n{3,}", "\n\n", text)).strip("\n") + "\n"
 
 
-def write_figures(path: Path, page: str, redrawn: bool = False) -> None:
-    """Write a page of figures, whole or not at all; its last line states from which program they are. Raises OSError.
+def write_figures(path: Path, part: str, redrawn: bool = False) -> None:
+    """Write a part of a page of figures; its last line states from which program they are. Raises OSError.
 
-    `redrawn`: the figures are those of the page that is there, and keep its last line.
+    A part that begins with the heading of one of the page replaces it. Else `# ` begins the page anew, and `## ` comes
+    at its end. `redrawn`: the figures are those of the part that is there, and keep its last line.
     """
-    if redrawn:
-        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
-        last = next((line for line in reversed(lines) if line.startswith(FIGURES)), "")
-    else:
-        last = f"{FIGURES}{program()}."
+    page = path.read_text(encoding="utf-8") if path.exists() else ""
+    heading = re.escape(part.partition("\n")[0])
+    former = re.search(rf"^{heading}\n.*?^({FIGURES}.*)\n", page, re.MULTILINE | re.DOTALL)
+    last = f"{FIGURES}{program()}." if not redrawn else former[1] if former else ""
+    text = f"{part}\n{last}\n" if last else part
+    if former:
+        text = page[: former.start()] + text + page[former.end() :]
+    elif page and part.startswith("## "):
+        text = f"{page}\n{text}"
     with atomic_write(path) as partial:
-        partial.write_text(f"{page}\n{last}\n" if last else page, encoding="utf-8")
+        partial.write_text(text, encoding="utf-8")
 
 
 @cache

@@ -7,7 +7,7 @@
  *   controllers share nothing.
  * - It calls the functions of settings.h before it returns. They must not call it.
  * - A call takes as long as decoding a block, or as a command of the flash.
- * - Stack: 5.6 kB hold a controller of one codec and one channel on a Cortex-M4F (docs/benchmarks/small_parts.md). More
+ * - Stack: 5.6 kB hold a controller of one codec and one channel on a Cortex-M4F (docs/benchmarks/firmware.md). More
  *   channels take more.
  */
 #ifndef VIBROCAST_CONTROLLER_H

@@ -9,7 +9,7 @@
 #define LINEAR 0x20u    /* absent from older streams, whose linear levels were others */
 #define FIRST_CLASS 16u /* symbols from here on stand for classes of values, eight an octave */
 #define ONE (1 << 24)
-/* For a sample of a channel, the longest block and a tenth more; docs/benchmarks/worst_case.md. */
+/* For a sample of a channel, the longest block and a tenth more; docs/benchmarks/firmware.md. */
 #define CYCLES 1600u
 #define POLLED_BINS 128u      /* most that a poll decodes */
 #define ROOT_OF_HALF 11863283 /* sqrt(1 / 2) in 1/2^24 */

@@ -6,7 +6,7 @@
 #define MAX_LATENT 32767
 #define STEPS_PER_UNIT 4096
 /* For a column, for each of its latents and hidden channels, and for each of the network's multiplications: fitted to
- * four sizes of networks, and a tenth more; docs/benchmarks/worst_case.md. */
+ * four sizes of networks, and a tenth more; docs/benchmarks/firmware.md. */
 #define CYCLES_BY_COLUMN 16000u
 #define CYCLES_BY_CHANNEL 430u
 #define CYCLES_BY_20_PRODUCTS 29u

@@ -4,7 +4,7 @@
 #include "vc_mdct_synthesis.h"
 
 #define FADE_BLOCKS 8u /* longest time that concealment sounds */
-/* For a sample of a channel, the longest hop and a tenth more; docs/benchmarks/worst_case.md. */
+/* For a sample of a channel, the longest hop and a tenth more; docs/benchmarks/firmware.md. */
 #define CYCLES 2650u
 /* More with a rotation: for a sample of a channel, and for each channel that is mixed into it. */
 #define ROTATION_CYCLES 100u

@@ -5,7 +5,7 @@
 #include "vc_mdct_synthesis.h"
 
 #define FADE_BLOCKS 8u /* longest time that concealment sounds */
-#define CYCLES 1560u   /* for a sample of a channel, a tenth more than found; docs/benchmarks/worst_case.md */
+#define CYCLES 1560u   /* for a sample of a channel, a tenth more than found; docs/benchmarks/firmware.md */
 
 size_t vc_parametric_decoder_size(void)
 {

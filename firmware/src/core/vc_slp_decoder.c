@@ -3,7 +3,7 @@
 #include "vc_decoder_memory.h"
 
 #define FADE_SAMPLES 256u /* longest time that concealment sounds */
-/* For a sample of a channel, and for each sample of its frame, a tenth more; docs/benchmarks/worst_case.md. */
+/* For a sample of a channel, and for each sample of its frame, a tenth more; docs/benchmarks/firmware.md. */
 #define CYCLES 1800u
 #define CYCLES_BY_FRAME 29u
 
