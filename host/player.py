@@ -41,6 +41,8 @@ _STALL_S, _MAX_OUTAGES_S = 5.0, 60.0
 _SLOWNESS = 0.1
 # From the end of an outage until the controller plays again.
 _RESTART_S = 1.0
+# At most so much is played again after an outage, so that the rest can be decoded.
+_MAX_REPEATED_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -116,8 +118,9 @@ class PlaybackSettings:
     """How to play.
 
     `loops`: how often, 0 = until stopped. `buffer_s`: how much the controller holds before it begins and while it
-    plays, as far as its own buffer and credit go. `reconnect_s`: how long a broken connection is opened again; if the
-    controller has given up meanwhile, playing (also what was paused) goes on at the next random-access packet.
+    plays, as far as its own buffer and credit go. `reconnect_s`: how long a broken connection is opened again. If the
+    controller has run out of data meanwhile, playing goes on where it was, from a random-access packet shortly before.
+    With `start_steps`, and where there is no such packet, it goes on in time, at the next one.
     `capture`: read back what is played. `progress`: called in this thread whenever the controller reports. It may
     `request` a Pause, Resume or Gain, or `stop` the controller. It may not request a Loop, because this host would send
     no data for it. `compensation`: whether the controller compensates its actuator's response. `gain`: by which it
@@ -372,6 +375,7 @@ class _Sender:
         self.first, self._next = first, max(first, sent)
         self._pace = pace
         self.heard_s = controller.clock()
+        self._held_until = self.position  # what the controller has played or held
 
     @property
     def status(self) -> Status:
@@ -457,19 +461,37 @@ class _Sender:
             return True
         if status.stream != self._session.number:
             return False
+        ran_out = self._base * self._source.packet_samples + status.position > self._held_until
+        if ran_out and status.state == State.PLAYING and self._refresh_before_gap() is not None:
+            return False
         if status.state in (State.ARMED, State.PLAYING, State.PAUSED, State.FINISHED, State.STOPPED):
             # Frames under way when the connection broke may be lost. The controller drops packets that it has already.
             self._next = min(self._next, self._base + status.position // self._source.packet_samples)
             self._session.news()
             self._note()
             return True
-        if status.state == State.WATCHDOG:
-            self._session.news()
+        if status.state == State.WATCHDOG and self._refresh_before_gap() is None:
+            self._session.news()  # what was lost is not played again
         return False
 
+    def _refresh_before_gap(self) -> int | None:
+        """Return the last random-access packet before the controller ran out of data.
+
+        None where it is too far back, and where controllers play in step.
+        """
+        if self._settings.start_steps is not None:
+            return None
+        source, packet = self._source, self._held_until // self._source.packet_samples
+        refresh = source.next_refresh(max(self.first, packet - int(_MAX_REPEATED_S / source.packet_s)))
+        while refresh is not None and (later := source.next_refresh(refresh + 1)) is not None and later <= packet:
+            refresh = later
+        return refresh if refresh is not None and refresh <= packet else None
+
     def refresh_to_go_on_from(self, cause: Exception) -> int:
-        """Return the first random-access packet that was not played. Raises ControllerError if there is none."""
-        refresh = self._source.next_refresh(-(-self.position // self._source.packet_samples))
+        """Return the random-access packet to go on from. Raises ControllerError if there is none."""
+        refresh = self._refresh_before_gap()
+        if refresh is None:
+            refresh = self._source.next_refresh(-(-self.position // self._source.packet_samples))
         if refresh is None:
             raise ControllerError(
                 "the connection was lost for too long, and no later packet can be decoded alone; play the recording "
@@ -565,6 +587,8 @@ class _Sender:
                 "the controller plays beyond the end of the stream, by a Loop sent to it or a fault; restart it"
             )
         self.heard_s = self._controller.clock()
+        if status.state != State.WATCHDOG:  # its position counts the silence, too
+            self._held_until = max(self._held_until, self.position + status.buffered_samples)
         if status.state == State.WATCHDOG:
             watchdog_ms = self._controller.description.limits.watchdog_ms
             raise ConnectionLost(

@@ -341,6 +341,7 @@ class Event:
         position_s: Where it is, in s.
         seconds: The duration of the track in s.
         skin_s: When that is felt, as `time.time` counts.
+        paused: Whether it rests there.
         gain_db: The change of level by commands, in dB.
         level_db: The level now, None where it is not known yet.
         level_of: What `level_db` is the level of, and relative to what.
@@ -357,6 +358,7 @@ class Event:
     position_s: float = 0.0
     seconds: float = 0.0
     skin_s: float = 0.0
+    paused: bool = False
     gain_db: float = 0.0
     level_db: float | None = None
     level_of: str = ""
@@ -653,6 +655,7 @@ class TrackPlayer:
             position_s=self._position_s,
             seconds=0.0 if track is None else track.seconds,
             skin_s=time.time() + late_s,
+            paused=self._paused,
             gain_db=self.gain_db,
             level_db=level_db,
             level_of=level_of,

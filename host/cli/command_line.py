@@ -151,14 +151,15 @@ class LogFile(logging.FileHandler):
 
 
 class NotesHandler(logging.Handler):
-    """Prints what the reader of recordings notes, on stderr."""
+    """Prints what a person should know of recordings, and while work goes on."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print one line, whatever it quotes."""
-        click.echo(f"note: {plain(record.getMessage())}", err=True)
+        """Print one line on stderr, whatever it quotes; above a bar where one is shown."""
+        print(f"note: {plain(record.getMessage())}", file=sys.stderr)
 
 
 logging.getLogger("vibrocast.textures").addHandler(NotesHandler(logging.WARNING))
+notes.addHandler(NotesHandler())
 
 
 def keep_log(path: Path) -> None:
@@ -172,17 +173,6 @@ def keep_log(path: Path) -> None:
         logger.removeHandler(earlier)
     logger.addHandler(handler)
     logger.setLevel(logging.DEBUG)
-
-
-class _Notes(logging.Handler):
-    """Prints what a person should know while work goes on."""
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Print one line on stderr, whatever it quotes."""
-        click.echo(f"note: {plain(record.getMessage())}", err=True)
-
-
-notes.addHandler(_Notes())
 
 
 def fail(message: str, exit_code: int) -> NoReturn:

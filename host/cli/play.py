@@ -1,6 +1,7 @@
 """The subcommand `play`: plays a recording or a .vct file on a controller, and reports how it went."""
 
 import contextlib
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, field, replace
@@ -248,12 +249,13 @@ def telling(
         if event.error is not None and event.tracks > 1:
             reason = explained(event.error, options).format_message()
             place = "" if event.track in reason else f"{event.track}: "
-            click.echo(plain(f"{place}{reason}; the list goes on"), err=True)
+            print(plain(f"{place}{reason}; the list goes on"), file=sys.stderr)
         level = "" if event.level_db is None else f"  {event.level_db:+.0f} dB {event.level_of} {meter(event.level_db)}"
         every = latest.values()
         update(
             event.position_s / event.seconds if event.seconds else None,
             f"[{event.number}/{event.tracks}] {plain(event.track)}  {event.position_s:.1f} of {event.seconds:.1f} s"
+            f"{'  paused' if event.paused else ''}{f'  gain {event.gain_db:+g} dB' if event.gain_db else ''}"
             f"{level}  buffer {1000 * min(each.buffered_s for each in every):.0f} ms  "
             f"lost {sum(each.lost_packets for each in every)}  underruns {sum(each.underruns for each in every)}",
         )

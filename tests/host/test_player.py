@@ -178,9 +178,9 @@ def test_restarted_controller_goes_on_within_the_loops() -> None:
 
 def test_a_long_cut_of_a_stream_with_one_refresh_is_reported() -> None:
     scripted = ScriptedController()
-    unplug_between(scripted, 0.5, 3.0)
+    unplug_between(scripted, 1.5, 4.0)
     with pytest.raises(ControllerError, match="no later packet can be decoded alone"):
-        play(scripted.connect(), Coded(make_packets(150, refresh_packets=1000)))
+        play(scripted.connect(), Coded(make_packets(500, refresh_packets=1000)))
 
 
 def test_controller_whose_watchdog_bites_again_and_again_is_given_up() -> None:

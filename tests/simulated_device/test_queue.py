@@ -91,6 +91,24 @@ def test_it_follows_without_a_gap_bit_for_bit(loops: int) -> None:
     np.testing.assert_array_equal(np.concatenate(bench.codes), expected)
 
 
+def test_packets_of_the_next_stream_neither_count_as_buffered_nor_hide_an_underrun() -> None:
+    bench = Bench()
+    bench.configure(FIRST)  # type: ignore[arg-type]
+    sent = FIRST.packets[:-1]
+    bench.send_payload(pack(StreamData(7, 0, sent)))
+    bench.ask(Start())
+    bench.run(50)
+    queue(bench, SECOND)
+    bench.send_payload(pack(StreamData(8, 0, SECOND.packets[:2])))
+    status = bench.status()
+    assert status.queued is not None
+    assert status.position + status.buffered_samples == len(sent) * FIRST.packet_samples
+    bench.run(round(1000 * FIRST.seconds))
+    status = bench.status()
+    assert (status.stream, status.underruns) == (8, 1)
+    assert status.position + status.buffered_samples == 2 * SECOND.packet_samples
+
+
 def test_a_third_follows_once_the_second_plays() -> None:
     bench = Bench()
     begun(bench)

@@ -322,7 +322,7 @@ static void begin_packet(vc_playback *playback)
         vc_drive_join(drive_of(playback));
     }
     packet = vc_packet_buffer_find(&playback->buffer, playback->key + number, &length);
-    starved = playback->buffer.count == 0;
+    starved = playback->newest_end <= number;
     if (starved && !playback->starved)
         count_one(&playback->underruns);
     playback->starved = starved;
@@ -348,11 +348,16 @@ static void begin_packet(vc_playback *playback)
 /* Goes on with the stream behind the one that has been decoded to its end, as with a further iteration. */
 static void begin_next(vc_playback *playback)
 {
+    uint64_t number;
+    size_t length;
     playback->key += end_of(playback);
     playback->next = playback->newest_end = 0;
     playback->joins = 1;
     describe(playback, playback->queued.stream, &playback->next_header, &playback->next_coding, playback->next_packets,
              playback->next_loops);
+    for (number = 0; number < credit_of(playback); number++)
+        if (vc_packet_buffer_find(&playback->buffer, playback->key + number, &length) != NULL)
+            playback->newest_end = number + 1;
     vc_drive_join(drive_of(playback));
 }
 
@@ -710,6 +715,17 @@ uint64_t vc_playback_free_us(const vc_playback *playback)
            scaled_up(vc_dac_recovery_samples(&playback->dac), US_PER_S, playback->actuator->dac_rate_hz);
 }
 
+/* Packets of this stream that wait to be decoded. The buffer may hold those of the stream behind it, too. */
+static uint32_t waiting_packets(const vc_playback *playback)
+{
+    uint32_t waiting = 0;
+    uint64_t number;
+    size_t length;
+    for (number = playback->next; number < playback->newest_end; number++)
+        waiting += vc_packet_buffer_find(&playback->buffer, playback->key + number, &length) != NULL;
+    return waiting;
+}
+
 void vc_playback_report(vc_playback *playback, vc_status_report *status)
 {
     const uint32_t pending = pending_samples(playback), packet_samples = playback->coding.packet_samples;
@@ -729,7 +745,7 @@ void vc_playback_report(vc_playback *playback, vc_status_report *status)
         playback->queued.credit_until = next_credit_of(playback) * playback->next_coding.packet_samples;
         status->queued = &playback->queued;
     }
-    status->buffered_samples = playback->buffer.count * packet_samples + pending;
+    status->buffered_samples = waiting_packets(playback) * packet_samples + pending;
     status->underruns = playback->underruns;
     status->lost_packets = playback->lost_packets;
     status->compensation_clipped = limited->compensation_clipped;
