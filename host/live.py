@@ -39,7 +39,9 @@ _MAX_GROWTH_S = 0.02
 _OUT_OF_STEP_S = 0.25
 # How long the end is waited for: until all that was sent should have been played, or for _MAX_LEFT_S, and _END_S more.
 _MAX_LEFT_S, _END_S = 30.0, 5.0
-# A live source may deliver its backlog at once. A source that floods _MAX_FLOODS streams in a row is not live.
+# A live source may deliver its backlog at once: what it kept before, or what came while this computer was too busy to
+# take it. A source is not live when it is _FLOOD_FACTOR times as fast as time, all in all, at _MAX_FLOODS restarts in a
+# row.
 _FLOOD_FACTOR = 1.5
 _MAX_FLOODS = 4
 _POLL_S = 0.005
@@ -191,7 +193,8 @@ class LiveStream:
             encoder.encode(np.zeros((self.packet_samples, self.format.channels)))
         self._gain, self._compensation = gain, compensation
         self.on_packets: Callable[[Sequence[bytes]], None] | None = None
-        self._floods = 0  # streams in a row
+        self._heard_samples = self._floods = 0
+        self._since_s = controller.clock()
         self._configure()
         self._wire_bytes_before = controller.bytes_sent
         self._bad_frames_before, self._bad_frames_back_before = self.status.bad_frames, controller.bad_frames
@@ -309,7 +312,6 @@ class LiveStream:
         self.packets_sent = 0
         self._plays_from_s: float | None = None
         self._ask_s = 0.0
-        self._began_s = self.controller.clock()
         self._out_of_step_since_s: float | None = None
 
     def _default_playout_delay_s(self) -> float:
@@ -355,6 +357,7 @@ class LiveStream:
         """
         if len(samples):
             self._last_samples, self._heard_s = samples[-1], self.controller.clock()
+            self._heard_samples += len(samples)
             self._pauses, self._silent_samples = False, 0
             self._send_samples(samples)
         else:
@@ -490,12 +493,12 @@ class LiveStream:
 
     def _reject_floods(self) -> None:
         """Raise InputError for a source that does not keep its own rate: what is ahead of time would be lost."""
-        sent_s = self.packets_sent * self.packet_samples / self.format.rate_hz
-        took_s = self.controller.clock() - self._began_s
-        self._floods = self._floods + 1 if sent_s > _FLOOD_FACTOR * took_s else 0
+        gave_s = self._heard_samples / self.format.rate_hz
+        took_s = self.controller.clock() - self._since_s
+        self._floods = self._floods + 1 if gave_s > _FLOOD_FACTOR * took_s else 0
         if self._floods == _MAX_FLOODS:
             raise InputError(
-                f"the source is not live: it gave {sent_s:.1f} s of signal in {took_s:.1f} s; play a recording with "
+                f"the source is not live: it gave {gave_s:.1f} s of signal in {took_s:.1f} s; play a recording with "
                 "`vibrocast play`"
             )
 

@@ -203,6 +203,18 @@ class LivePlayback:
                 self.sent.append(Sent(last_s, awake_s, self._coded_s, sent_s, samples_sent, stream.stream))
                 self._ask_s = sent_s + self._ask_every_s
 
+    def heard(self, read: Callable[[float], Signal | None]) -> Iterator[Signal]:
+        """Yield what a source gives, as `live.heard` does; note by how much each read overran its time."""
+        clock = self.stream.controller.clock
+
+        def timed(timeout_s: float) -> Signal | None:
+            until_s = clock() + timeout_s
+            samples = read(timeout_s)
+            self._late_ms.append(1e3 * max(0.0, clock() - until_s))
+            return samples
+
+        return live.heard(self.stream, timed)
+
     def _kept(self, blocks: Iterable[Signal]) -> Iterator[Signal]:
         seconds = 0.0
         for block in blocks:
@@ -427,6 +439,7 @@ def cause(minute: Minute, playout_delay_ms: float) -> str | None:
         return "device"
     if minute.bad_frames or minute.bad_frames_back:
         return "wire"
-    if minute.pauses:
-        return "source"
-    return "host" if minute.host_late_ms is not None and minute.host_late_ms > playout_delay_ms / 2 else "wire"
+    # A host that is late takes what waits for it at once, which looks like a pause of the source.
+    if minute.host_late_ms is not None and minute.host_late_ms > playout_delay_ms / 2:
+        return "host"
+    return "source" if minute.pauses else "wire"

@@ -135,7 +135,7 @@ class Minute:
     """A minute of a live stream, from `from_s` on. Counts are of this minute.
 
     `host_late_ms`: by how much the host handled a block too late, at most; `host_jitter_ms`: between the 5 % and the
-    95 % of these times; None where blocks have no time of their own.
+    95 % of these times; None before the first block.
     `margin_ms`: the least time that packets lay ready at the controller; None where it never played.
     """
 

@@ -109,8 +109,8 @@ def describe_losses(report: Report) -> str:
     unsent = f", {dropped} of them not sent, because too late" if dropped else ""
     restarts = f", restarts {report.live.streams - 1}" if report.live.streams > 1 else ""
     live = report.live
-    left_out = f" and gave {live.left_out_packets} packets too late" if live.left_out_packets else ""
-    pauses = f"; the source paused {live.pauses} time(s){left_out}" if live.pauses else ""
+    left_out = f", packets left out as too old {live.left_out_packets}" if live.left_out_packets else ""
+    pauses = f", pauses {live.pauses}{left_out}" if live.pauses else ""
     return f"{report.underruns}, lost packets {report.lost_packets} of {report.packets}{unsent}{restarts}{pauses}"
 
 

@@ -256,7 +256,7 @@ def source_blocks(playing: LivePlayback, samples: SampleOptions, given: Given) -
         left -= len(block)
         return highpass(block)
 
-    return streaming.heard(playing.stream, read)
+    return playing.heard(read)
 
 
 def reject_contradictions(coding: CodingOptions, delay: DelayOptions) -> None:

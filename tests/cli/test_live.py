@@ -375,6 +375,7 @@ def test_a_controller_that_plays_something_else_fails(tmp_path: Path, put: Put) 
         ({"underruns": 1, "output_gaps": 1, "host_late_ms": 8.0}, "device"),
         ({"restarts": 1}, "wire"),
         ({"restarts": 1, "pauses": 1}, "source"),
+        ({"restarts": 1, "pauses": 1, "host_late_ms": 8.0}, "host"),
         ({"restarts": 1, "pauses": 1, "bad_frames": 1}, "wire"),
     ],
 )

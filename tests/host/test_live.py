@@ -252,6 +252,22 @@ def test_a_source_that_does_not_keep_its_rate_is_rejected() -> None:
     assert controller.request_status().state == State.STOPPED
 
 
+def test_a_computer_that_is_too_busy_does_not_make_its_source_one_that_is_not_live() -> None:
+    link, controller = linked()
+    stream = LiveStream(controller, FORMAT)
+
+    def starved() -> Iterator[Signal]:
+        busy_at_s = 1.0
+        for block in blocks(stream, noise(12.0, rms=2.0)):
+            if controller.clock() > busy_at_s:
+                link.sleep(2.0)  # the backlog then comes at once
+                busy_at_s = controller.clock() + 0.3
+            yield block
+
+    result = live.play(stream, starved())
+    assert result.streams > live._MAX_FLOODS
+
+
 def test_what_a_source_kept_before_it_was_heard_is_passed_over() -> None:
     _, controller = linked()
     stream = LiveStream(controller, FORMAT)
