@@ -95,7 +95,7 @@ def measure_response(
         fit,
         replace(
             actuator,
-            name=f"{actuator.name} measured",
+            name=f"{actuator.name.removesuffix(' measured')} measured",
             corner_hz=fit.corner_hz,
             quality=fit.quality,
             stroke_um=fit.stroke_um,

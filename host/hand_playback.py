@@ -253,6 +253,7 @@ def play_and_compare(
         packets=len(sent.packets),
         lost_packets=played.status.lost_packets,
         dac_equals_offline=as_computed(session, played, codes),
+        comparison_note=session.unknown_note,
         position=PositionFigures(
             length_mm=length_mm,
             bits_per_mm=8 * stream.size_bytes / length_mm,
@@ -307,12 +308,12 @@ def _traces(
 def as_computed(session: Session, played: Played, computed: Codes) -> bool | None:
     """Return whether the DAC's codes are those computed, up to the way to rest at the end.
 
-    None without any, and where they differ and positions came too late or damaged.
+    None without any, for an actuator not known here, and where they differ and positions came too late or damaged.
     """
     first, codes = played.captured
     # Stop comes when it comes: from there on the output goes to rest.
     compared = len(codes) - round(_BEHIND_S * session.driven.dac_rate_hz)
-    if compared <= 0:
+    if compared <= 0 or not session.is_known:
         return None
     if Captured(first, codes[:compared]).ends(computed[: first + compared]):
         return True

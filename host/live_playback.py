@@ -280,7 +280,7 @@ class LivePlayback:
         def ends(tap: Tap, computed: NDArray[np.int16]) -> bool:
             return Captured(*read_capture(controller, tap, header.channels, newest)).ends(computed)
 
-        return ends(Tap.DECODED, offline), ends(Tap.DAC, codes)
+        return ends(Tap.DECODED, offline), ends(Tap.DAC, codes) if self.session.is_known else None
 
     def report(
         self,
@@ -313,6 +313,7 @@ class LivePlayback:
             lost_packets=result.lost_packets,
             decoded_equals_offline=decoded,
             dac_equals_offline=dac,
+            comparison_note=self.session.unknown_note,
             live=LiveFigures(
                 packet_ms=1e3 * stream.packet_s,
                 playout_delay_ms=1e3 * stream.playout_delay_s,

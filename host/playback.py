@@ -169,7 +169,7 @@ def compared(
         lost_packets=result.lost_packets,
         reconnects=result.reconnects,
         decoded_equals_offline=_equal(result, result.decoded, offline, loops) if comparable else None,
-        dac_equals_offline=_equal(result, result.dac_codes, codes) if comparable else None,
+        dac_equals_offline=_equal(result, result.dac_codes, codes) if comparable and session.is_known else None,
         comparison_note=_comparison_note(session, stream, loops, result),
     )
     return Playback(session, stream, report, caption(session, READ_BACK if read_back else COMPUTED), traces)
@@ -283,7 +283,8 @@ def _comparison_note(session: Session, stream: Stream, loops: int, result: playe
     if result.altered:
         return "it was paused, stopped or changed in level while it played"
     if result.decoded is not None and result.dac_codes is not None:
-        return "packets were lost or came too late" if result.lost_packets or result.underruns else None
+        late = result.lost_packets or result.underruns
+        return "packets were lost or came too late" if late else session.unknown_note
     keeps = session.controller.description.limits.capture_samples
     return _unread_reason(session, stream, loops) or (
         f"the controller keeps {keeps} samples of each capture, and overwrote some before they were read, because the "

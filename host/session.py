@@ -18,27 +18,35 @@ class Session:
     """An open session with the controller at an address, for whatever plays.
 
     `driven`: the actuator by which the controller computes its DAC's codes; `skin`: the one that moves the skin.
+    `is_known`: whether `driven` is all that the controller computes by. Otherwise it was built from the controller's
+    description, which leaves out some limits, and codes cannot be compared.
     """
 
     controller: Controller
     address: str
     driven: Actuator
     skin: Actuator
+    is_known: bool = True
+
+    @property
+    def unknown_note(self) -> str | None:
+        """Why the controller's codes cannot be compared with those computed here; None if they can."""
+        name = self.controller.description.actuator.name
+        return None if self.is_known else f"the limits of {name} are unknown; give its file as --actuator"
 
 
 def session_with(controller: Controller, address: str, actuator: Actuator | None = None) -> Session:
     """Return the session with a controller; `actuator`: the one behind it, None = as the controller says.
 
-    A controller that takes any actuator drives this one; for others it is the model of the skin alone. Raises
-    ControllerError where no actuator can be as the controller says.
+    A controller that takes any actuator drives this one, and so does one that describes it. For others it is the model
+    of the skin alone. Raises ControllerError where no actuator can be as the controller says.
     """
-    if actuator is None:
-        driven = skin = actuator_model(controller.description.actuator)
-    else:
-        skin = devices.behind_dac(address, actuator, controller.description.actuator)
-        takes = devices.takes_actuator(address)
-        driven = skin if takes else actuator_model(controller.description.actuator)
-    return Session(controller, address, driven, skin)
+    described = controller.description.actuator
+    skin = None if actuator is None else devices.behind_dac(address, actuator, described)
+    if skin is not None and (devices.takes_actuator(address) or description_of(skin) == described):
+        return Session(controller, address, skin, skin)
+    driven = actuator_model(described)
+    return Session(controller, address, driven, skin or driven, known_model(described) is not None)
 
 
 @contextlib.contextmanager
@@ -48,19 +56,42 @@ def connect(address: str, runtime: str | None = None, actuator: Actuator | None 
         yield session_with(controller, address, actuator)
 
 
-def actuator_model(description: ActuatorDescription) -> Actuator:
-    """Return the model of the actuator that a controller describes.
+def description_of(actuator: Actuator) -> ActuatorDescription:
+    """Return how a controller describes an actuator that it drives."""
+    lower_hz, upper_hz = actuator.band_hz
+    return ActuatorDescription(
+        name=actuator.name,
+        stroke_um=float(np.float32(actuator.stroke_um)),
+        volts=float(np.float32(actuator.volts)),
+        lower_hz=float(np.float32(lower_hz)),
+        upper_hz=float(np.float32(upper_hz)),
+        slew_volts_per_second=float(np.float32(actuator.slew_volts_per_second)),
+        dac_bits=actuator.dac_bits,
+        dac_rate_hz=actuator.dac_rate_hz,
+    )
 
-    Known by its name, with the controller's DAC and volts at full scale, or else built from its band: a low-pass,
-    or a resonance where it does not reach down to rest. Raises ControllerError where no actuator can be such.
+
+def known_model(description: ActuatorDescription) -> Actuator | None:
+    """Return which of ACTUATORS a controller describes, with its DAC and volts at full scale; None if none of them."""
+    known = ACTUATORS.get(description.name)
+    if known is None or not 0 < description.volts < math.inf:
+        return None
+    # The shortest number of those that are sent as this one, which has seven digits.
+    volts = float(str(np.float32(description.volts)))
+    if volts != float(str(np.float32(known.volts))):
+        known = known.with_full_scale(volts / 2)
+    known = replace(known, dac_bits=description.dac_bits, dac_rate_hz=description.dac_rate_hz)
+    return known if description_of(known) == description else None
+
+
+def actuator_model(description: ActuatorDescription) -> Actuator:
+    """Return the model of the actuator that a controller describes: the known one, or one built from its band.
+
+    That is a low-pass, or a resonance where it does not reach down to rest. Raises ControllerError where no actuator
+    can be such.
     """
-    if description.name in ACTUATORS and 0 < description.volts < math.inf:
-        known = ACTUATORS[description.name]
-        # The shortest number of those that are sent as this one, which has seven digits.
-        volts = float(str(np.float32(description.volts)))
-        if volts != float(str(np.float32(known.volts))):
-            known = known.with_full_scale(volts / 2)
-        return replace(known, dac_bits=description.dac_bits, dac_rate_hz=description.dac_rate_hz)
+    if known := known_model(description):
+        return known
     lower_hz, upper_hz = description.lower_hz, description.upper_hz
     if not (
         0 < description.stroke_um < math.inf

@@ -1,7 +1,8 @@
-"""An actuator's constants in integers (vc_actuator of vibrocast/output.h); run directly, writes those that ship."""
+"""An actuator's constants (vc_actuator of output.h), in integers and in C; run directly, writes those that ship."""
 
 import argparse
 import math
+import string
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -26,6 +27,8 @@ SHIPPED = {
 }
 
 _NAME_BYTES = 31
+_PLAIN = string.ascii_letters + string.digits + " _-.,()/+"
+"""Characters that stand for themselves in a C string."""
 _MAX_DAC_BITS = 16
 
 
@@ -82,12 +85,23 @@ def _section(tangent: float, quality: float, weights: Sequence[float]) -> dict[s
     }
 
 
+def definition(identifier: str, actuator: Actuator) -> str:
+    """Return the C that defines a vc_actuator under this identifier. Raises as `constants`."""
+    return f"const vc_actuator {identifier} = {_initialiser(constants(actuator))};\n"
+
+
+def board_source(actuator: Actuator) -> str:
+    """Return a C source that defines `board_actuator`, for a port. Raises as `constants`."""
+    return (
+        "/* The actuator of a board; written by `vibrocast actuator --c`. */\n"
+        f'#include "vibrocast/output.h"\n\n{definition("board_actuator", actuator)}'
+    )
+
+
 def source() -> tuple[str, str]:
     """Return the contents of vc_actuator_tables.c and of its header."""
     command = "written by `python -m vibrocast.output.actuator_constants`"
-    tables = [
-        f"const vc_actuator vc_{name} = {_initialiser(constants(actuator))};\n" for name, actuator in SHIPPED.items()
-    ]
+    tables = [definition(f"vc_{name}", actuator) for name, actuator in SHIPPED.items()]
     declared = "".join(
         f"/* {actuator.name}, DAC of {actuator.dac_bits} bits at {actuator.dac_rate_hz} Hz. */\n"
         f"extern const vc_actuator vc_{name};\n"
@@ -110,7 +124,8 @@ def _initialiser(constant: int | bytes | Sequence[int] | Mapping[str, Any], inde
         fields = [f"{indent}.{name} = {_initialiser(value, indent + '    ')},\n" for name, value in constant.items()]
         return "{\n" + "".join(fields) + indent[4:] + "}"
     if isinstance(constant, bytes):
-        return '"' + constant.decode("ascii") + '"'
+        # Three octal digits end an escape, whatever follows.
+        return '"' + "".join(chr(each) if chr(each) in _PLAIN else f"\\{each:03o}" for each in constant) + '"'
     if isinstance(constant, Sequence):
         return "{" + ", ".join(map(str, constant)) + "}"
     return f"{constant}u" if constant >= 2**31 else str(constant)

@@ -17,8 +17,8 @@ from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.harness.conformance.probe import NotConforming, Probe, same_samples
 from vibrocast.host import player
 from vibrocast.host.controller import Controller
-from vibrocast.host.session import actuator_model
-from vibrocast.output.actuator import ACTUATORS, Actuator
+from vibrocast.host.session import known_model
+from vibrocast.output.actuator import Actuator
 
 RATE_HZ = 2800
 SECONDS = 0.4
@@ -194,9 +194,10 @@ def decoded_as(probe: Probe, expected: NDArray[np.int16], what: str) -> None:
 
 def known_actuator(description: ActuatorDescription) -> Actuator:
     """Return the model of an actuator whose DAC codes can be computed here; skip the test for any other."""
-    if description.name not in ACTUATORS:
+    known = known_model(description)
+    if known is None:
         pytest.skip(f"the actuator {description.name!r} is none whose DAC codes can be computed here")
-    return actuator_model(description)
+    return known
 
 
 def held_samples(hello: HelloResponse, stream: Stream) -> int:

@@ -70,6 +70,12 @@ CORE = (
     Subcommand("flash", "Controllers", f"{CLI}.devices:flash_model", "Upload a trained model to controllers."),
     Subcommand("simulate", "Controllers", f"{CLI}.devices:simulate", "Run a simulated controller until Ctrl-C."),
     Subcommand(
+        "actuator",
+        "Controllers",
+        f"{CLI}.actuator:actuator",
+        "Show an actuator, or write its constants for firmware.",
+    ),
+    Subcommand(
         "models", "Learned codecs", f"{CLI}.codecs:list_models", "List the shipped models, with rate and quality."
     ),
 )

@@ -29,7 +29,8 @@ from vibrocast.host.cli.options import (
 )
 from vibrocast.host.cli.steps import lines_of, show
 from vibrocast.host.controller import Controller, ControllerError
-from vibrocast.output.actuator import ACTUATORS, PIEZO_STACK
+from vibrocast.output import actuator_files
+from vibrocast.output.actuator import PIEZO_STACK
 
 
 @click.command("devices")
@@ -47,7 +48,6 @@ def list_devices() -> None:
 @click.command("upload")
 @click.argument("model", required=False, callback=chosen_model)
 @devices_option
-@click.option("--list", "lists", is_flag=True, help="List the slots and the models in them.")
 @click.option("--rollback", is_flag=True, help="Run the verified model of the other slot again.")
 @click.option("--erase", "erases", is_flag=True, help="Empty the slots that are not in use.")
 @click.option("--read-back", type=OutputFile(), help="Write the model that the controller runs to this file.")
@@ -56,7 +56,6 @@ def list_devices() -> None:
 def upload_model(
     model: models.Model | None,
     chosen: tuple[BenchController, ...],
-    lists: bool,
     rollback: bool,
     erases: bool,
     read_back: Path | None,
@@ -73,14 +72,14 @@ def upload_model(
 
     After an interruption, run the same command again: it continues. Until then the controller runs the previous image.
     """
-    choices: tuple[tuple[bool, Work], ...] = ((lists, list_slots), (rollback, roll_back), (erases, erase))
+    choices: tuple[tuple[bool, Work], ...] = ((rollback, roll_back), (erases, erase))
     asked = [work for is_asked, work in choices if is_asked]
     if read_back is not None:
         asked.append(partial(write_back, read_back))
     if model is not None:
         asked.append(partial(verify, model) if verifies else partial(flash, model, not no_confirm))
     if len(asked) != 1:
-        raise click.UsageError("give a MODEL, --list, --rollback, --erase or --read-back, and one of them")
+        raise click.UsageError("give a MODEL, --rollback, --erase or --read-back, and one of them")
     if verifies + no_confirm > (model is not None):
         raise click.UsageError("--verify or --no-confirm goes with a MODEL; give one of the two with it")
     if read_back is not None and len(chosen) > 1:
@@ -121,12 +120,6 @@ def on_all(work: Work, addresses: Sequence[str]) -> None:
         show({name: line.splitlines() for name, line in lines.items()}, as_words=False)
     if failed:
         raise controllers_failed(failed, len(names))
-
-
-def list_slots(controller: Controller, tell_part: Callable[[int, int], None]) -> tuple[str, dict[str, object]]:
-    """Return what the slots hold."""
-    lines = devices.model_images(controller.description) or ["no model image in any slot"]
-    return "\n".join(lines), {"slots": devices.slots(controller.description)}
 
 
 def roll_back(controller: Controller, tell_part: Callable[[int, int], None]) -> tuple[str, dict[str, object]]:
@@ -194,16 +187,13 @@ def upload(model: models.Model, address: str, name: str) -> None:
 def status(address: str, actuator_name: str | None) -> None:
     """Show the properties and state of a controller."""
     with devices.connect(address, actuator=own_actuator(address, actuator_name)) as controller:
-        facts = devices.facts(controller)
-    show(facts)
+        show(devices.facts(controller))
+        add({"slots": devices.slots(controller.description)})
 
 
 @click.command()
 @click.option(
-    "--actuator",
-    type=click.Choice(sorted(ACTUATORS)),
-    default=PIEZO_STACK.name,
-    help="Choose the actuator to simulate.",
+    "--actuator", metavar="NAME|FILE", default=PIEZO_STACK.name, help="Choose the actuator that is compiled in."
 )
 @link_option
 @click.option("--flash-file", type=OutputFile(), help="Keep model images in this file. Default: lost at the end.")
@@ -224,7 +214,7 @@ def simulate(actuator: str, link: Path | None, flash_file: Path | None, public_k
         raise InputError(f"{flash_file}: no flash memory, which has {FLASH_BYTES} bytes; name a new file")
     flash_memory = FlashMemory(FLASH_BYTES, path=flash_file)
     key = None if public_key is None else read_public_key(public_key)
-    settings = Settings(actuator=ACTUATORS[actuator], public_key=key)
+    settings = Settings(actuator=actuator_files.find(actuator), public_key=key)
     with serial_port(SimulatedController(settings, flash_memory), link) as port:
         tell_address(port.name)
         while True:

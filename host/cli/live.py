@@ -28,7 +28,6 @@ from vibrocast.host.cli.options import (
     grouped,
     judge,
     model_option,
-    own_actuator,
     rate_target,
 )
 from vibrocast.host.cli.sections import CODING, CONTROLLER, INPUT, SectionedCommand, section
@@ -36,6 +35,7 @@ from vibrocast.host.live_playback import LivePlayback
 from vibrocast.host.report import Provenance
 from vibrocast.host.serial_sensor import SerialSensor
 from vibrocast.host.standard_input import StandardInput
+from vibrocast.output import actuator_files
 from vibrocast.textures.recording import MAX_CHANNELS
 
 STANDARD_INPUT = "-"
@@ -178,7 +178,7 @@ def live(
     """
     reject_contradictions(coding, delay)
     rate_hz = samples.rate_hz or (streaming.LOW_DELAY_RATE_HZ if delay.low_delay else DEFAULT_STREAM_RATE_HZ)
-    actuator = own_actuator(chosen.address, actuator_name)
+    actuator = None if actuator_name is None else actuator_files.find(actuator_name)
     with (
         opened_source(source, samples, rate_hz) as given,
         connect(bench, chosen, actuator) as session,

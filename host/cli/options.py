@@ -189,7 +189,7 @@ actuator_option = click.option(
     "--actuator",
     "actuator_name",
     metavar="NAME|FILE",
-    help="Choose the actuator of sim or of a sound card.",
+    help="Name the actuator behind the controller. Default: as it states.",
 )
 
 

@@ -36,7 +36,6 @@ from vibrocast.host.cli.options import (
     judge,
     lsl_option,
     model_option,
-    own_actuator,
     rate_hz_option,
     snr_db_option,
     unit_option,
@@ -277,8 +276,7 @@ def play_under_hand(
     if playing.gain_db:
         raise click.UsageError("a profile under a hand has its own level; drop --gain-db")
     assert options.hand is not None, "a hand moves"
-    ((name, chosen),) = run.names.items()
-    own_actuator(chosen.address, options.actuator_name)
+    (name,) = run.names
     movement = hand_playback.chosen_movement(options.hand, recording.hand_speed_mm_s, playing.loops)
     stream, texture = spatial_stream(file, quality, replace(recording, hand_speed_mm_s=None))
     with run.reported_where_cut(), run.session(name) as session, progress.bar("playing") as update:

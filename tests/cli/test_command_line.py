@@ -541,6 +541,13 @@ def test_level_and_actuator_are_your_own(texture: Path, tmp_path: Path) -> None:
     assert "measured follows within 1 dB" in succeeds("play", texture, "--actuator", tmp_path / "measured.toml")
 
 
+def test_an_actuator_is_shown_and_written_as_c(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text('name = "mine"\nmodel = "voice-coil"\ncorner_hz = 80\n')
+    assert re.search(r"^corner hz +80$", succeeds("actuator", tmp_path / "mine.toml"), re.MULTILINE)
+    assert '.name = "mine",' in succeeds("actuator", tmp_path / "mine.toml", "--c")
+    assert "no actuator of that name" in fails(2, "actuator", "yours", "--c")
+
+
 @pytest.mark.parametrize("name", ["encode", "play", "live", "bench"])
 def test_help_lists_options_by_section(name: str) -> None:
     known = (sections.INPUT, sections.CODING, sections.CONTROLLER, sections.PLAYBACK, sections.RUN, sections.OUTPUT)

@@ -20,6 +20,8 @@ from vibrocast.harness.boards.host_process import HostProcess
 from vibrocast.host import uploader
 from vibrocast.host.controller import Controller as Host
 from vibrocast.host.controller import ControllerError
+from vibrocast.output.actuator import PIEZO_STACK
+from vibrocast.output.actuator_constants import constants
 from vibrocast.simulated_device.controller import Controller, Settings
 from vibrocast.simulated_device.memory_link import MemoryLink
 
@@ -76,7 +78,7 @@ def test_a_controller_with_a_key_and_no_verifier_does_not_start() -> None:
     key = ffi.new("uint8_t[]", KEY)
     memory = ffi.new("int64_t[]", native.vc_controller_size() // 8)
     name = ffi.new("char[]", b"a")
-    actuator = ffi.new("vc_actuator *", {"dac_rate_hz": 3000, "dac_bits": 16})
+    actuator = ffi.new("vc_actuator *", constants(PIEZO_STACK))
     named = {"build": name, "hardware": name, "actuator": actuator, "watchdog_ms": 2000}
     settings = ffi.new("vc_controller_settings *", {**named, "public_key": key})
     controller = ffi.cast("vc_controller *", memory)

@@ -105,6 +105,17 @@ def test_known_actuator_is_modelled_with_the_dac_that_its_controller_has(actuato
     assert play(actuator).report.dac_equals_offline is True
 
 
+def test_codes_of_an_own_actuator_are_compared_where_its_file_is_given() -> None:
+    """Its name may be one that ships: the limits that the controller does not tell are still its own."""
+    own = replace(LRA, corner_hz=161.3, power_limit=0.01)
+    stream = encode_recording(texture(SINE), live=True).stream
+    _, controller = linked(Settings(actuator=own))
+    for given, is_equal in ((None, None), (LRA, None), (own, True)):
+        report = playback.play(session_with(controller, "serial:a", given), "sine", stream).report
+        assert (report.decoded_equals_offline, report.dac_equals_offline) == (True, is_equal)
+        assert (report.comparison_note is None) == (is_equal is True)
+
+
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [

@@ -1,11 +1,16 @@
 """Actuators in integers: the tables that ship are those of the descriptions, and no compensation can overflow."""
 
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy import signal
 
+from vibrocast.firmware.build import FLAGS, ROOT
+from vibrocast.firmware.native_core import ffi
 from vibrocast.output.actuator import (
     LRA,
     PIEZO_STACK,
@@ -13,7 +18,8 @@ from vibrocast.output.actuator import (
     Actuator,
     Filter,
 )
-from vibrocast.output.actuator_constants import HEADER, TABLES, constants, source
+from vibrocast.output.actuator_constants import HEADER, TABLES, board_source, constants, source
+from vibrocast.output.rendering import actuator_structure
 
 DESCRIBED = [
     PIEZO_STACK,
@@ -61,6 +67,19 @@ def test_section_has_room_to_ring(actuator: Actuator) -> None:
 def test_values_that_do_not_fit_are_rejected(actuator: Actuator, reason: str) -> None:
     with pytest.raises(ValueError, match=reason):
         constants(actuator)
+
+
+def test_a_boards_source_compiles_to_the_same_constants(tmp_path: Path) -> None:
+    actuator = replace(LRA, name='q"\\ü??/1*/', corner_hz=161.3)
+    (tmp_path / "own.c").write_text(board_source(actuator))
+    (tmp_path / "main.c").write_text(
+        '#include <stdio.h>\n#include "vibrocast/output.h"\nextern const vc_actuator board_actuator;\n'
+        "int main(void) { return fwrite(&board_actuator, sizeof board_actuator, 1, stdout) != 1; }\n"
+    )
+    command = [sys.executable, "-m", "ziglang", "cc", *FLAGS, "-Wpedantic", f"-I{ROOT / 'include'}"]
+    subprocess.run([*command, "own.c", "main.c", "-o", "print"], cwd=tmp_path, check=True)
+    printed = subprocess.run([tmp_path / "print"], capture_output=True, check=True).stdout
+    assert printed == bytes(ffi.buffer(actuator_structure(actuator)))
 
 
 def test_tables_are_what_their_command_writes() -> None:

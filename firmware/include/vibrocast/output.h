@@ -14,7 +14,7 @@
  * - Samples of several channels are interleaved. Numbers of samples are per channel.
  * - A vc_drive or vc_dac needs no clearing and nothing to close, and no pointer in it leads into itself.
  * - Call one of them from one thread or interrupt at a time; different ones need no lock.
- * - Any decoded samples are safe. Constants of a vc_actuator are not checked, except where a comment says so.
+ * - Any decoded samples are safe. Of a vc_actuator, vc_actuator_is_usable() checks all but its compensation's ringing.
  * - `actuator` must stay valid; other pointers are used during the call only.
  */
 #ifndef VIBROCAST_OUTPUT_H
@@ -51,8 +51,8 @@ typedef struct {
     uint8_t shift;     /* below 32 */
 } vc_section;
 
-/* An actuator with its amplifier and DAC: only constants, which a board keeps in flash. `python -m
- * vibrocast.output.actuator_constants` writes those that ship. */
+/* An actuator with its amplifier and DAC: only constants, which a board keeps in flash. `vibrocast actuator FILE --c`
+ * writes them. */
 typedef struct vc_actuator {
     /* The description in HelloResponse; physical values are the bits of a float32. The name ends with a zero byte. */
     char name[32];
@@ -84,11 +84,15 @@ typedef struct {
     uint32_t compensation_clipped, voltage_limited, slew_limited, power_limited;
 } vc_limit_counts;
 
+/* Returns whether the constants are as vc_actuator and vc_section say, and the compensation is stable, as far as that
+ * can be seen: all but the sums of impulse responses. */
+int vc_actuator_is_usable(const vc_actuator *actuator);
+
 /* Returns the bytes of memory, aligned for int64_t, of the drive of a stream: more for a rate far above the DAC's.
  * Returns 0 for a stream that cannot be driven:
  * - a rate of 0, above 200 000 Hz or above 128 times the DAC's; an acceleration below 100 Hz;
  * - an unknown unit, a number of channels outside 1 to VC_MAX_CHANNELS, an invalid gain;
- * - a DAC rate or DAC bits outside vc_actuator's. */
+ * - an actuator that vc_actuator_is_usable() rejects. */
 size_t vc_drive_size(const vc_actuator *actuator, const vc_output_stream *stream);
 
 /* Prepares a drive at rest. `drive`: vc_drive_size() bytes, which the caller owns. `compensation`: whether to apply the

@@ -561,12 +561,11 @@ static int fits(const char *text, size_t most_bytes)
 /* Whether the settings and the flash are as settings.h says, as far as that can be seen. */
 static int are_usable(const vc_controller_settings *settings, const vc_flash *flash)
 {
-    const vc_actuator *actuator = settings->actuator;
     return settings->build != NULL && settings->hardware != NULL && fits(settings->build, VC_TEXT_BYTES) &&
            fits(settings->hardware, VC_TEXT_BYTES) &&
            (settings->serial_number == NULL || fits(settings->serial_number, VC_SERIAL_NUMBER_BYTES)) &&
-           settings->watchdog_ms >= VC_LEAST_WATCHDOG_MS && actuator != NULL && actuator->dac_rate_hz > 0 &&
-           actuator->dac_bits >= 2 && actuator->dac_bits <= 16 &&
+           settings->watchdog_ms >= VC_LEAST_WATCHDOG_MS && settings->actuator != NULL &&
+           vc_actuator_is_usable(settings->actuator) &&
            (flash == NULL || (flash->base != NULL && flash->erase != NULL && flash->program != NULL &&
                               flash->record_bytes >= VC_LEAST_RECORD_BYTES && flash->record[0] != flash->record[1] &&
                               flash->slot_bytes > 0 && flash->slot[0] != flash->slot[1]));

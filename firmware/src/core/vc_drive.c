@@ -252,14 +252,43 @@ static uint32_t delay_samples(uint32_t rate_hz, uint32_t dac_rate_hz)
     return rate_hz == dac_rate_hz ? 0 : rate_hz < dac_rate_hz ? half : (half * rate_hz + dac_rate_hz - 1) / dac_rate_hz;
 }
 
+/* Whether a filter comes to rest without input: 1 / Q is positive, and the gain belongs to it. */
+static int is_stable(const vc_section *section)
+{
+    int64_t divisor, gain, weights = 0;
+    uint32_t i;
+    if (section->tangent <= 0 || section->damping <= section->tangent >> (TANGENT_BITS - DAMPING_BITS))
+        return 0;
+    divisor = ((int64_t)1 << DAMPING_BITS) + (((int64_t)section->tangent * section->damping) >> TANGENT_BITS);
+    gain = ((int64_t)1 << (DAMPING_BITS + GAIN_BITS)) / divisor;
+    for (i = 0; i < 4; i++)
+        weights += section->weight[i] < 0 ? -(int64_t)section->weight[i] : section->weight[i];
+    return section->gain >= gain - (gain >> 10) && section->gain <= gain + (gain >> 10) &&
+           weights < (int64_t)128 << WEIGHT_BITS && section->shift < 32;
+}
+
+int vc_actuator_is_usable(const vc_actuator *actuator)
+{
+    const unsigned bits = actuator->dac_bits;
+    const uint32_t infinite = 0x7F800000u; /* numbers from 0 to it, by the bits of their float32, keep their order */
+    return actuator->name[sizeof actuator->name - 1] == 0 && actuator->stroke_um > 0 &&
+           actuator->stroke_um < infinite && actuator->volts > 0 && actuator->volts < infinite &&
+           actuator->lower_hz < actuator->upper_hz && actuator->upper_hz < infinite &&
+           actuator->slew_volts_per_second < infinite && actuator->dac_rate_hz > 0 &&
+           actuator->dac_rate_hz <= MAX_DAC_RATE_HZ && bits >= 2 && bits <= 16 &&
+           actuator->codes_per_um_mantissa >> 30 == 1 && actuator->code_limit >= 0 &&
+           actuator->code_limit < 1 << (bits - 1) && actuator->code_step_limit > 0 && actuator->power_limit > 0 &&
+           is_stable(&actuator->compensation);
+}
+
 size_t vc_drive_size(const vc_actuator *actuator, const vc_output_stream *stream)
 {
     const uint32_t rate_hz = stream->rate_hz, dac_rate_hz = actuator->dac_rate_hz;
     uint32_t i;
-    if (dac_rate_hz == 0 || dac_rate_hz > MAX_DAC_RATE_HZ || actuator->dac_bits < 2 || actuator->dac_bits > 16 ||
-        rate_hz == 0 || rate_hz > MAX_RATE_HZ || rate_hz > VC_RESAMPLER_MAX_RATIO * dac_rate_hz ||
-        stream->unit >= UNITS || (stream->unit == ACCELERATION && rate_hz < MIN_ACCELERATION_RATE_HZ) ||
-        stream->channels == 0 || stream->channels > VC_MAX_CHANNELS)
+    if (!vc_actuator_is_usable(actuator) || rate_hz == 0 || rate_hz > MAX_RATE_HZ ||
+        rate_hz > VC_RESAMPLER_MAX_RATIO * dac_rate_hz || stream->unit >= UNITS ||
+        (stream->unit == ACCELERATION && rate_hz < MIN_ACCELERATION_RATE_HZ) || stream->channels == 0 ||
+        stream->channels > VC_MAX_CHANNELS)
         return 0;
     for (i = 0; i < stream->channels; i++)
         if (stream->gain[i] == 0 || stream->gain[i] >= 0x7F80)
