@@ -295,14 +295,16 @@ class Controller(Closing):
         """Ramp down at once and wait for the answer. Raises as `request_steps`."""
         return self.run(self.stop_steps())
 
-    def reconnect_steps(self, within_s: float) -> Steps[None]:
+    def reconnect_steps(self, within_s: float, restarts: bool = False) -> Steps[None]:
         """Open the transport and a session with the same controller again, as often as it takes.
 
+        `restarts`: this host has asked it to restart, so nothing is wrong.
         Raises the last TransportError or ControllerError after `within_s`, and ControllerError for another controller.
         """
         deadline_s = self.clock() + within_s
         lost = f"the connection was lost after {self.clock() - self._connected_s:.1f} s"
-        notes.warning("%s; trying to open it again for %g s", lost, within_s)
+        level = logging.DEBUG if restarts else logging.WARNING
+        notes.log(level, "%s; trying to open it again for %g s", lost, within_s)
         before = self.description
         while True:
             try:
@@ -322,11 +324,11 @@ class Controller(Closing):
                 f"{lost}, and another controller is there now ({now.hardware} {now.serial_number}); connect "
                 f"{before.hardware} {before.serial_number} again"
             )
-        notes.warning("the connection is back")
+        notes.log(level, "the connection is back")
 
-    def reconnect(self, within_s: float) -> None:
-        """Open the transport and a session again, and wait for it. Raises as `reconnect_steps`."""
-        self.run(self.reconnect_steps(within_s))
+    def reconnect(self, within_s: float, restarts: bool = False) -> None:
+        """Open the transport and a session again, and wait for it, as `reconnect_steps` does."""
+        self.run(self.reconnect_steps(within_s, restarts))
 
     # ---- what is sent without waiting for an answer ----
 

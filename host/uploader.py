@@ -261,7 +261,7 @@ def _start_test(controller: Controller, wanted: ImageDescription) -> None:
         controller.request(FlashActivate(wanted.slot), FlashStatus)
     deadline_s = controller.clock() + _RESTART_S
     while True:
-        controller.reconnect(_RESTART_S)
+        controller.reconnect(_RESTART_S, restarts=True)
         if wanted in controller.description.images:
             return
         if controller.clock() >= deadline_s:
