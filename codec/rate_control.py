@@ -473,7 +473,7 @@ def rate_controlled_framing(
 
     `bits_per_second`: of all channels, frames included. `max_s`: longest packet that the target delay allows. Encoders
     round up to whole blocks. A refresh comes every 2 s, so a lost packet silences the actuator for 1 s on average.
-    Refreshes cost some 0.15 dB (0.7 dB at one every 0.25 s; docs/benchmarks/further_results.md).
+    Refreshes cost some 0.15 dB (0.7 dB at one every 0.25 s; docs/explanation/decisions/streams.md).
 
     Raises TargetUnreachable for a rate whose packets would last longer than 2 s.
     """

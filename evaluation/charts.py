@@ -4,9 +4,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from itertools import cycle
 from pathlib import Path
-from statistics import fmean
 from typing import Any
 
 import numpy as np
@@ -51,12 +49,10 @@ MAIN = ("mdct", "slp", "eva", "vcpwq", "mpeg", "opus", "speex")
 """The groups in the chart for a first look."""
 CORE, OTHER_RUNTIME = " (core)", " (onnx)"
 """End the names of costs of a model: by the controller's decoder, by one that only hosts have."""
-MARKERS = {"o": "circles", "s": "squares", "^": "triangles"}
 MAX_EXCESS_PERCENT = 300.0
 AREA_OF_BYTE = 0.0015
 """Of a mark, in square points."""
 MARKED_BYTES = (20_000, 200_000)
-FAR_PERCENT = 150.0
 MAX_NUMBERED_ROWS = 80
 LOGARITHMIC = (*TIMES, "flash_bytes")
 COST_LABELS = {
@@ -286,35 +282,6 @@ def plot_loads(path: Path, table: pl.DataFrame, title: str, scales: Sequence[Sca
         figure.legend(
             handles=marks, loc="outside lower left", ncols=2, frameon=False, title="area: code, model and RAM"
         )
-
-
-def plot_bd_rates(
-    path: Path, table: pl.DataFrame, title: str, scales: Sequence[Scale], kinds: Mapping[str, str]
-) -> None:
-    """Draw a line of marks for each codec, a mark for each recording, its form by kind; a bar is the mean.
-
-    A mark beyond FAR_PERCENT is on the edge. Raises OSError.
-    """
-    codecs = table.group_by("codec", maintain_order=True).first()
-    table = table.with_columns(kind=pl.col("trace").replace_strict(kinds, default="", return_dtype=pl.String))
-    forms = dict(zip(table["kind"].unique(maintain_order=True), cycle(MARKERS), strict=False))
-    with _panels(path, title, [0.32 * len(codecs)], len(scales), sharey=True) as (figure, (panels,)):
-        for scale, axes in zip(scales, panels, strict=True):
-            for place, codec in enumerate(codecs["codec"]):
-                own = table.filter(quality=scale.field, codec=codec)
-                for (kind,), some in by(own, "kind"):
-                    places = some["percent"].clip(-FAR_PERCENT, FAR_PERCENT), [place] * len(some)
-                    axes.plot(*places, forms[kind], markersize=4, color=style_of(codec).colour, markerfacecolor="none")
-                if len(own):
-                    mean = np.clip(fmean(own["percent"]), -FAR_PERCENT, FAR_PERCENT)
-                    axes.plot([mean, mean], [place - 0.35, place + 0.35], color=INK, linewidth=2)
-            axes.axvline(0, color=INK, linewidth=0.8)
-            axes.set_title(f"at equal {scale.name}")
-        panels[0].set_yticks(range(len(codecs)), map(name, codecs.iter_rows(named=True)))
-        panels[0].set_ylim(len(codecs) - 0.5, -0.5)
-        named_kinds = "; ".join(f"{MARKERS[marker]}: {kind}" for kind, marker in forms.items() if kind)
-        caption = "\n".join(filter(None, ("change in bits, %; a bar is the mean", named_kinds)))
-        figure.supxlabel(caption, fontsize="medium")
 
 
 def plot_rate_excesses(path: Path, table: pl.DataFrame, title: str) -> None:

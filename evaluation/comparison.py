@@ -30,7 +30,7 @@ from vibrocast.evaluation.bd_rate import (
 from vibrocast.evaluation.cost import CodecCost
 from vibrocast.evaluation.kinds import TraceKind
 from vibrocast.evaluation.peers import measured_codecs, named
-from vibrocast.evaluation.points import IMPORTED, MEASURED, Failure, Point, Timing, by_codec_and_trace
+from vibrocast.evaluation.points import IMPORTED, Failure, Point, Timing, by_codec_and_trace
 from vibrocast.evaluation.speed import BITS_PER_SAMPLE, RATES, Speed
 from vibrocast.evaluation.tables import as_rows, by, columns, frame
 
@@ -475,45 +475,6 @@ def _costs_at(measurements: Measurements, rates: Mapping[str, float]) -> pl.Data
     for each in (whole, nearest, measurements.codec_costs):
         table = table.join(each, on="codec", how="left", maintain_order="left")
     return table.with_columns(pl.col("note").fill_null(""), setting=pl.lit(""))
-
-
-def marginal_costs(measurements: Measurements) -> pl.DataFrame:
-    """Return the price of one more decibel by each codec measured here near BITS_PER_SAMPLE, the fastest decoder first.
-
-    Columns: `codec`, `runtime`, `snr_db` (mean over the recordings), `bytes_percent` (more bytes for one decibel more
-    by a finer setting). `than` is the best codec that decodes faster, and `gained_db` the gain over it. TIMES and
-    `flash_bytes` are those for each decibel of that gain; null where there is none.
-    """
-    means = means_at(measurements, SNR, BITS_PER_SAMPLE)
-    costs = curve_costs(measurements).filter(pl.col("codec").is_in(list(means)), source=MEASURED)
-    names = (*TIMES, "flash_bytes")
-    found: list[tuple[object, ...]] = []
-    best: Any = None
-    for row in as_rows(costs.drop_nulls(TIMES[1]).sort(TIMES[1], maintain_order=True)):
-        snr_db = means[row.codec]
-        gained_db = None if best is None else snr_db - means[best.codec]
-        extra = [None if not gained_db or gained_db < 0 else _per_decibel(row, best, name, gained_db) for name in names]
-        than = "" if best is None else with_runtime(best)
-        found.append(
-            (row.codec, row.runtime, snr_db, _finer_percent(measurements, row.codec, snr_db), than, gained_db, *extra)
-        )
-        if gained_db is None or gained_db > 0:
-            best = row
-    return _table(found, f"codec:text runtime:text snr_db bytes_percent than:text gained_db {' '.join(names)}")
-
-
-def _per_decibel(row: Any, than: Any, name: str, gained_db: float) -> float | None:
-    more, less = getattr(row, name), getattr(than, name)
-    return None if more is None or less is None else (more - less) / gained_db
-
-
-def _finer_percent(measurements: Measurements, codec: str, snr_db: float) -> float | None:
-    """Return by how much a codec's bytes grow for one decibel more, around a mean SNR."""
-    ratios = []
-    for curve in measurements.everywhere(codec, SNR) or []:
-        below, above = bits_per_sample_at(curve, (snr_db - 0.5, snr_db + 0.5))
-        ratios.append(float(above / below))
-    return 100 * (fmean(ratios) - 1) if ratios and all(map(math.isfinite, ratios)) else None
 
 
 def bits_to_reach(measurements: Measurements, snr_db: float) -> dict[str, float]:

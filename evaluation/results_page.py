@@ -13,7 +13,7 @@ from vibrocast import pages
 from vibrocast.errors import InputError
 from vibrocast.evaluation import bd_rate, charts, comparison, speed
 from vibrocast.evaluation.bd_rate import PSNR, SCALES, SNR, SPQI, ST_SIM_2800, ST_SIM_8000, Scale
-from vibrocast.evaluation.comparison import LEARNED_SCALES, PAPER_SCALES, REFERENCE, TABLES, TIMES, Measurements
+from vibrocast.evaluation.comparison import LEARNED_SCALES, PAPER_SCALES, TABLES, TIMES, Measurements
 from vibrocast.evaluation.peers import measured_codecs, named, peers
 from vibrocast.evaluation.points import IMPORTED, MEASURED, PROGRAM, Failure, read_row, read_rows, write_rows
 from vibrocast.evaluation.tables import by, frame, write_table
@@ -39,10 +39,8 @@ RULES = {
     "confidence": bd_rate.CONFIDENCE,
     "enough_points": bd_rate.ENOUGH_POINTS,
     "equal_snr_db": comparison.EQUAL_SNR_DB,
-    "max_ratio": comparison.MAX_RATIO,
     "min_overlap": bd_rate.MIN_OVERLAP,
     "min_points": bd_rate.MIN_POINTS,
-    "min_ratio": comparison.MIN_RATIO,
     "needed_snr_db": comparison.NEEDED_SNR_DB,
     "rate": speed.BITS_PER_SAMPLE,
     "ratio": speed.RATIO,
@@ -273,24 +271,17 @@ def _first_look(
 
 
 def _learned(folder: Path, measurements: Measurements) -> dict[str, Any]:
-    """Return the values of the section on trained models: their bits by kind of texture, and what quality costs.
+    """Return the values of the section on trained models: their bits by kind of texture.
 
     Empty without trained models.
     """
     learned, kinds = measurements.learned, ["", *sorted(set(measurements.kind_of.values()))]
     if not learned:
         return {}
-    costs = _written(folder / "prices.csv", comparison.marginal_costs(measurements))
     write_table(folder / "learned_bd_rate.csv", comparison.rival_bd_rates(measurements))
     pairs = [(SNR, measurements.anchor, codec) for codec in learned]
     means = comparison.mean_bd_rates(comparison.pair_bd_rates(measurements, pairs), measurements.kind_of)
     found = {(row["codec"], row["kind"]): row for row in means.to_dicts()}
-    anchor = REFERENCE if REFERENCE in measurements.anchors else measurements.anchor
-    shown = [*learned, *(other for other in measurements.anchors if other != anchor)]
-    pairs = [(scale, anchor, codec) for codec in shown for scale in LEARNED_SCALES]
-    title = f"Bits of trained models relative to {anchor}: a mark is a recording"
-    rates = comparison.pair_bd_rates(measurements, pairs)
-    chart = charts.Chart("learned_bd_rate_traces", title, rates, tuple(shown))
     return {
         "kind_names": [kind or "all" for kind in kinds],
         "kinds": [
@@ -298,8 +289,6 @@ def _learned(folder: Path, measurements: Measurements) -> dict[str, Any]:
             for codec in learned
             if (codec, "") in found
         ],
-        "chart": chart.write(folder, partial(charts.plot_bd_rates, scales=LEARNED_SCALES, kinds=measurements.kind_of)),
-        "marginal_costs": costs.filter(pl.col("gained_db").is_null() | (pl.col("gained_db") > 0)).to_dicts(),
     }
 
 

@@ -23,7 +23,6 @@ from vibrocast.evaluation.comparison import (
     bits_to_reach,
     cost_points,
     curve_costs,
-    marginal_costs,
     mean_bd_rates,
     mean_curves,
     rate_excesses,
@@ -362,17 +361,3 @@ def test_the_shaded_region_is_what_bd_rate_integrates() -> None:
     points = table.filter(codec="slp", quality="psnr_db", in_region=False)
     assert points["value"].to_list() == [snr_db + 13 for snr_db in SNRS_DB]
     assert bd_regions(of(*curve("mdct")), [PSNR]).is_empty()
-
-
-def test_a_decibel_has_a_price_in_bytes_in_time_and_in_flash() -> None:
-    rows = {(row.codec, row.runtime): row for row in as_rows(marginal_costs(learned()))}
-    assert next(iter(rows)) == ("eva-16", "onnx")
-    assert rows["eva-16", "onnx"].bytes_percent == pytest.approx(100 * (2 ** (1 / 12) - 1), abs=0.1)
-    mdct = rows["mdct", ""]
-    gained_db = 6 * math.log2(1.71 / 1.1)  # 12 dB an octave, in the mean of two traces
-    assert mdct.than == "eva-16 (onnx)"
-    assert mdct.gained_db == pytest.approx(gained_db, abs=0.02)
-    assert mdct.decode_s_per_megasample == pytest.approx(0.01 / gained_db, rel=0.01)
-    assert mdct.flash_bytes == pytest.approx(-5000 / gained_db, rel=0.01)
-    slower = rows["eva-16", "core"]
-    assert slower.gained_db is not None and slower.gained_db < 0 and slower.decode_s_per_megasample is None

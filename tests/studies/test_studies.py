@@ -81,11 +81,11 @@ class Case:
 CASES = (
     Case(
         "rate_control",
-        {"rate_control_refreshes": 4},
+        {},
         ("FOLDER",),
-        {"RATES_BPS": (1000, 8000), "MAIN_RATES_BPS": (8000,), "REFRESHES_S": (0.25, math.inf)},
+        {"RATES_BPS": (1000, 8000)},
         page="further_results",
-        charts=("rate_control_codecs.png", "rate_control_buffers.png"),
+        charts=("rate_control_codecs.png",),
     ),
     Case(
         "integer_networks",
