@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from studies import page
-from studies.texture_paper import HAND_SPEED_MM_S, PAPER_LEVELS, STRETCH_MM, generated_profiles
+from studies.texture_paper import HAND_SPEED_MM_S, STRETCH_MM, generated_profiles
 from vibrocast import textures
 from vibrocast.evaluation import pictures
 from vibrocast.evaluation.points import read_rows
@@ -28,7 +28,7 @@ from vibrocast.output.actuator import ACTUATORS
 from vibrocast.study import statistics, stimuli
 from vibrocast.study.analysis import ALPHA
 from vibrocast.study.methods import MAIN, Answered, design
-from vibrocast.study.observer import INTEGRATION_S, Observer
+from vibrocast.study.observer import Observer
 from vibrocast.study.simulation import SkinOf
 from vibrocast.study.study_file import Study, StudyTexture, read_study
 from vibrocast.study.trials import Answer
@@ -41,7 +41,6 @@ EXAMPLES = Path(__file__).parents[1] / "examples" / "studies"
 PARTICIPANTS = 15
 STUDIES = 100
 """Simulated studies of the design. Each has its own people, orders and noise, so their spread is that of the method."""
-INTEGRATIONS_S = (0.2, 0.02, INTEGRATION_S, 0.005)
 TEXTURES = ("wood", "sandpaper", "leather")
 LINEAR, LOG, CUT = FAMILIES = ("linear", "log", "cut")
 AGAIN, UNCOMPRESSED = "uncompressed again", "uncompressed"
@@ -214,28 +213,6 @@ def similar(simulated: Simulated, table: Sequence[Published]) -> list[Similar]:
     return found
 
 
-def orders(simulated: Simulated, table: Sequence[Published]) -> dict[str, float]:
-    """Return the orders that the paper reports, with the per cent of studies that have them."""
-
-    def reached(family: str, beyond: float) -> Values:
-        """Return the limits (studies, textures); `beyond`: where everything is noticed."""
-        every = [limits_of(simulated, table, texture, family)[:-1] for texture in TEXTURES]
-        return np.array([[beyond if each is None else each for each in own] for own in every]).T
-
-    levels, cuts = reached(LINEAR, np.inf), reached(CUT, -np.inf)
-    grades = [
-        [simulated.grades[texture, f"{LINEAR} {value}"].mean(axis=1) for value in PAPER_LEVELS] for texture in TEXTURES
-    ]
-    noticed = [simulated.tests[texture, f"{CUT} 0"][1] for texture in ("wood", "sandpaper")]
-    holds = {
-        "leather bears fewer linear levels than wood and sandpaper": levels[:, 2] < levels[:, :2].min(axis=1),
-        "b0 rises from wood over sandpaper to leather": np.all(np.diff(cuts) > 0, axis=1),
-        "a cut at the threshold, b0 = 0 dB, is noticed on wood and sandpaper": np.all(noticed, axis=0),
-        "some coarser linear levels get a better mean grade": np.any(np.diff(grades, axis=1) < 0, axis=(0, 1)),
-    }
-    return {text: 100 * float(np.mean(each)) for text, each in holds.items()}
-
-
 class Stage:
     """The stimuli of the study, prepared once, as simulated observers feel them."""
 
@@ -263,28 +240,27 @@ class Stage:
         coded, whole = self._energies[key], self._energies[key[0], UNCOMPRESSED]
         return 10 * float(np.log10(coded / whole)) if coded else -np.inf
 
-    def simulate(self, study: Study, seeds: Sequence[int], integration_s: float) -> pl.DataFrame:
+    def simulate(self, study: Study, seeds: Sequence[int]) -> pl.DataFrame:
         """Let PARTICIPANTS take part once for each seed; return the answers.
 
         Columns: `seed`, `participant`, `texture`, `condition`, and `value` of the answer.
         """
-        skins = {key: replace(skin, integration_s=integration_s) for key, skin in self._skins.items()}
         rows = []
         for seed, participant in product(seeds, range(1, PARTICIPANTS + 1)):
             observer = Observer(seed, participant)
             trials = design(msgspec.structs.replace(study, seed=seed), participant)
             history: list[Answered] = []
             while (trial := trials.next_trial(history)) is not None:
-                felt = {each.label: skins[str(each.stimulus)] for each in trial.intervals}
+                felt = {each.label: self._skins[str(each.stimulus)] for each in trial.intervals}
                 values = observer.answer(study.method, trial, felt)
                 history.append(Answered(trial, Answer(values, 0.0, {})))
                 if trial.phase == MAIN:
                     rows.append((seed, participant, trial.texture, trial.facts["condition"], values[0]))
         return pl.DataFrame(rows, ["seed", "participant", "texture", "condition", "value"], orient="row")
 
-    def grades(self, seeds: Sequence[int], integration_s: float = INTEGRATION_S) -> Simulated:
+    def grades(self, seeds: Sequence[int]) -> Simulated:
         """Return the grades of simulated studies, one for each seed."""
-        answers = self.simulate(self.graded, seeds, integration_s)
+        answers = self.simulate(self.graded, seeds)
         person = answers.group_by("texture", "condition", "seed", "participant").agg(pl.col("value").mean())
         stimulus = person.sort("seed", "participant").group_by("texture", "condition", maintain_order=True)
         grades = {key: own["value"].to_numpy().reshape(len(seeds), -1) for key, own in stimulus}
@@ -292,7 +268,7 @@ class Stage:
 
     def sensitivities(self, seeds: Sequence[int]) -> list[Sensitivity]:
         """Return d' at the paper's limits by each formula, from pairs that are the same and that differ."""
-        answers = self.simulate(self.compared, seeds, INTEGRATION_S)
+        answers = self.simulate(self.compared, seeds)
         stimulus = answers.group_by("texture", "condition", "seed").agg(pl.col("value").sum(), pl.len())
         rows = []
         for texture, family in product(TEXTURES, (LINEAR, CUT)):
@@ -318,32 +294,6 @@ def results(stage: Stage, simulated: Simulated, table: Sequence[Published]) -> l
         key = row.texture, row.family, row.parameter
         rows.append(Result(*key, *paper, low, median, high, noticed_percent, grade, *quality))
     return rows
-
-
-@dataclass(frozen=True)
-class Integration:
-    """How simulated studies agree with the paper under another time of integration."""
-
-    integration_s: float
-    agreeing: Values
-    rho: Values
-    noticed_percent: float
-
-
-def integrations(
-    stage: Stage, simulated: Simulated, table: Sequence[Published], seeds: Sequence[int]
-) -> list[Integration]:
-    """Return the agreement for each of INTEGRATIONS_S, and who notices sandpaper with four linear levels.
-
-    `simulated`: the studies with the observer's own.
-    """
-    found = []
-    for integration_s in INTEGRATIONS_S:
-        other = simulated if integration_s == INTEGRATION_S else stage.grades(seeds, integration_s)
-        agreeing, rho = (np.percentile(each, SPREAD) for each in other.agreement(table))
-        noticed = 100 * float(np.mean(other.tests["sandpaper", f"{LINEAR} 4"][1]))
-        found.append(Integration(integration_s, agreeing, rho, noticed))
-    return found
 
 
 NO_PEOPLE = "Simulated observers, not people: 5 to 95 % of the studies"
@@ -445,7 +395,6 @@ def markdown(
     simulated: Simulated,
     table: Sequence[Published],
     sensitivities: Sequence[Sensitivity],
-    integrated: Sequence[Integration],
 ) -> str:
     """Return the page."""
     agreeing, rho = simulated.agreement(table)
@@ -462,9 +411,7 @@ def markdown(
         limits=found,
         limits_percent=float(np.mean([each.percent.get(each.paper, 0.0) for each in found])),
         similar=similar(simulated, table),
-        orders=orders(simulated, table),
         sensitivities=sensitivities,
-        integrated=integrated,
         values={family: sorted({row.parameter for row in table if row.family == family}) for family in FAMILIES},
         setting=setting,
         hidden=[float(np.mean(simulated.grades[name, AGAIN])) for name in TEXTURES],
@@ -479,11 +426,10 @@ def main(out: Path) -> None:
         stage = Stage(Path(folder))
         simulated = stage.grades(seeds)
         rows, sensitivities = results(stage, simulated, table), stage.sensitivities(seeds)
-        integrated = integrations(stage, simulated, table, seeds)
     name, folder_of_tables = "simulated_study", page.results_folder(out)
     draw_t(folder_of_tables / f"{name}.svg", rows)
     draw_sensitivities(folder_of_tables / f"{name}_sensitivity.svg", sensitivities)
-    text = markdown(rows, simulated, table, sensitivities, integrated)
+    text = markdown(rows, simulated, table, sensitivities)
     tables: list[tuple[str, Sequence[Any], type[Any]]] = [
         (f"{name}.csv", [page.rounded(row, ".4g") for row in rows], Result),
         (f"{name}_sensitivity.csv", [page.rounded(row, ".4g") for row in sensitivities], Sensitivity),

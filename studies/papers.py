@@ -41,7 +41,6 @@ EVA, DCT = "EVA", "DCT"
 YES, NO, NOT_YET, MODEL, NOT_COMPARABLE = "yes", "no", "not yet", "in a model", "not comparable"
 UNDECIDABLE = "not decidable"
 ANCHORS = (REFERENCE, "mdct")
-ABLATION = "eva_ablation.csv"
 TOLERANCE = 1.0
 """Percentage points within which a figure counts as reproduced."""
 ALMOST_ALL = 0.9
@@ -115,22 +114,6 @@ class WaveformSample:
     time_ms: float
     original: float
     decoded: float
-
-
-@dataclass(frozen=True)
-class Ablation:
-    """A training of EVA on the held-back recordings: bits per sample, mean SNR, latents that are ever non-zero.
-
-    It differs in `change` from `recipe`, whose first row has no change. `more_bits_percent`: the difference of bits +
-    lambda * squared error from that row's, in percent of its bits.
-    """
-
-    recipe: str
-    change: str
-    bits_per_sample: float
-    snr_db: float
-    living_latents: int
-    more_bits_percent: float
 
 
 def families(measurements: Measurements) -> list[str]:
@@ -344,7 +327,6 @@ def rendered(
     measurements: Measurements,
     claims: Sequence[Claim],
     rows: Sequence[Sensitivity],
-    ablation: Sequence[Ablation],
     figure: charts.Chart,
 ) -> str:
     """Return the page; `rows`: of the families against each reading of PVC-SLP."""
@@ -365,7 +347,6 @@ def rendered(
         rates=rates,
         costs={name: measurements.cost(name) for name in (*names, *others)},
         speeds={name: _speeds(measurements, name) for name in (*names, *others)},
-        ablation=ablation,
         pair=measurements.paper_pair,
         figure=figure,
         traces=len(measurements.compared),
@@ -448,7 +429,7 @@ def main(folder: Path, out: Path, model_folders: tuple[Path, ...]) -> None:
     samples = frame(waveforms(folder, measurements, model_folders), WaveformSample)
     title = f"Decoded over original, at compression ratios near {', '.join(map('{:g}'.format, WAVEFORM_RATIOS))}"
     figure = charts.Chart("waveforms", title, samples).write(results, charts.plot_waveforms)
-    text = rendered(measurements, claims, sensitivity, of_others(ABLATION, Ablation), figure)
+    text = rendered(measurements, claims, sensitivity, figure)
     written = (
         (pvc_slp.POINTS, points, Point),
         (pvc_slp.TABLE, sensitivity, Sensitivity),

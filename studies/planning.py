@@ -1,9 +1,7 @@
 """Measures what planning saves at equal quality: `python -m studies.planning FOLDER... --out docs/benchmarks`."""
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from pathlib import Path
 
 import click
@@ -32,20 +30,13 @@ from vibrocast.textures.dataset import DatasetEntry, entries
 
 ADDRESS, CORE, CLOCK_HZ = "cortex-m4", "M4F", 168e6
 HAND_SPEED_MM_S = 50.0
-WEIGHTS = {
-    "all costs": Weights(1.0, 0.1, 0.01, 0.01),
-    "bits alone": Weights(1.0, 0.0, 0.0, 0.0),
-    "instructions alone": Weights(0.0, 1.0, 0.0, 0.0),
-}
-"""The planner's own, and what can be saved where one cost is all that counts."""
-ALL_COSTS = next(iter(WEIGHTS))
 FREE, HELD = "any", "as the default's"
 """Delays: weighed as any other cost; or no longer than that of the default, both with the least margin."""
 
 
 @dataclass(frozen=True)
 class Saving:
-    """One texture, planned with one of WEIGHTS, and the fixed default. `delay`: FREE or HELD.
+    """One texture, planned with the weights of a scene, and the fixed default. `delay`: FREE or HELD.
 
     `snr_db`: of both in the band worth coding, default first. `wire_bps`: frames included. `instructions`: of decoding
     on a Cortex-M4F, in a second. `kilobytes`: flash and RAM of the decoder. `delay_ms`: from a sample at the host to
@@ -54,7 +45,6 @@ class Saving:
 
     group: str
     texture: str
-    weights: str
     delay: str
     highest_hz: float
     rate_hz: int
@@ -88,8 +78,8 @@ def savings(group: str, trace: DatasetEntry, unit: str | None) -> Iterator[Savin
     default_delay_s = default.stream.packet_samples / header.rate_hz + rendering_s(default.stream, PIEZO_STACK)
     limits_ms = {FREE: MAX_DELAY_MS, HELD: 1e3 * default_delay_s + BUFFERS_MS[-1]}
     evaluator: Evaluator | None = None
-    for (delay, limit_ms), (name, weights) in product(limits_ms.items(), WEIGHTS.items()):
-        scene = _scene(trace, recording, default_snr_db, limit_ms, weights)
+    for delay, limit_ms in limits_ms.items():
+        scene = _scene(trace, recording, default_snr_db, limit_ms)
         evaluator = Evaluator(scene, scene.textures[0]) if evaluator is None else evaluator.in_scene(scene)
         chosen = choose(evaluator).chosen
         forecast = chosen.forecast
@@ -103,7 +93,6 @@ def savings(group: str, trace: DatasetEntry, unit: str | None) -> Iterator[Savin
         yield Saving(
             group=group,
             texture=trace.name,
-            weights=name,
             delay=delay,
             highest_hz=band.highest,
             rate_hz=band.rate,
@@ -138,9 +127,7 @@ def _loaded(trace: DatasetEntry, unit: str | None) -> Recording:
     return replace(recording, samples=recording.samples / peak)
 
 
-def _scene(
-    trace: DatasetEntry, recording: Recording, snr_db: float, delay_limit_ms: float | None, weights: Weights
-) -> Scene:
+def _scene(trace: DatasetEntry, recording: Recording, snr_db: float, delay_limit_ms: float | None) -> Scene:
     """Return a scene of a piezo stack on a Cortex-M4F that asks for an SNR, and for a delay where one is given."""
     controller = SceneController(name="controller", address=ADDRESS, core=CORE, clock_hz=CLOCK_HZ, channels=4)
     return Scene(
@@ -151,7 +138,7 @@ def _scene(
         actuators=(BenchActuator(PIEZO_STACK, "controller", None),),
         link=Link("simulated", None, 0.0),
         asked=Asked(snr_db=snr_db, waveform=True, delay_limit_ms=delay_limit_ms),
-        weights=weights,
+        weights=Weights(),
         threshold_path=DETECTION_THRESHOLD,
     )
 
@@ -187,21 +174,17 @@ def rendered(rows: Sequence[Saving], left_out: Sequence[str], command: str) -> s
     ]
     kilobytes = (pl.col("planned_kilobytes") - pl.col("default_kilobytes")).mean().alias("kilobytes")
     table = frame(rows, Saving)
-    of_group = table.group_by("group", "weights", "delay").agg(*spread, kilobytes, pl.len().alias("number"))
-    savings = {(row.group, row.weights, row.delay): row for row in as_rows(of_group)}
+    of_group = table.group_by("group", "delay").agg(*spread, kilobytes, pl.len().alias("number"))
+    savings = {(row.group, row.delay): row for row in as_rows(of_group)}
     groups = list(dict.fromkeys(row.group for row in rows))
-    chosen = Counter((row.chosen.partition(",")[0], row.weights, row.delay) for row in rows)
     return page.render(
         "planning",
         globals(),
         rate_hz=DEFAULT_STREAM_RATE_HZ,
         snr_db=DEFAULT_SNR_DB,
-        message={
-            delay: _compared([savings[group, ALL_COSTS, delay].bits_mean for group in groups]) for delay in (FREE, HELD)
-        },
+        message={delay: _compared([savings[group, delay].bits_mean for group in groups]) for delay in (FREE, HELD)},
         groups=groups,
         savings=savings,
-        codecs={name: [chosen[name, *key] for key in product(WEIGHTS, (FREE, HELD))] for name, *_ in sorted(chosen)},
         left_out=left_out,
         command=command,
     )

@@ -16,7 +16,7 @@ from vibrocast import codec, textures
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, encode_recording
 from vibrocast.codec.rate_control import RateTarget
 from vibrocast.evaluation.curves import Curve, Panel, curves
-from vibrocast.evaluation.tables import as_rows, by, frame, grouped
+from vibrocast.evaluation.tables import as_rows, by, frame
 from vibrocast.textures import dataset
 
 RATES_BPS = (500, 1000, 2000, 4000, 8000, 20_000)
@@ -99,26 +99,14 @@ def measure(recording: textures.Recording, codec_name: str, rate_bps: int) -> He
 
 def rendered(held: Sequence[Held], data: str) -> str:
     """Return the page. `data`: the name of the recordings' folder."""
-    table = frame(held, Held)
-    done = table.filter(pl.col("rejected") == "")
-    cell = pl.col("codec", "bits_per_second")
-    means = done.group_by(cell).agg(
-        pl.len().alias("kept"),
-        pl.col("packet_ms", "padding_percent").mean(),
-        added_percent=100 * (pl.col("sent_bps") / pl.col("packets_bps") - 1).mean(),
-    )
-    cells = table.group_by(cell, maintain_order=True).len().join(means, on=["codec", "bits_per_second"], how="left")
-    silent = done.group_by(cell).agg(pl.col("snr_db").max()).filter(pl.col("snr_db") <= 0)
+    done = frame(held, Held).filter(pl.col("rejected") == "", pl.col("furthest_percent").is_not_null())
     return page.render(
         "rate_control",
         globals(),
         data=data,
         recordings=len({row.recording for row in held}),
         command=shlex.join(["python", "-m", "studies.rate_control", *sys.argv[1:]]),
-        furthest=as_rows(done.filter(pl.col("furthest_percent").is_not_null()).sort(_DEVIATION, descending=True))[0],
-        codecs=grouped(as_rows(cells), lambda row: row.codec),
-        examples={row.codec: row for row in held if row.rejected}.values(),
-        silent=dict(silent.select(cell).sort(cell).iter_rows()),
+        furthest=as_rows(done.sort(_DEVIATION, descending=True))[0],
     )
 
 
