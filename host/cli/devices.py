@@ -48,6 +48,7 @@ def list_devices() -> None:
 @click.command("upload")
 @click.argument("model", required=False, callback=chosen_model)
 @devices_option
+@click.option("--list", "lists", is_flag=True, help="List the slots and the models in them.")
 @click.option("--rollback", is_flag=True, help="Run the verified model of the other slot again.")
 @click.option("--erase", "erases", is_flag=True, help="Empty the slots that are not in use.")
 @click.option("--read-back", type=OutputFile(), help="Write the model that the controller runs to this file.")
@@ -56,6 +57,7 @@ def list_devices() -> None:
 def upload_model(
     model: models.Model | None,
     chosen: tuple[BenchController, ...],
+    lists: bool,
     rollback: bool,
     erases: bool,
     read_back: Path | None,
@@ -72,14 +74,14 @@ def upload_model(
 
     After an interruption, run the same command again: it continues. Until then the controller runs the previous image.
     """
-    choices: tuple[tuple[bool, Work], ...] = ((rollback, roll_back), (erases, erase))
+    choices: tuple[tuple[bool, Work], ...] = ((lists, list_slots), (rollback, roll_back), (erases, erase))
     asked = [work for is_asked, work in choices if is_asked]
     if read_back is not None:
         asked.append(partial(write_back, read_back))
     if model is not None:
         asked.append(partial(verify, model) if verifies else partial(flash, model, not no_confirm))
     if len(asked) != 1:
-        raise click.UsageError("give a MODEL, --rollback, --erase or --read-back, and one of them")
+        raise click.UsageError("give a MODEL, --list, --rollback, --erase or --read-back, and one of them")
     if verifies + no_confirm > (model is not None):
         raise click.UsageError("--verify or --no-confirm goes with a MODEL; give one of the two with it")
     if read_back is not None and len(chosen) > 1:
@@ -120,6 +122,12 @@ def on_all(work: Work, addresses: Sequence[str]) -> None:
         show({name: line.splitlines() for name, line in lines.items()}, as_words=False)
     if failed:
         raise controllers_failed(failed, len(names))
+
+
+def list_slots(controller: Controller, tell_part: Callable[[int, int], None]) -> tuple[str, dict[str, object]]:
+    """Return what the slots hold."""
+    lines = devices.model_images(controller.description) or ["no model image in any slot"]
+    return "\n".join(lines), {"slots": devices.slots(controller.description)}
 
 
 def roll_back(controller: Controller, tell_part: Callable[[int, int], None]) -> tuple[str, dict[str, object]]:
@@ -188,7 +196,6 @@ def status(address: str, actuator_name: str | None) -> None:
     """Show the properties and state of a controller."""
     with devices.connect(address, actuator=own_actuator(address, actuator_name)) as controller:
         show(devices.facts(controller))
-        add({"slots": devices.slots(controller.description)})
 
 
 @click.command()
