@@ -90,7 +90,7 @@ class Chart:
         if self.rows:
             plot(image, self.table, title=self.title)
         else:
-            image.unlink(missing_ok=True)
+            pictures.remove(image)
         return self
 
 

@@ -1,5 +1,6 @@
-"""Pictures of pages: colours of codecs, readable in grey print, and the same bytes from the same data."""
+"""Pictures of pages and papers: colours of codecs, readable in grey, and the same bytes from the same data."""
 
+import io
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -27,6 +28,16 @@ AXES: Any = {
     "text.parse_math": False,
 }
 """Settings of matplotlib for panels of curves and marks."""
+_FILE: Any = {
+    "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial"],
+    "pdf.fonttype": 42,  # TrueType: journals reject Type 3
+    "pgf.rcfonts": False,  # the paper's fonts
+    "svg.fonttype": "none",  # text stays text
+    "svg.hashsalt": "vibrocast",  # else the parts get random names
+}
+"""Settings of matplotlib for files."""
+_METADATA: Mapping[str, Any] = {".svg": {"Date": None, "Creator": None}, ".pdf": {"CreationDate": None}}
+_FOR_PAPERS = (".pdf", ".pgf")
 _PAGE_POINTS = 8
 _DPI = 120
 
@@ -68,15 +79,35 @@ def figure_file(path: Path, width_in: float, height_in: float) -> "Iterator[Figu
 
 
 def write(figure: "Figure", path: Path) -> None:
-    """Write a figure in the format of the path's suffix. Text of an SVG file stays text. Raises OSError."""
+    """Write a figure in the format of the path's suffix, and for papers as PDF and PGF next to it. Raises OSError.
+
+    A figure with images has no PGF file: each image would be a file of its own.
+    """
+    from matplotlib import rc_context
+    from matplotlib.image import AxesImage
+
+    from vibrocast.evaluation import pgf
+
+    suffixes = (path.suffix, *_FOR_PAPERS[: 1 if figure.findobj(AxesImage) else 2])
+    for each in map(path.with_suffix, suffixes):
+        with atomic_write(each) as partial, rc_context(_FILE):
+            if each.suffix == ".pgf":
+                pgf.write(figure, partial)
+            else:
+                figure.savefig(partial, metadata=_METADATA.get(each.suffix))
+
+
+def inlined(figure: "Figure") -> str:
+    """Return a figure as SVG for a page of HTML."""
     from matplotlib import rc_context
 
-    # Matplotlib draws the names of an SVG file's parts at random, unless it gets a salt.
-    settings: Any = {
-        "svg.fonttype": "none",
-        "svg.hashsalt": "vibrocast",
-        "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial"],
-    }
-    is_svg = path.suffix == ".svg"
-    with rc_context(settings), atomic_write(path) as partial:
-        figure.savefig(partial, metadata={"Date": None, "Creator": None} if is_svg else None)
+    text = io.StringIO()
+    with rc_context(_FILE):
+        figure.savefig(text, format="svg", metadata=_METADATA[".svg"])
+    return text.getvalue()[text.getvalue().index("<svg") :]
+
+
+def remove(path: Path) -> None:
+    """Remove what `write` wrote, if it is there. Raises OSError."""
+    for each in map(path.with_suffix, (path.suffix, *_FOR_PAPERS)):
+        each.unlink(missing_ok=True)

@@ -11,7 +11,7 @@ import polars as pl
 
 from vibrocast import pages
 from vibrocast.errors import InputError
-from vibrocast.evaluation import bd_rate, charts, comparison, speed
+from vibrocast.evaluation import bd_rate, charts, comparison, pictures, speed
 from vibrocast.evaluation.bd_rate import PSNR, SCALES, SNR, SPQI, ST_SIM_2800, ST_SIM_8000, Scale
 from vibrocast.evaluation.comparison import LEARNED_SCALES, PAPER_SCALES, TABLES, TIMES, Measurements
 from vibrocast.evaluation.peers import measured_codecs, named, peers
@@ -262,7 +262,7 @@ def _first_look(
     path = folder / "comparison.svg"
     percents = (-reached.filter(pl.col("codec").is_in(shown))["anchor_percent"].drop_nulls()).to_list()
     if anchor != charts.MAIN[0] or len(percents) < len(shown) or not shown:
-        path.unlink(missing_ok=True)
+        pictures.remove(path)
         return None
     ends = listed(dict.fromkeys(f"{percent:.0f}" for percent in (min(percents), max(percents))), " to ")
     title = f"At equal SNR, {anchor} needs {ends} % fewer bits"

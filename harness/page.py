@@ -1,6 +1,5 @@
 """The report of a run as one HTML page that needs nothing else: figures in words and tables, plots inlined as SVG."""
 
-import io
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -8,10 +7,10 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from vibrocast import pages
+from vibrocast.evaluation import pictures
 from vibrocast.files import atomic_write
 from vibrocast.harness.latency import PARTS
 from vibrocast.harness.results import NAMES, Change
@@ -93,12 +92,9 @@ def _number(value: object) -> object:
 
 def _figure(draw: Callable[[Axes], None], height_in: float = 3.2) -> str:
     figure = Figure(figsize=(9.5, height_in), layout="constrained")
-    FigureCanvasSVG(figure)
     axes = figure.subplots()
     draw(axes)
-    drawn = io.StringIO()
-    figure.savefig(drawn, format="svg", metadata={"Date": None})
-    return drawn.getvalue()[drawn.getvalue().index("<svg") :]
+    return pictures.inlined(figure)
 
 
 def _latency(latency: dict[str, Any]) -> str:

@@ -11,6 +11,7 @@ from msgspec import structs
 
 from vibrocast import pages
 from vibrocast.codec.rate_control import RateTarget
+from vibrocast.evaluation.pictures import figure_file
 from vibrocast.files import atomic_write, plain
 from vibrocast.planner.choose import TextureChoice
 from vibrocast.planner.forecast import Candidate, wanted
@@ -88,20 +89,15 @@ def draw(path: Path, scene: Scene, choices: Sequence[TextureChoice]) -> None:
 
     A panel leaves out candidates that would squeeze the others (`is_near`), and states their number.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     shown = choices[:MAX_PANELS]
-    figure = Figure(figsize=(8.4, 4.2 * len(shown) + 0.6), dpi=120, layout="constrained")
-    FigureCanvasAgg(figure)
     left = "" if len(shown) == len(choices) else f" (the first {len(shown)} of {len(choices)} textures)"
-    figure.suptitle(f"{scene.path.name}: the choice and its alternatives{left}", fontweight="bold", parse_math=False)
-    panels = figure.subplots(len(shown), 1, squeeze=False).ravel()
+    title = f"{scene.path.name}: the choice and its alternatives{left}"
     codecs = list(dict.fromkeys(each.measured.option.codec for choice in choices for each in choice.candidates))
-    for axes, choice in zip(panels, shown, strict=True):
-        _draw_panel(axes, scene.asked, choice, codecs)
-    with atomic_write(path) as partial:
-        figure.savefig(partial)
+    with figure_file(path, 8.4, 4.2 * len(shown) + 0.6) as figure:
+        figure.suptitle(title, fontweight="bold", parse_math=False)
+        panels = figure.subplots(len(shown), 1, squeeze=False).ravel()
+        for axes, choice in zip(panels, shown, strict=True):
+            _draw_panel(axes, scene.asked, choice, codecs)
 
 
 def _draw_panel(axes: "Axes", asked: Asked, choice: TextureChoice, codecs: Sequence[str]) -> None:

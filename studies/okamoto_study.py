@@ -23,7 +23,6 @@ from studies.texture_paper import HAND_SPEED_MM_S, STRETCH_MM, generated_profile
 from vibrocast import textures
 from vibrocast.evaluation import pictures
 from vibrocast.evaluation.points import read_rows
-from vibrocast.files import atomic_write
 from vibrocast.output.actuator import ACTUATORS
 from vibrocast.study import statistics, stimuli
 from vibrocast.study.analysis import ALPHA
@@ -314,8 +313,7 @@ def _figure(path: Path, width_in: float, height_in: float) -> Iterator[Figure]:
         axes.tick_params(labelsize=pictures.SMALL_POINTS)
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(color=pictures.PALE, linewidth=0.7)
-    with atomic_write(path) as partial:
-        pictures.write(figure, partial)
+    pictures.write(figure, path)
 
 
 def draw_t(path: Path, rows: Sequence[Result]) -> None:

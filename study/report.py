@@ -1,6 +1,5 @@
 """Writes the report of a study: one page with charts, and the same figures as JSON and CSV."""
 
-import io
 import json
 import math
 import textwrap
@@ -35,14 +34,14 @@ _OF_SIMULATION = "Simulated observers, not people"
 def write_report(folder: Path, out: Path) -> Path:
     """Analyse a results folder and write the report into `out`; return the page. Raises InputError, OSError."""
     read = analysis.analyse(folder)
-    tables = analysis.tables(read)
+    tables, charts = analysis.tables(read), _charts(read)
     page = pages.render(
         Path(__file__).with_name("report.html.jinja"),
         study=read.study,
         read=read,
         simulated=_OF_SIMULATION if read.is_simulated else None,
         findings=analysis.findings(read),
-        charts=[(title, _inlined(figure)) for title, figure in _charts(read)],
+        charts=[(title, pictures.inlined(figure)) for title, figure in charts],
         tables=tables,
         cell=_cell,
     )
@@ -61,12 +60,21 @@ def write_report(folder: Path, out: Path) -> Path:
         (partial / JSON).write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")
         for name, rows in tables.items():
             (partial / f"{name}.csv").write_text(as_csv(list(rows[0]), rows), encoding="utf-8", newline="")
+        for title, figure in charts:
+            pictures.write(figure, partial / f"{title.split()[0].lower()}.svg")
+        (partial / "report.tex").write_text("\n".join(map(_latex, tables.items())), encoding="utf-8")
     return out / PAGE
 
 
 def _plain(row: dict[str, Any]) -> dict[str, Any]:
     """Return a row that JSON can hold: None for a number that is none."""
     return {key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in row.items()}
+
+
+def _latex(table: tuple[str, list[dict[str, Any]]]) -> str:
+    name, rows = table
+    words, cells = ([key.replace("_", " ") for key in rows[0]], [list(map(_cell, row.values())) for row in rows])
+    return pages.latex_table(name.replace("_", " "), words, cells, "l" + "r" * (len(words) - 1))
 
 
 def _cell(value: object) -> str:
@@ -78,17 +86,6 @@ def _cell(value: object) -> str:
         return "-" if not math.isfinite(value) else f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
     text = str(value)
     return text if len(text) <= 40 else f"{text[:16]}..."
-
-
-def _inlined(figure: Figure) -> str:
-    """Return a figure as SVG for a page."""
-    from matplotlib import rc_context
-
-    text = io.StringIO()
-    settings: Any = {"svg.fonttype": "none", "svg.hashsalt": "vibrocast"}
-    with rc_context(settings):
-        figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
-    return text.getvalue()[text.getvalue().index("<svg") :]
 
 
 # ---- charts ----

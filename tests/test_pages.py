@@ -39,6 +39,23 @@ def test_a_part_of_a_page_of_figures_ends_with_its_commit_and_leaves_the_other_p
     assert write("# Another page\n", "four") == "# Another page\n\nFigures: four.\n"
 
 
+def test_the_tables_of_a_page_are_there_for_latex(tmp_path: Path) -> None:
+    page = "# Codecs\n\n## Rates of `mdct`\n\n| codec | 50 % |\n| --- | ---: |\n| [a_b](x.md) &lt; \\| `c` | **1** |\n"
+    pages.write_figures(tmp_path / "page.md", page)
+    lines = (tmp_path / "page.tex").read_text().splitlines()
+    assert lines[1:] == [
+        r"\centering\caption{Rates of mdct}",
+        r"\begin{tabular}{lr}",
+        r"\toprule",
+        r"codec & 50 \% \\",
+        r"\midrule",
+        r"a\_b \textless{} \textbar{} c & 1 \\",
+        r"\bottomrule",
+        r"\end{tabular}",
+        r"\end{table}",
+    ]
+
+
 def test_the_program_is_its_commit_in_a_checkout_and_its_version_elsewhere(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

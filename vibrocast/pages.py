@@ -1,10 +1,12 @@
 """Renders pages from the templates next to their modules: text, Markdown, C, and HTML with every value escaped."""
 
+import html
 import re
 import subprocess
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import cache
 from importlib.metadata import version
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +41,8 @@ def write_figures(path: Path, part: str, redrawn: bool = False) -> None:
     """Write a part of a page of figures; its last line states from which program they are. Raises OSError.
 
     A part that begins with the heading of one of the page replaces it. Else `# ` begins the page anew, and `## ` comes
-    at its end. `redrawn`: the figures are those of the part that is there, and keep its last line.
+    at its end. `redrawn`: the figures are those of the part that is there, and keep its last line. A file of
+    suffix .tex next to it gets the tables of the page.
     """
     page = path.read_text(encoding="utf-8") if path.exists() else ""
     heading = re.escape(part.partition("\n")[0])
@@ -52,6 +55,8 @@ def write_figures(path: Path, part: str, redrawn: bool = False) -> None:
         text = f"{page}\n{text}"
     with atomic_write(path) as partial:
         partial.write_text(text, encoding="utf-8")
+    with atomic_write(path.with_suffix(".tex")) as partial:
+        partial.write_text(latex_tables(text), encoding="utf-8")
 
 
 @cache
@@ -70,6 +75,56 @@ def _git(*arguments: str) -> str:
         return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
         return ""
+
+
+def latex_tables(page: str) -> str:
+    """Return the tables of a page of Markdown for LaTeX, each under the title of its section."""
+    tables, title = [], ""
+    for is_table, group in groupby(page.splitlines(), lambda line: line.startswith("|")):
+        lines = list(group)
+        if is_table:
+            head, rule, *rows = ([_plain(each) for each in _BAR.split(line)[1:-1]] for line in lines)
+            tables.append(latex_table(title, head, rows, "".join("r" if each.endswith(":") else "l" for each in rule)))
+        else:
+            title = next((_plain(line.lstrip("#")) for line in reversed(lines) if line.startswith("#")), title)
+    return "\n".join(tables)
+
+
+_BAR = re.compile(r"(?<!\\)\|")
+
+
+def _plain(markdown: str) -> str:
+    """Return the text of a cell or a title in Markdown: without links, code marks, emphasis and escapes."""
+    text = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", markdown)
+    return html.unescape(re.sub(r"[`*]|\\(?=[\\|])", "", text)).strip()
+
+
+def latex_table(title: str, head: Sequence[str], rows: Iterable[Sequence[str]], columns: str) -> str:
+    """Return a table for LaTeX. `columns`: a letter for each, "l" or "r"."""
+    first, *others = (" & ".join(map(latex, row)) + r" \\" for row in (head, *rows))
+    return "\n".join(
+        (
+            r"\begin{table}  % needs \usepackage{booktabs}",
+            rf"\centering\caption{{{latex(title)}}}",
+            rf"\begin{{tabular}}{{{columns}}}",
+            *(r"\toprule", first, r"\midrule", *others, r"\bottomrule"),
+            r"\end{tabular}",
+            "\\end{table}\n",
+        )
+    )
+
+
+_LATEX = str.maketrans(
+    {letter: f"\\{letter}" for letter in "&%$#_{}"}
+    | {"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", "~": r"\textasciitilde{}", "|": r"\textbar{}"}
+    | {"<": r"\textless{}", ">": r"\textgreater{}", "≈": r"$\approx$", "−": "$-$", "²": r"\textsuperscript{2}"}
+)
+"""Letters that LaTeX reads as commands, or does not know."""
+
+
+def latex(text: str) -> str:
+    """Return text that shows unchanged in LaTeX."""
+    return text.translate(_LATEX)
 
 
 def cell(value: object) -> str:

@@ -30,6 +30,7 @@ def test_simulated_observers_take_part_and_are_reported(tmp_path: Path) -> None:
     succeeds("study", "report", out)
     assert "Simulated observers, not people" in (out / "report" / "report.html").read_text()
     document = json.loads((out / "report" / "report.json").read_text())
+    assert {"means.pdf", "means.pgf", "report.tex"} <= {path.name for path in (out / "report").iterdir()}
     assert (len(document["participants"]), document["simulated"], document["method"]) == (3, True, "degradation")
     means = {(row["texture"], row["condition"]): row["mean"] for row in document["means"]}
     for texture in ("wood", "sandpaper", "leather"):
