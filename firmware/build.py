@@ -60,7 +60,8 @@ class Target:
 
     `folders`: of its port, below firmware/, whose C sources are compiled with those of `shared`. `defines`: sizes of
     vibrocast/sizes.h, and settings of its port. `finish`: called with the linked image. `verifier`: C sources of others
-    that verify signatures; their warnings are no errors.
+    that verify signatures; their warnings are no errors. `actuator`: a C source with the actuator, instead of the
+    port's.
     """
 
     summary: str
@@ -71,6 +72,7 @@ class Target:
     defines: Mapping[str, int | str] = field(default_factory=dict)
     finish: Callable[[Path], None] | None = None
     verifier: tuple[Path, ...] = ()
+    actuator: Path | None = None
 
     def sources(self) -> list[Path]:
         """Return its C sources, from ROOT on; a controller has no use for the core's encoders."""
@@ -84,6 +86,8 @@ class Target:
         texts = {name: f'"{value}"' if isinstance(value, str) else value for name, value in self.defines.items()}
         defines = [f"-D{name}={value}" for name, value in texts.items()]
         command = [*FLAGS, *self.flags, *defines, *includes, *map(str, self.sources())]
+        if self.actuator is not None:
+            command += ["-DVC_BOARD_ACTUATOR", str(self.actuator)]
         if self.verifier:
             command += ["-DVC_VERIFIER", "-Wno-error", *(f"-I{path.parent}" for path in self.verifier)]
         return [*command, *map(str, self.verifier)]
@@ -243,19 +247,26 @@ def build(
     sizes: Mapping[str, int] | None = None,
     public_key: bytes | None = None,
     verifier: Sequence[Path] = (),
+    actuator: Path | None = None,
 ) -> Path:
     """Build a target of TARGETS, or `template`, unless it is there already, and return its file.
 
     `sizes`: of vibrocast/sizes.h, in place of the target's. `public_key`: 32 bytes, of Ed25519; model images need its
     signature, None = they need none. `verifier`: C sources with vc_port_verify_signature of vibrocast/port.h, and what
-    else that needs; a controller with a key does not start without one. A library's declarations for cffi lie next to
+    else that needs; a controller with a key does not start without one. `actuator`: a C source that `vibrocast actuator
+    --c` wrote, None = the actuator of the port. A library's declarations for cffi lie next to
     it, with the suffix ".cdef". Builds are kept in firmware/build, or in the user's cache where that cannot be written,
     by a hash of all that they are made from. Raises BuildError and MissingExtraError.
     """
     target = TEMPLATE if name == "template" else TARGETS[name]
     key = {} if public_key is None else {"VC_PUBLIC_KEY": "".join(f"\\x{byte:02x}" for byte in public_key)}
     verifier_paths = tuple(path.resolve() for path in verifier)
-    target = replace(target, defines={**target.defines, **(sizes or {}), **key}, verifier=verifier_paths)
+    target = replace(
+        target,
+        defines={**target.defines, **(sizes or {}), **key},
+        verifier=verifier_paths,
+        actuator=actuator and actuator.resolve(),
+    )
     extras.require("firmware", "ziglang")
     folder = _build_folder() / f"{name}-{_fingerprint(target)}"
     built = folder / f"{name}{target.suffix}"
@@ -296,6 +307,8 @@ def _fingerprint(target: Target) -> str:
     digest = hashlib.sha256(repr((target.command(), sys.platform, platform.machine(), version("ziglang"))).encode())
     if target.finish is not None:
         digest.update(Path(rp2040.__file__).read_bytes())
+    if target.actuator is not None:
+        digest.update(target.actuator.read_bytes())
     folders = [ROOT / folder for folder in (*target.shared, *target.folders)]
     for folder in folders + [path.parent for path in target.verifier]:
         for path in sorted(folder.iterdir()):
@@ -375,12 +388,18 @@ def size(name: str, sizes: Mapping[str, int] | None = None) -> Size:
     multiple=True,
     help="Compile this C source, for --public-key: it verifies signatures. Repeat it for each source.",
 )
+@click.option(
+    "--actuator",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Compile this C source, which `vibrocast actuator --c` wrote, instead of the port's actuator.",
+)
 def main(
     names: tuple[str, ...],
     with_sizes: bool,
     json_path: Path | None,
     key_path: Path | None,
     verifier: tuple[Path, ...],
+    actuator: Path | None,
 ) -> None:
     """Build targets of the firmware, and print the file of each.
 
@@ -393,7 +412,7 @@ def main(
         public_key = None if key_path is None else read_public_key(key_path)
         if not with_sizes and json_path is None:
             for name in wanted:
-                click.echo(f"{name}: {build(name, public_key=public_key, verifier=verifier)}")
+                click.echo(f"{name}: {build(name, public_key=public_key, verifier=verifier, actuator=actuator)}")
             return
         sizes = {name: asdict(size(name)) for name in wanted if TARGETS[name].suffix == ".elf"}
     except (VibrocastError, OSError) as error:

@@ -12,14 +12,20 @@ from vibrocast.host.devices import FirmwareDevice
 class HostProcess(Closing):
     """Runs the firmware built for `host`; a context manager. `name`: the serial port that a host program opens.
 
-    `options`: of the program firmware/ports/host/main.c. `public_key` and `verifier`: as for `build`. Raises
+    `options`: of the program firmware/ports/host/main.c. `public_key`, `verifier`, `actuator`: as for `build`. Raises
     BuildError, and TransportError if the program does not start.
     """
 
-    def __init__(self, *options: str | Path, public_key: bytes | None = None, verifier: Sequence[Path] = ()) -> None:
+    def __init__(
+        self,
+        *options: str | Path,
+        public_key: bytes | None = None,
+        verifier: Sequence[Path] = (),
+        actuator: Path | None = None,
+    ) -> None:
         # The process ends with its input, so nothing outlives a host program that is killed.
         self._process = subprocess.Popen(
-            [build("host", public_key=public_key, verifier=verifier), *options],
+            [build("host", public_key=public_key, verifier=verifier, actuator=actuator), *options],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

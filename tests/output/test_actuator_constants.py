@@ -1,7 +1,5 @@
 """Actuators in integers: the tables that ship are those of the descriptions, and no compensation can overflow."""
 
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,8 +7,11 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from vibrocast.firmware.build import FLAGS, ROOT
-from vibrocast.firmware.native_core import ffi
+from tests.conftest import texture
+from vibrocast.codec.encoding import encode_recording
+from vibrocast.harness.boards.host_process import HostProcess
+from vibrocast.host import playback
+from vibrocast.host.session import connect
 from vibrocast.output.actuator import (
     LRA,
     PIEZO_STACK,
@@ -19,7 +20,6 @@ from vibrocast.output.actuator import (
     Filter,
 )
 from vibrocast.output.actuator_constants import HEADER, TABLES, board_source, constants, source
-from vibrocast.output.rendering import actuator_structure
 
 DESCRIBED = [
     PIEZO_STACK,
@@ -69,17 +69,15 @@ def test_values_that_do_not_fit_are_rejected(actuator: Actuator, reason: str) ->
         constants(actuator)
 
 
-def test_a_boards_source_compiles_to_the_same_constants(tmp_path: Path) -> None:
-    actuator = replace(LRA, name='q"\\ü??/1*/', corner_hz=161.3)
-    (tmp_path / "own.c").write_text(board_source(actuator))
-    (tmp_path / "main.c").write_text(
-        '#include <stdio.h>\n#include "vibrocast/output.h"\nextern const vc_actuator board_actuator;\n'
-        "int main(void) { return fwrite(&board_actuator, sizeof board_actuator, 1, stdout) != 1; }\n"
-    )
-    command = [sys.executable, "-m", "ziglang", "cc", *FLAGS, "-Wpedantic", f"-I{ROOT / 'include'}"]
-    subprocess.run([*command, "own.c", "main.c", "-o", "print"], cwd=tmp_path, check=True)
-    printed = subprocess.run([tmp_path / "print"], capture_output=True, check=True).stdout
-    assert printed == bytes(ffi.buffer(actuator_structure(actuator)))
+def test_firmware_plays_by_a_boards_own_source(tmp_path: Path) -> None:
+    """Its name has what C could take for something else."""
+    actuator = replace(LRA, name='q"\\ü??/1*/', corner_hz=161.3, power_limit=0.01)
+    source = tmp_path / "own.c"
+    source.write_text(board_source(actuator))
+    stream = encode_recording(texture(np.sin(np.arange(1000) / 3)), live=True).stream
+    with HostProcess(actuator=source) as process, connect(f"serial:{process.name}", actuator=actuator) as session:
+        assert session.controller.description.actuator.name == actuator.name
+        assert playback.play(session, "sine", stream).report.dac_equals_offline is True
 
 
 def test_tables_are_what_their_command_writes() -> None:

@@ -32,6 +32,14 @@ int vc_port_verify_signature(void *context, const uint8_t *public_key, const uin
 #define vc_port_verify_signature NULL
 #endif
 
+/* The board's actuator: that of `python -m vibrocast.firmware.build --actuator`, else the one that the port names. */
+#ifdef VC_BOARD_ACTUATOR
+extern const vc_actuator board_actuator;
+#define VC_ACTUATOR(shipped) board_actuator
+#else
+#define VC_ACTUATOR(shipped) shipped
+#endif
+
 /* Starts the controller, once. The port owns `settings`, `flash` and `dac`, which must stay valid. `flash` may be
  * NULL: the controller then has no slots for model images. A turn hands codes to the DAC after it has decoded a block
  * for them, so they come late by that time. The ramp to rest after a Stop comes at once, about 5 ms ahead of time.

@@ -175,7 +175,7 @@ int main(int count, char **arguments)
 {
     vc_controller_settings settings = {.build = VC_BUILD,
                                        .hardware = "host",
-                                       .actuator = &vc_piezo_stack,
+                                       .actuator = &VC_ACTUATOR(vc_piezo_stack),
                                        .public_key = (const uint8_t *)VC_PUBLIC_KEY,
                                        .verify_signature = vc_port_verify_signature,
                                        .watchdog_ms = 2000,

@@ -21,7 +21,7 @@ int main(void)
         .build = VC_BUILD,
         .hardware = VC_HARDWARE,
         .serial_number = "emulated",
-        .actuator = &vc_piezo_stack,
+        .actuator = &VC_ACTUATOR(vc_piezo_stack),
         .public_key = (const uint8_t *)VC_PUBLIC_KEY,
         .verify_signature = vc_port_verify_signature,
         .watchdog_ms = 2000,

@@ -18,7 +18,7 @@ void vc_board_enable(uint32_t subsystems)
 
 void vc_clocks_start(void)
 {
-    VC_XOSC_STARTUP = 470; /* in 256 cycles: 10 ms, for crystals that start slowly */
+    VC_XOSC_STARTUP = 3000; /* in 256 cycles: 64 ms, for boards whose crystal starts slowly, such as some Feathers */
     VC_XOSC_CTRL = VC_XOSC_ENABLE | VC_XOSC_1_TO_15_MHZ;
     wait_for(&VC_XOSC_STATUS, VC_XOSC_STABLE);
     VC_CLK_REF_CTRL = VC_CLK_REF_XOSC;

@@ -6,7 +6,7 @@
 #include "vibrocast/sizes.h"
 #include "systick.h"
 
-#define ACTUATOR vc_piezo_stack_12_bits
+#define ACTUATOR VC_ACTUATOR(vc_piezo_stack_12_bits)
 /* Of the processor's time, decoding may take 7 parts in 10; the rest is for messages and the output. */
 #define DECODING_KILOCYCLES_PER_S (VC_PROCESSOR_HZ / 1000 / 10 * 7)
 

@@ -109,7 +109,7 @@ int main(void)
     static const vc_controller_settings settings = {
         .build = VC_BUILD,
         .hardware = VC_HARDWARE,
-        .actuator = &vc_piezo_stack_12_bits,
+        .actuator = &VC_ACTUATOR(vc_piezo_stack_12_bits),
         .public_key = (const uint8_t *)VC_PUBLIC_KEY,
         .verify_signature = vc_port_verify_signature,
         .watchdog_ms = 2000,

@@ -3,6 +3,7 @@
 #include "board.h"
 #include "drv260x.h"
 #include "paced_output.h"
+#include "vibrocast/port.h"
 
 #define I2C_HZ 400000u
 #define FIRST_PIN 4u
@@ -10,7 +11,7 @@
 #define BITS 8
 #define FIFO_ENTRIES 16u
 
-const vc_actuator *const vc_output_actuator = &vc_lra;
+const vc_actuator *const vc_output_actuator = &VC_ACTUATOR(vc_lra);
 
 /* Sends a register of the driver. Refuses where bytes of earlier ones still wait, because the driver holds the bus, and
  * where it has not acknowledged: the port throws bytes away until that is cleared (4.3.17). */

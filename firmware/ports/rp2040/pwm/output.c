@@ -6,13 +6,14 @@
 #include "vibrocast/actuator_tables.h"
 #include "board.h"
 #include "paced_output.h"
+#include "vibrocast/port.h"
 
 #define STEPS 5000
 #define REST (STEPS / 2)
 #define DAC_BITS 12 /* 4096 of the 5000 steps */
 #define FIRST_PIN 2u
 
-const vc_actuator *const vc_output_actuator = &vc_piezo_stack_12_bits;
+const vc_actuator *const vc_output_actuator = &VC_ACTUATOR(vc_piezo_stack_12_bits);
 
 static inline void write_levels(const int32_t *level)
 {
