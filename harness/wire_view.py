@@ -4,6 +4,7 @@ import contextlib
 import threading
 from collections import deque
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ from vibrocast.device_protocol.messages import (
 )
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.device_protocol.trace import TracedFrame
+from vibrocast.harness.web_server import Page, Refused, Request, json_page
 from vibrocast.host.controller import MAX_DAC_RATE_HZ, ControllerError
 from vibrocast.host.picture import third_octave_levels
 from vibrocast.host.playback import DECODED_FULL_SCALE, displacement_um
@@ -44,6 +46,7 @@ HISTORY_S = 60.0
 """Of the buffer."""
 FLOOR_DB = -60.0
 _MAX_GAP_PACKETS = 64
+_PAGE = Path(__file__).with_name("wire_page.html")
 _SHOWN_POINTS = 600
 
 
@@ -70,7 +73,7 @@ class _Signal:
 
 
 class WireView:
-    """The content of the frames of one wire. `note` takes them; `document` gives the page's content, ready for JSON."""
+    """The content of the frames of one wire. `note` takes them; `answer` serves the page, and its content as JSON."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -189,6 +192,14 @@ class WireView:
 
     def _seconds(self) -> float:
         return 0.0 if self._began_ns is None else (self._now_ns - self._began_ns) / 1e9
+
+    def answer(self, request: Request) -> Page:
+        """Answer a request of the page, from any thread. Raises Refused."""
+        if (request.method, request.path) == ("GET", "/"):
+            return Page(_PAGE.read_bytes())
+        if (request.method, request.path) == ("GET", "/state"):
+            return json_page(self.document())
+        raise Refused(404, "no such page; open /")
 
     def document(self) -> dict[str, Any]:
         """Return what the page shows, ready for JSON."""

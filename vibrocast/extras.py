@@ -29,11 +29,9 @@ EXTRAS = {
     "pythonosc": ("lab",),
     "pyxdf": ("formats",),
     "rosbags": ("formats",),
-    "starlette": ("study",),
     "statsmodels": ("study",),
     "torch": ("train",),
     "unicorn": ("firmware",),
-    "uvicorn": ("study",),
     "vibromaf": ("plan", "bench"),
     "ziglang": ("firmware",),
 }

@@ -70,12 +70,12 @@ def monitor(address: str, link: Path | None, web: bool) -> None:
     if not web:
         serve(address, link, (), Screen().show)
         return
-    from vibrocast.harness.wire_page import wire_page
+    from vibrocast.harness.web_server import web_server
     from vibrocast.harness.wire_view import WireView
 
     view = WireView()
-    with wire_page(view.document) as page:
-        click.echo(f"page: {page}", err=True)
+    with web_server(view.answer) as port:
+        click.echo(f"page: http://127.0.0.1:{port}/", err=True)
         serve(address, link, (), view.note)
 
 

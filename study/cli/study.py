@@ -82,8 +82,6 @@ def run(
     from vibrocast.study.session import Session
     from vibrocast.study.terminal import run_in_terminal
 
-    if not terminal:
-        extras.require("study", "starlette", "uvicorn")
     read = read_study(study_path)
     actuator = chosen_actuator(read)
     prepared = prepared_once(read, driven(address, actuator), study_path, out)
