@@ -39,11 +39,9 @@ _MAX_GROWTH_S = 0.02
 _OUT_OF_STEP_S = 0.25
 # How long the end is waited for: until all that was sent should have been played, or for _MAX_LEFT_S, and _END_S more.
 _MAX_LEFT_S, _END_S = 30.0, 5.0
-# A live source may deliver its backlog at once: what it kept before, or what came while this computer was too busy to
-# take it. A source is not live when it is _FLOOD_FACTOR times as fast as time, all in all, at _MAX_FLOODS restarts in a
-# row.
-_FLOOD_FACTOR = 1.5
-_MAX_FLOODS = 4
+# A live source may deliver its backlog at once: what it kept while this computer was too busy to take it, or still
+# started. One that is ahead of time by more than so much is not live.
+_MAX_KEPT_S = 30.0
 _POLL_S = 0.005
 _END_ASK_S = 0.1
 _ASK_S = 0.5
@@ -193,7 +191,7 @@ class LiveStream:
             encoder.encode(np.zeros((self.packet_samples, self.format.channels)))
         self._gain, self._compensation = gain, compensation
         self.on_packets: Callable[[Sequence[bytes]], None] | None = None
-        self._heard_samples = self._floods = 0
+        self._heard_samples = 0
         self._since_s = controller.clock()
         self._configure()
         self._wire_bytes_before = controller.bytes_sent
@@ -405,7 +403,7 @@ class LiveStream:
         since_s = self._out_of_step_since_s
         out_of_step = since_s is not None and self.controller.clock() - since_s > _OUT_OF_STEP_S
         if out_of_step:
-            self._reject_floods()
+            self._reject_flood()
             if not (self._has_paused or self.earlier) and self.status.position < _KEPT_S * self.format.rate_hz:
                 # What a source has kept until it was heard comes at once, as after a pause; no wire has lost it.
                 self.pauses += 1
@@ -491,12 +489,11 @@ class LiveStream:
         if self._refresh_is_due and not self._gathered:
             self._begin_encoder(self.packets_sent)
 
-    def _reject_floods(self) -> None:
+    def _reject_flood(self) -> None:
         """Raise InputError for a source that does not keep its own rate: what is ahead of time would be lost."""
         gave_s = self._heard_samples / self.format.rate_hz
         took_s = self.controller.clock() - self._since_s
-        self._floods = self._floods + 1 if gave_s > _FLOOD_FACTOR * took_s else 0
-        if self._floods == _MAX_FLOODS:
+        if gave_s - took_s > _MAX_KEPT_S:
             raise InputError(
                 f"the source is not live: it gave {gave_s:.1f} s of signal in {took_s:.1f} s; play a recording with "
                 "`vibrocast play`"
