@@ -30,6 +30,7 @@ _READ_S = 0.1
 _PIECE_S = 0.05
 _MAX_PLACES = 100
 _SIDECAR_BYTES = 1 << 16
+_NOT_ENDED = "the command was killed, or still records; peaks, clipping and losses are not known"
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -171,32 +172,32 @@ def record(
 ) -> Recorded:
     """Record a source into a WAV file of 32-bit floats with a sidecar, until `seconds` are over or Ctrl-C.
 
-    Writes as it goes. `highpass_hz`: corner of the high-pass, `textures.LiveHighPass`; None keeps offset and drift.
-    `progress` gets the part that is done, or None, and the levels as text. Raises TransportError after a lost sensor
-    or a full disk, with the file saved so far, OSError and TextureError.
+    Writes as it goes: a kill costs the counts of the sidecar alone. `highpass_hz`: corner of the high-pass,
+    `textures.LiveHighPass`; None keeps offset and drift. `progress` gets the part that is done, or None, and the levels
+    as text. Raises TransportError after a lost sensor or a full disk, with the file saved so far, OSError and
+    TextureError.
     """
     highpass = None if highpass_hz is None else LiveHighPass(source.rate_hz, highpass_hz)
     began = datetime.datetime.now(datetime.UTC)
     levels = Levels(source)
-    stopped: Exception | None = None
+    origin = _origin(source, began, highpass_hz)
+    writer = wav.Writer(path, source.rate_hz, source.channels, source.unit, source.axes)
     try:
-        with atomic_write(path) as partial:
-            writer = wav.Writer(partial, source.rate_hz, source.channels, source.unit, source.axes)
-            try:
-                wanted = _wanted(path, writer, source.rate_hz, seconds)
-                stopped = _record(source, writer, wanted, levels, highpass, progress and _limited(progress, seconds))
-                if not writer.frames:
-                    raise _NothingRecorded  # leaves an earlier file as it is
-            finally:
-                with suppress(OSError):
-                    writer.close()
-    except _NothingRecorded:
-        raise stopped or TransportError(f"{source.name}: ended before a sample came; record for longer") from None
+        wanted = _wanted(path, writer, source.rate_hz, seconds)
+
+        def begun() -> None:
+            _write_sidecar(path, origin | {"warnings": [_NOT_ENDED]})
+
+        limited = progress and _limited(progress, seconds)
+        stopped = _record(source, writer, wanted, levels, highpass, begun, limited)
+    finally:
+        with suppress(OSError):
+            writer.close()
+    if not writer.frames:
+        raise stopped or TransportError(f"{source.name}: ended before a sample came; record for longer")
     recorded = _recorded(source, writer.frames, levels, stopped, seconds)
-    facts = _facts(source, recorded, began, highpass_hz)
     try:
-        with atomic_write(sidecar.path_of(path)) as partial:
-            sidecar.write(partial, facts)
+        _write_sidecar(path, origin | _counts(recorded))
     except OSError as error:
         stopped = stopped or error
     if stopped is not None:
@@ -204,8 +205,9 @@ def record(
     return recorded
 
 
-class _NothingRecorded(Exception):
-    """No sample came."""
+def _write_sidecar(path: Path, facts: dict[str, Any]) -> None:
+    with atomic_write(sidecar.path_of(path)) as partial:
+        sidecar.write(partial, facts)
 
 
 def _wanted(path: Path, writer: wav.Writer, rate_hz: int, seconds: float | None) -> int:
@@ -229,9 +231,13 @@ def _record(
     wanted: int,
     levels: Levels,
     highpass: LiveHighPass | None,
+    begun: Callable[[], None],
     progress: Callable[[float, str], None] | None,
 ) -> Exception | None:
-    """Record up to `wanted` frames, or until Ctrl-C; return the error that stopped it, if any."""
+    """Record up to `wanted` frames, or until Ctrl-C; return the error that stopped it, if any.
+
+    `begun` is called when the file holds its first samples.
+    """
     frames = 0
     try:
         for piece in pieces(source):
@@ -239,6 +245,8 @@ def _record(
             levels.watch(samples)
             if len(samples):
                 writer.write(samples if highpass is None else highpass(samples))
+                if not frames:
+                    begun()
                 frames = writer.frames
             if progress is not None:
                 now_s = frames / source.rate_hz
@@ -276,22 +284,28 @@ def _recorded(
     return Recorded(frames, frames / source.rate_hz, tuple(levels.peaks.tolist()), clipping, losses, tuple(remarks))
 
 
-def _facts(source: Source, recorded: Recorded, began: datetime.datetime, highpass_hz: float | None) -> dict[str, Any]:
-    """Return what the sidecar states."""
-    places: Sequence[tuple[float, int | None]] = recorded.losses.places
+def _origin(source: Source, began: datetime.datetime, highpass_hz: float | None) -> dict[str, Any]:
+    """Return what the sidecar states from the first sample on."""
     return {
         "unit": source.unit,
         "rate_hz": source.rate_hz,
         "channels": source.channels,
         "axes": source.axes,
-        "samples": recorded.frames,
-        "seconds": recorded.seconds,
         "input": source.name,
         "sensitivity": source.sensitivity,
         "full_scale": source.full_scale,
         **source.facts(),
         "highpass_hz": highpass_hz,
         "date": began.isoformat(timespec="seconds"),
+    }
+
+
+def _counts(recorded: Recorded) -> dict[str, Any]:
+    """Return what the sidecar states at the end of the recording."""
+    places: Sequence[tuple[float, int | None]] = recorded.losses.places
+    return {
+        "samples": recorded.frames,
+        "seconds": recorded.seconds,
         "peaks": list(recorded.peaks),
         "clipped": {
             "runs": recorded.clipping.runs,

@@ -102,7 +102,7 @@ class StudyPages:
         self._is_pause_wanted = False  # by the experimenter; a run whose device is gone pauses by itself
         self._seen: float | None = None
         self._instance = secrets.token_urlsafe(4)  # another process may reach the same version
-        acts = {
+        acts: dict[str, tuple[type[_OnScreen], Callable[[Any], bool | None]]] = {
             "play": (_Play, lambda given: run.play(given.label)),
             "stop": (_OnScreen, lambda _given: run.stop_playing()),
             "answer": (_Answer, lambda given: run.answer(tuple(given.values))),

@@ -1,5 +1,6 @@
 """Reads sound files of every common kind, and writes WAV files, with unit and full scale in the file's comment."""
 
+import io
 import os
 import re
 import struct
@@ -112,14 +113,16 @@ def write(path: Path, recording: Recording, sixteen_bit: bool, note: str = "") -
 class Writer:
     """Writes a WAV file of 32-bit floats piece by piece, in the unit itself; what lies on the disk can always be read.
 
-    `axes`: letters of AXES, one for each channel, or none. Raises OSError.
+    The first samples open the file: without any, an earlier one stays. `axes`: letters of AXES, one for each channel,
+    or none.
     """
 
     def __init__(self, path: Path, rate_hz: int, channels: int, unit: str, axes: str) -> None:
         self.frames = 0
         self._frame_bytes = 4 * channels
         self.max_frames = MAX_BYTES // self._frame_bytes
-        self._file = path.open("wb", buffering=0)
+        self._path = path
+        self._file: io.FileIO | None = None
         comment = _comment(unit, 1.0, axes.lower()).encode("ascii") + b"\0"
         comment += b"\0" * (len(comment) % 2)
         layout = struct.pack(
@@ -129,31 +132,41 @@ class Writer:
         self._fact_at = 12 + len(chunks) + 8
         chunks += _chunk(b"fact", bytes(4))
         self._data_at = 12 + len(chunks) + 8
-        self._put(b"RIFF" + bytes(4) + b"WAVE" + chunks + b"data" + bytes(4))
-        self._state_length()
+        self._start = b"RIFF" + bytes(4) + b"WAVE" + chunks + b"data" + bytes(4)
 
     def write(self, samples: Signal) -> None:
         """Append samples (n, channels), of which the file holds `max_frames` at most. Raises OSError."""
+        if self._file is None:
+            self._file = self._path.open("wb", buffering=0)
+            self._put(self._start)
         self._put(samples.astype("<f4").tobytes())
         self.frames += len(samples)
         self._state_length()
 
     def shorten(self, frames: int) -> None:
         """Keep only the first `frames`, and nothing of a piece that was written in part."""
+        if self._file is None:
+            return
         self.frames = min(self.frames, frames)
         self._file.truncate(self._data_at + self._frame_bytes * self.frames)
         self._state_length()
 
     def close(self) -> None:
-        """Put the samples on the disk, and close the file."""
+        """Put the samples on the disk, and close the file; a disk that took none keeps no file. Raises OSError."""
+        if self._file is None:
+            return
         os.fsync(self._file.fileno())
         self._file.close()
+        if not self.frames:
+            self._path.unlink()
 
     def _put(self, data: bytes) -> None:
+        assert self._file is not None
         while data:
             data = data[self._file.write(data) :]
 
     def _state_length(self) -> None:
+        assert self._file is not None
         size = self._frame_bytes * self.frames
         for place, value in ((4, self._data_at + size - 8), (self._fact_at, self.frames), (self._data_at - 4, size)):
             self._file.seek(place)

@@ -98,7 +98,7 @@ def test_a_serial_sensor_is_recorded_and_encoded(tmp_path: Path, sent: Callable[
 
 
 @needs_terminals
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_signal_ends_a_recording_and_keeps_it(tmp_path: Path, number: signal.Signals) -> None:
     path = tmp_path / "out.wav"
     with sensor(lines) as address:
@@ -109,13 +109,18 @@ def test_a_signal_ends_a_recording_and_keeps_it(tmp_path: Path, number: signal.S
             told.append(process.stderr.readline())
         process.send_signal(number)
         out, rest = process.communicate(timeout=60)
-    assert process.returncode == 0, rest
+    killed = number == signal.SIGKILL
+    assert process.returncode == (-number if killed else 0), rest
     assert told[0] == f"listening to {address}\n"
     assert re.fullmatch(r"  \d+,-?[\d.]+,0.000000,1.000000\n", told[2])
     assert told[-2] == "understood as text: time in us; x, y, z in g; 1000 Hz\n"
     assert re.match(r"recording \d+ s  x .* m/s\^2", told[-1])
-    assert "channel(s)" in out
-    assert textures.load(path).seconds > 0.5
+    assert ("channel(s)" in out) != killed
+    recording = textures.load(path)
+    assert (recording.unit, recording.seconds > 0.5) == ("m/s^2", True)
+    stated = json.loads(path.with_suffix(".json").read_text())
+    assert (stated["unit"], any("was killed" in each for each in stated["warnings"])) == ("m/s^2", killed)
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["out.json", "out.wav"]
 
 
 def test_wrong_options_are_named(tmp_path: Path) -> None:

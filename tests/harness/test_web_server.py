@@ -4,6 +4,7 @@ import socket
 import time
 from collections.abc import Iterator
 from contextlib import suppress
+from typing import Any
 
 import httpx
 import pytest
@@ -30,9 +31,9 @@ def port() -> Iterator[int]:
         yield port
 
 
-def asked(port: int, path: str = "/", method: str = "GET", **content: object) -> httpx.Response:
+def asked(port: int, path: str = "/", method: str = "GET", **content: Any) -> httpx.Response:
     url = f"http://127.0.0.1:{port}{path}"
-    return httpx.request(method, url, trust_env=False, **content)  # type: ignore[arg-type]
+    return httpx.request(method, url, trust_env=False, **content)
 
 
 def exchanged(port: int, request: bytes) -> str:
