@@ -566,14 +566,18 @@ class LiveStream:
         left_samples = self.packets_sent * self.packet_samples - self.status.position
         deadline_s = self.controller.clock() + min(left_samples / self.format.rate_hz, _MAX_LEFT_S) + _END_S
         ask_s = 0.0
+        ended = (State.FINISHED, State.STOPPED, State.WATCHDOG)
         while self.controller.clock() < deadline_s:
-            if self.status.state in (State.FINISHED, State.STOPPED, State.WATCHDOG):
+            if self.status.state in ended:
                 return
             if self.controller.clock() >= ask_s:
                 self.controller.ask_status()
                 ask_s = self.controller.clock() + _END_ASK_S
             self.controller.poll(_POLL_S)
             self._session.news()
+        if self.controller.request_status().state in ended:  # it may be this computer that was too busy to hear of it
+            self._session.news()
+            return
         raise ControllerError(
             f"the stream's end has not been played {_END_S:g} s after its time; restart the controller"
         )

@@ -287,3 +287,12 @@ def test_what_cannot_be_streamed_is_rejected() -> None:
         LiveStream(controller, FORMAT, coding=LiveCoding(codec_name="eva"))
     with pytest.raises(CodecError, match="NaN"):
         LiveStream(controller, FORMAT).send(np.full((16, 1), np.nan))
+
+
+def test_an_end_that_a_busy_computer_hears_of_too_late_has_been_played(monkeypatch: pytest.MonkeyPatch) -> None:
+    link, controller = linked()
+    stream = LiveStream(controller, FORMAT)
+    for block in blocks(stream, noise(0.5, rms=2.0)):
+        stream.send(block)
+    monkeypatch.setattr(controller, "poll", lambda timeout_s: link.sleep(2 * live._END_S))
+    assert stream.finish().status.state in (State.FINISHED, State.WATCHDOG)
