@@ -17,8 +17,8 @@ from vibrocast.device_protocol import coded_stream
 from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader
 from vibrocast.device_protocol.model_image import ModelImage, sha256
 from vibrocast.files import atomic_write, read_input
+from vibrocast.memory import shortage
 from vibrocast.textures import arguments
-from vibrocast.textures.memory import shortage
 
 MAX_SAMPLES = 2**29
 """Most samples of all channels together in one stream: 53 hours of one channel at 2800 Hz, 5 GiB while decoded."""
@@ -222,8 +222,7 @@ class Stream:
             StreamError: There is not enough memory.
         """
         header = self.header
-        # First integers; when all are there, also float64 in the header's unit.
-        if lack := shortage(self.samples * header.channels * (2 + 8), factor=1):
+        if lack := shortage(8 * self.samples * header.channels):
             raise StreamError(f"decoding {self.samples} samples {lack}")
         decoder = self.decoder()
         decoded = np.empty((len(self.packets), decoder.packet_samples, decoder.channels), dtype=np.int16)

@@ -16,6 +16,7 @@ from typing import Any, BinaryIO, Protocol
 from vibrocast.device_protocol.frames import payload_of
 from vibrocast.device_protocol.messages import Message, MessageError, unpack
 from vibrocast.errors import InputError
+from vibrocast.memory import shortage
 
 LINK_TYPE = 147
 SUFFIXES = (".pcapng", ".jsonl")
@@ -27,7 +28,6 @@ _NANOSECONDS = 9
 _INBOUND, _OUTBOUND = 1, 2
 _BLOCK = struct.Struct("<II")
 _PACKET_HEAD = struct.Struct("<IIIII")
-_MAX_BYTES = 1 << 30
 _MAX_BLOCK_BYTES = 1 << 20
 
 
@@ -136,8 +136,8 @@ def read_trace(path: Path) -> Iterator[TracedFrame]:
     """
     if path.exists() and not path.is_file():
         raise InputError(f"{path}: no file; give a trace, as `vibrocast --trace FILE` writes it")
-    if path.stat().st_size > _MAX_BYTES:
-        raise InputError(f"{path}: longer than {_MAX_BYTES >> 30} GiB; trace a shorter run")
+    if lack := shortage(path.stat().st_size):
+        raise InputError(f"{path}: {lack}")
     with path.open("rb") as file:
         begin = file.read(4)
         file.seek(0)

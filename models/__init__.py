@@ -11,6 +11,7 @@ from typing import Any
 from vibrocast.device_protocol.model_image import MAX_IMAGE_BYTES, ModelImage, sha256
 from vibrocast.device_protocol.model_image import ModelError as ModelError
 from vibrocast.errors import located
+from vibrocast.files import read_input
 
 CARD = "card.json"
 ANALYSIS = "analysis.onnx"
@@ -95,15 +96,15 @@ def find(text: str) -> Model:
 def load(path: Path) -> Model:
     """Return the model in a folder that `vibrocast export` wrote, or that of a lone image file.
 
-    Raises ModelError for any other or a damaged file or image, OSError for a file that cannot be read.
+    Raises InputError for any other or a damaged file or image, OSError for a file that cannot be read.
     """
     if not path.is_dir():
-        return _of_image(path, _read(path))
+        return _of_image(path, _read_file(path))
     if not (path / CARD).exists():
         raise ModelError(
             f"{path}: no folder of a model, because it has no {CARD}; give one that `vibrocast export` wrote"
         )
-    text = _read(path / CARD)
+    text = _read_file(path / CARD)
     try:
         card = json.loads(text)
         image_file = f"{card['name']}{IMAGE_SUFFIX}"
@@ -123,16 +124,11 @@ def _of_image(path: Path, image: bytes) -> Model:
 
 def _checked(path: Path, expected: str) -> bytes:
     """Return the bytes of a file with this SHA-256."""
-    data = _read(path)
+    data = _read_file(path)
     if hashlib.sha256(data).hexdigest() != expected:
         raise ModelError(f"{path}: not the file that {CARD} next to it describes; export the whole model again")
     return data
 
 
-def _read(path: Path) -> bytes:
-    # Opening a pipe would wait for its writer, and a device may never end.
-    if path.exists() and not path.is_file():
-        raise ModelError(f"{path}: no file; give a model's name, its folder or its image")
-    if path.stat().st_size > MAX_IMAGE_BYTES:
-        raise ModelError(f"{path}: longer than any file of a model, {MAX_IMAGE_BYTES} bytes; give another")
-    return path.read_bytes()
+def _read_file(path: Path) -> bytes:
+    return read_input(path, "file of a model", b"", MAX_IMAGE_BYTES)

@@ -30,9 +30,9 @@ class FlashMemory:
         self._path = path
         self._data = bytearray([ERASED]) * size_bytes
         if path is not None and path.exists():
+            if (held_bytes := path.stat().st_size) != size_bytes:
+                raise ValueError(f"{path} has {held_bytes} bytes, not the {size_bytes} of this flash; delete it")
             self._data = bytearray(path.read_bytes())
-            if len(self._data) != size_bytes:
-                raise ValueError(f"{path} has {len(self._data)} bytes, not the {size_bytes} of this flash; delete it")
         elif path is not None:
             path.write_bytes(self._data)
 

@@ -35,7 +35,7 @@ PRODUCTS = {
 }
 """The products, which may import the core, and of each other these."""
 PACKAGES = (*CORE, "host", *PRODUCTS)
-SMALL = ("errors", "extras", "files", "pages", "progress", "toml_tables", "workers")
+SMALL = ("errors", "extras", "files", "memory", "pages", "progress", "toml_tables", "workers")
 """Modules in vibrocast/ for every package; they import none of them."""
 
 

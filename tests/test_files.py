@@ -2,12 +2,17 @@
 
 import errno
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from vibrocast import models
+from vibrocast.codec.stream import read_stream
+from vibrocast.device_protocol.trace import read_trace
 from vibrocast.errors import InputError
 from vibrocast.files import atomic_write, read_input
+from vibrocast.textures import load
 
 
 def read(path: Path) -> bytes:
@@ -19,6 +24,21 @@ def test_the_whole_file_is_read(content: bytes, tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(content)
     assert read(path) == content
+
+
+@pytest.mark.parametrize(
+    "reader",
+    [models.load, read_stream, lambda path: next(read_trace(path)), lambda path: load(path.rename(f"{path}.csv"))],
+    ids=["image", "stream", "trace", "recording"],
+)
+def test_a_file_beyond_a_tenth_of_the_free_memory_is_not_read(
+    reader: Callable[[Path], object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(bytes(101))
+    monkeypatch.setattr("vibrocast.memory.available_bytes", lambda: 1000)
+    with pytest.raises(InputError, match=r"needs .* GiB of memory, .* close other programs, or cut it into parts"):
+        reader(path)
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,8 @@ from typing import IO, Any
 
 import numpy as np
 
+from vibrocast import memory
 from vibrocast.extras import MissingExtraError
-from vibrocast.textures import memory
 from vibrocast.textures.columns import Table
 from vibrocast.textures.recording import Contents, TextureError, unusable
 
@@ -163,5 +163,8 @@ def _limit_memory(free_bytes: int) -> None:
         import psutil
 
         most_bytes = psutil.Process().memory_info().vms + free_bytes
-        resource.setrlimit(resource.RLIMIT_AS, (most_bytes, resource.getrlimit(resource.RLIMIT_AS)[1]))
+        _, hard_bytes = resource.getrlimit(resource.RLIMIT_AS)
+        if hard_bytes != resource.RLIM_INFINITY:
+            most_bytes = min(most_bytes, hard_bytes)
+        resource.setrlimit(resource.RLIMIT_AS, (most_bytes, hard_bytes))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

@@ -10,7 +10,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.textures.memory import excess, shortage
+from vibrocast.memory import excess, shortage
 from vibrocast.textures.recording import FILE_UNITS, Contents, TextureError, known_unit, unusable
 
 SAMPLES_KEY, RATE_KEY, UNIT_KEY = "samples", "rate_hz", "unit"

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast import extras
+from vibrocast.memory import shortage
 from vibrocast.textures import arrays
 from vibrocast.textures.columns import Table
-from vibrocast.textures.memory import shortage
 from vibrocast.textures.recording import TextureError, spelt
 
 Column = tuple[str, str | None, NDArray[Any]]

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import soxr
 
-from vibrocast.textures.memory import shortage
+from vibrocast.memory import shortage
 from vibrocast.textures.recording import Recording, TextureError, check_rate
 
 MAX_RATIO = 1e5  # of the rates: far above, soxr's filters take minutes and gigabytes

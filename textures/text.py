@@ -12,8 +12,8 @@ from typing import TextIO
 
 import numpy as np
 
+from vibrocast.memory import shortage
 from vibrocast.textures.columns import NO_UNITS, Table, name_and_unit
-from vibrocast.textures.memory import shortage
 from vibrocast.textures.recording import FILE_UNITS, Recording, Signal, TextureError, known_unit, spelt, unusable
 
 ENCODING = "utf-8-sig"

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
+from vibrocast.memory import shortage
 from vibrocast.textures import sidecar
 from vibrocast.textures.axes import AXES
-from vibrocast.textures.memory import shortage
 from vibrocast.textures.recording import UNITS, Contents, Recording, Signal, TextureError
 
 FORMATS = {

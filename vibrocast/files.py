@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from vibrocast.errors import InputError, VibrocastError
+from vibrocast.memory import shortage
 
 _partial: set[Path] = set()
 """Files and folders that are being written."""
@@ -77,7 +78,8 @@ def atomic_folder(path: Path) -> Iterator[Path]:
 def read_input(path: Path, kind: str, magic: bytes, max_bytes: int) -> bytes:
     """Return the bytes of a regular file that begins with `magic` and is at most `max_bytes` long.
 
-    `kind`: name of such a file, for people. Raises InputError for any other file, OSError when it cannot be read.
+    `kind`: name of such a file, for people. Raises InputError for any other file, and for one that the free memory does
+    not hold, OSError when it cannot be read.
     """
     # Opening a pipe would wait for its writer, and a device may never end.
     if path.exists() and not path.is_file():
@@ -87,6 +89,8 @@ def read_input(path: Path, kind: str, magic: bytes, max_bytes: int) -> bytes:
             raise InputError(f"{path}: not a {kind}: it does not begin with {magic.decode()!r}; give another file")
         if path.stat().st_size > max_bytes:
             raise InputError(f"{path}: longer than {max_bytes} bytes, the most in a {kind}; give another file")
+        if lack := shortage(path.stat().st_size):
+            raise InputError(f"{path}: {lack}")
         return magic + file.read()
 
 

@@ -74,7 +74,7 @@ def test_foreign_names_and_pages_are_rejected(port: int, headers: dict[str, str]
         ({"json": {}}, 200),
     ],
 )
-def test_a_body_is_json_and_short(port: int, content: dict[str, object], status: int) -> None:
+def test_a_body_is_json_and_short(port: int, content: dict[str, Any], status: int) -> None:
     assert asked(port, method="POST", **content).status_code == status
 
 

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from vibrocast import codec, models
 from vibrocast.device_protocol.model_image import ModelError, ModelImage, sha256
+from vibrocast.errors import InputError
 
 MAX_BYTES = 1_000_000
 
@@ -98,11 +99,11 @@ def test_what_is_no_model_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=r"text.vcmi: not a model image"):
         models.find(str(tmp_path / "text.vcmi"))
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(models.ModelError, match="no file"):
+    with pytest.raises(InputError, match="no file"):
         models.find(str(tmp_path / "pipe"))
     with (tmp_path / "long.vcmi").open("wb") as file:
         file.truncate(2**24 + 1)
-    with pytest.raises(models.ModelError, match="longer than any"):
+    with pytest.raises(InputError, match="longer than 16777216 bytes"):
         models.find(str(tmp_path / "long.vcmi"))
 
 

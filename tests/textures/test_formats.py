@@ -18,8 +18,8 @@ from matio import save_to_mat
 from scipy.io import savemat
 
 from tests.textures.damage import check_damaged
+from vibrocast.memory import available_bytes
 from vibrocast.textures import Recording, TextureError, apart, load, save
-from vibrocast.textures.memory import available_bytes
 
 NOISE = np.random.default_rng(0).uniform(-0.9, 0.9, (50, 2))
 
@@ -376,9 +376,11 @@ def test_a_file_that_does_not_fit_into_memory_is_rejected_unread(
 ) -> None:
     file, write = HUGE[name]
     write(tmp_path / file)
-    monkeypatch.setattr("vibrocast.textures.memory.available_bytes", lambda: 10_000_000)
+    monkeypatch.setattr("vibrocast.memory.available_bytes", lambda: 10_000_000)
     tracemalloc.start()
-    with pytest.raises(TextureError, match=r"needs .* GiB of memory, and only 0.00931 GiB are free; cut it into parts"):
+    with pytest.raises(
+        TextureError, match=r"needs .* GiB of memory, and only 0.00931 GiB are free; close other programs, or cut"
+    ):
         load(tmp_path / file, rate_hz=100, unit="um")
     _, peak_bytes = tracemalloc.get_traced_memory()
     tracemalloc.stop()
@@ -444,8 +446,8 @@ def test_the_limit_of_a_control_group_counts(
     (tmp_path / folder / limit).write_text("1000\n")
     (tmp_path / folder / "memory.stat").write_text(statistics)
     (tmp_path / "cgroup").write_text(f"3:cpu:/\n{line}\n")
-    monkeypatch.setattr("vibrocast.textures.memory.CONTROL_GROUPS", tmp_path)
-    monkeypatch.setattr("vibrocast.textures.memory.GROUPS_OF_PROCESS", tmp_path / "cgroup")
+    monkeypatch.setattr("vibrocast.memory.CONTROL_GROUPS", tmp_path)
+    monkeypatch.setattr("vibrocast.memory.GROUPS_OF_PROCESS", tmp_path / "cgroup")
     assert available_bytes() == 700
     (tmp_path / folder / limit).write_text("max\n")
     assert available_bytes() > 1000

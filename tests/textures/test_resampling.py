@@ -77,7 +77,7 @@ def test_rejected_pairs_of_rates(count: int, old_hz: float, new_hz: float, messa
 
 
 def test_a_slow_recording_that_would_fill_the_memory_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vibrocast.textures.memory.available_bytes", lambda: 100_000_000)
+    monkeypatch.setattr("vibrocast.memory.available_bytes", lambda: 100_000_000)
     recording = Recording(np.ones((1000, 1)), 1, "um", "slow")
     with pytest.raises(TextureError, match=r"slow: 1000 s at 2800 Hz needs .* of memory, .* choose a lower rate"):
         resample(recording, 2800)

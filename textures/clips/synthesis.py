@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vibrocast.textures.memory import shortage
+from vibrocast.memory import shortage
 from vibrocast.textures.recording import MAX_CHANNELS, Contents, Signal, unusable
 
 RATE_HZ = 8000.0

@@ -8,7 +8,7 @@ GROUPS_OF_PROCESS = Path("/proc/self/cgroup")
 MAX_EXPANSION = 1100
 """Most bytes that one byte of a file stands for. Deflate reaches 1032 ("zlib Technical Details", zlib.net)."""
 PIPELINE_FACTOR = 10
-"""How many times the memory of its float64 samples a recording takes from `load` to the end of `encode`."""
+"""How many times its own memory what is read takes to the end: float64 samples from `load` to `encode`, the most."""
 limit_bytes: int | None = None
 """Most that this process may take, where another one has started it; None = what the machine has."""
 _SMALL_BYTES = 2**20
@@ -23,14 +23,14 @@ def available_bytes() -> int:
     return free_bytes if limit_bytes is None else min(free_bytes, limit_bytes)
 
 
-def shortage(samples_bytes: int, factor: int = PIPELINE_FACTOR) -> str | None:
-    """Return the end of an error whose subject takes `factor` times this size; None if memory is enough for it."""
-    free_bytes, needed_bytes = available_bytes(), factor * samples_bytes
+def shortage(stated_bytes: int) -> str | None:
+    """Return the end of an error whose subject has this size, if PIPELINE_FACTOR times as much is not free."""
+    free_bytes, needed_bytes = available_bytes(), PIPELINE_FACTOR * stated_bytes
     if needed_bytes <= free_bytes:
         return None
     return (
-        f"needs {needed_bytes / _GIB:.3g} GiB of memory, and only {free_bytes / _GIB:.3g} GiB are free; cut it into "
-        "parts"
+        f"needs {needed_bytes / _GIB:.3g} GiB of memory, and only {free_bytes / _GIB:.3g} GiB are free; close other "
+        "programs, or cut it into parts"
     )
 
 
