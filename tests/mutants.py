@@ -15,6 +15,8 @@ from pathlib import Path
 
 import click
 
+from vibrocast.errors import HOST_BUSY
+
 ROOT = Path(__file__).parents[1]
 SUITES = ("conformance", "unit tests")
 UNIT_TESTS = ("tests/simulated_device", "tests/firmware")
@@ -84,8 +86,9 @@ def _conformance(folder: Path) -> Verdict:
     if not report.exists():
         return Verdict(ended.returncode == 2, ended.stderr.strip().splitlines()[-1])
     requirements = json.loads((report / "conformance.json").read_text(encoding="utf-8"))["requirements"]
-    failed = [each["test"] for each in requirements if each["outcome"] == "fail"]
-    return Verdict(bool(failed), failed[0] if failed else "this machine was busy")
+    if ended.returncode == HOST_BUSY:
+        return Verdict(False, "this machine was busy")
+    return Verdict(True, next((each["test"] for each in requirements if each["outcome"] == "fail"), "it was lost"))
 
 
 def _unit_tests(folder: Path) -> Verdict:

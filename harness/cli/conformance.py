@@ -30,19 +30,27 @@ def conformance(address: str, out: Path | None, no_flash: bool, quick: bool) -> 
     The requirements are those of docs/reference/protocol.md. The tests play textures, and write the spare slot for
     model images. The image that runs now runs again afterwards.
 
-    The exit code is 0 if the controller conforms, and 1 if it does not. It is 3 if no controller answers, and 6 if this
-    machine was too busy to decide.
+    The exit code is 0 if the controller conforms, and 1 if it does not. It is 3 if no controller answers, or if it
+    was lost in the middle, and 6 if this machine was too busy to decide.
     """
-    from vibrocast.harness.conformance import PAGE, SuiteInterrupted, TappedLink, run_suite
+    from vibrocast.harness.conformance import SuiteInterrupted, TappedLink, run_suite
 
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)  # an error is better known before the tests than after
     try:
-        with devices.reach(address) as transport, progress.bar("testing") as update:
-            report = run_suite(TappedLink(transport, may_flash=not no_flash), quick, update)
+        with devices.reach(address) as transport:
+            with progress.bar("testing") as update:
+                report = run_suite(TappedLink(transport, may_flash=not no_flash), quick, update)
+            _publish(report, out)  # a controller that has died may fail once more where it is closed
     except SuiteInterrupted as interruption:
         add(interruption.report.facts())
         raise
+
+
+def _publish(report: "Report", out: Path | None) -> None:
+    """Print a report, write it into a folder, and exit by its verdict."""
+    from vibrocast.harness.conformance import PAGE
+
     if wants_json():
         add(report.facts())
     else:
@@ -51,7 +59,7 @@ def conformance(address: str, out: Path | None, no_flash: bool, quick: bool) -> 
         report.write(out)
         tell(f"report: {out / PAGE}")
     if not report.conforming:
-        code = errors.HOST_BUSY if report.undecided else errors.FAILED
+        code = errors.NO_DEVICE if report.lost_after else errors.HOST_BUSY if report.undecided else errors.FAILED
         add({"error": report.summary, "exit_code": code})
         raise click.exceptions.Exit(code)
 
@@ -66,7 +74,7 @@ def show(report: "Report") -> None:
         table.add_row(section, *(str(counts[outcome] or "") for outcome in Outcome))
     Console().print(table)
     for finding in report.findings:
-        if finding.outcome in (Outcome.FAILED, Outcome.HOST_BUSY):
+        if finding.outcome in (Outcome.FAILED, Outcome.UNDECIDED):
             click.echo(f"{finding.outcome.value.upper()}  {finding.requirement.text}\n      {finding.reason}")
     for reason in {finding.reason for finding in report.findings if finding.outcome == Outcome.NOT_TESTED}:
         click.echo(f"{Outcome.NOT_TESTED.value}: {reason}")

@@ -63,6 +63,10 @@ class NotConforming(AssertionError):
     """The controller did not do what the protocol says; the text states both."""
 
 
+class Undecided(Exception):
+    """This machine, or an emulator on it, was too slow for a verdict."""
+
+
 class Unreachable(Exception):
     """The controller cannot be reached, or no longer answers."""
 

@@ -30,7 +30,7 @@ class Outcome(Enum):
     FAILED = "fail"
     NOT_APPLICABLE = "not applicable"
     NOT_TESTED = "not tested"
-    HOST_BUSY = "host busy"
+    UNDECIDED = "undecided"
 
 
 @dataclass(frozen=True)
@@ -54,28 +54,32 @@ class Finding:
 
 @dataclass(frozen=True)
 class Report:
-    """The findings on a controller. `left_out`: tests that the user left out. `run`: the origin."""
+    """The findings on a controller. `left_out`: tests that the user left out. `run`: the origin.
+
+    `lost_after`: the test after which the controller could not be reached any more; empty if it always could.
+    """
 
     hello: HelloResponse
     findings: tuple[Finding, ...]
     left_out: tuple[str, ...] = ()
+    lost_after: str = ""
     run: Provenance = field(default_factory=Provenance)
 
     @property
     def conforming(self) -> bool:
         """Whether every requirement that was tested is met, and all that apply were tested."""
-        return not self._outcomes & {Outcome.FAILED, Outcome.NOT_TESTED, Outcome.HOST_BUSY}
+        return not self._outcomes & {Outcome.FAILED, Outcome.NOT_TESTED, Outcome.UNDECIDED}
 
     @property
     def undecided(self) -> bool:
         """Whether nothing speaks against the controller but what this machine may have caused itself."""
-        return Outcome.HOST_BUSY in self._outcomes and not self._outcomes & {Outcome.FAILED, Outcome.NOT_TESTED}
+        return Outcome.UNDECIDED in self._outcomes and not self._outcomes & {Outcome.FAILED, Outcome.NOT_TESTED}
 
     @property
     def verdict(self) -> str:
         """The verdict in words."""
         if self.undecided:
-            return "not decided, because this machine was busy,"
+            return "undecided, because this machine was busy,"
         if not self.conforming:
             return "not conforming"
         return "conforming, as far as it was tested," if self.left_out else "conforming"
@@ -89,8 +93,9 @@ class Report:
         """The verdict, and how many requirements had which outcome, in one line."""
         counts = Counter(finding.outcome for finding in self.findings)
         parts = [f"{counts[outcome]} {outcome.value}" for outcome in Outcome if counts[outcome]]
+        lost = f"; the controller was lost after {self.lost_after}" if self.lost_after else ""
         left_out = f"; left out: {' and '.join(self.left_out)}" if self.left_out else ""
-        return f"{self.verdict.rstrip(',')}: {', '.join(parts)}{left_out}"
+        return f"{self.verdict.rstrip(',')}: {', '.join(parts)}{lost}{left_out}"
 
     def sections(self) -> list[tuple[str, list[Finding]]]:
         """Return the findings by section, in the order of the protocol's page."""
@@ -106,6 +111,7 @@ class Report:
             "run": asdict(self.run),
             "conforming": self.conforming,
             "left_out": list(self.left_out),
+            "lost_after": self.lost_after,
             "controller": devices.described(self.hello),
             "requirements": [
                 {**asdict(finding.requirement), "outcome": finding.outcome.value}

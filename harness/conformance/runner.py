@@ -12,7 +12,7 @@ from vibrocast.device_protocol.transports import TransportError
 from vibrocast.errors import BAD_INPUT, VibrocastError
 from vibrocast.files import plain
 from vibrocast.harness.conformance import fixtures
-from vibrocast.harness.conformance.probe import NotConforming, Probe, Unreachable
+from vibrocast.harness.conformance.probe import NotConforming, Probe, Undecided, Unreachable
 from vibrocast.harness.conformance.report import Finding, Outcome, Report, Requirement
 from vibrocast.harness.conformance.tapped_link import TappedLink
 from vibrocast.host.controller import ControllerError
@@ -29,7 +29,7 @@ _ENVIRONMENT = {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "PYTEST_ADDOPTS": "", "PY
 
 
 BUSY_S = 0.05
-"""A machine that wakes up later than this from a wait may itself have caused what a test blames on the controller."""
+"""A machine, or an emulator on it, later than this may itself have caused what a test blames on the controller."""
 
 
 class SuiteInterrupted(KeyboardInterrupt):
@@ -71,7 +71,7 @@ def run_suite(
         interrupted = True
     left_out = ["tests longer than a second"] * quick
     left_out += ["tests that write model images"] * (not link.may_flash)
-    report = Report(probe.description, tuple(suite_run.all_findings()), tuple(left_out))
+    report = Report(probe.description, tuple(suite_run.all_findings()), tuple(left_out), suite_run.lost_after)
     if interrupted:
         raise SuiteInterrupted(report)
     return report
@@ -99,6 +99,7 @@ class _SuiteRun:
         self.interrupted = False
         self._link = link
         self._progress = progress
+        self.lost_after = ""
         self._not_tested = ""
 
     @pytest.fixture
@@ -117,7 +118,7 @@ class _SuiteRun:
 
     def pytest_runtest_logstart(self, nodeid: str) -> None:
         if self._link is not None:
-            self._link.late_s = 0.0
+            self._link.forget_lateness()
         if self._progress is not None:
             self._progress(len(self.findings) / len(self.requirements), self.requirements[nodeid].section)
 
@@ -127,15 +128,18 @@ class _SuiteRun:
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
         report = yield
         if call.excinfo is not None and isinstance(call.excinfo.value, Unreachable) and call.when == "setup":
-            self._not_tested = f"the controller could not be reached any more ({call.excinfo.value})"
+            self.lost_after = list(self.findings.values())[-1].requirement.test
+            self._not_tested = f"the controller was lost after {self.lost_after} ({call.excinfo.value})"
             item.session.shouldstop = self._not_tested
         elif call.excinfo is not None or call.when == "call":
             measured = dict(item.user_properties).get("measured", "")
             outcome, reason = _outcome(call.excinfo)
             late_s = 0.0 if self._link is None else self._link.late_s
             if outcome == Outcome.FAILED and late_s > BUSY_S:
-                outcome = Outcome.HOST_BUSY
-                reason = f"this machine woke up {1000 * late_s:.0f} ms late, so it may be to blame, for: {reason}"
+                outcome = Outcome.UNDECIDED
+                reason = (
+                    f"this machine or its emulator was {1000 * late_s:.0f} ms late, so it may be to blame: {reason}"
+                )
             self.findings[item.nodeid] = Finding(self.requirements[item.nodeid], outcome, reason, str(measured))
             if outcome == Outcome.FAILED and item.get_closest_marker("prerequisite") is not None:
                 self._not_tested = f"a prerequisite is not met: {self.requirements[item.nodeid].text}"
@@ -205,6 +209,8 @@ def _outcome(failure: pytest.ExceptionInfo[BaseException] | None) -> tuple[Outco
     text = plain(" ".join(str(failure.value).split()))
     if failure.errisinstance(pytest.skip.Exception):
         return Outcome.NOT_APPLICABLE, text
+    if failure.errisinstance(Undecided):
+        return Outcome.UNDECIDED, text
     if failure.errisinstance((AssertionError, ControllerError, TransportError, MessageError, Unreachable)):
         return Outcome.FAILED, text
     return Outcome.FAILED, f"the suite met an unexpected {failure.typename} ({text}): please report it"

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 
 from vibrocast.device_protocol.frames import FrameReader
-from vibrocast.device_protocol.messages import Error, Message, MessageError, unpack
+from vibrocast.device_protocol.messages import Error, Message, MessageError, Status, unpack
 from vibrocast.device_protocol.transports import Transport
 from vibrocast.simulated_device.faulty_wire import FaultyTransport
 
@@ -17,7 +17,8 @@ class TappedLink(FaultyTransport):
     `clock`, `sleep`: the host's; for a transport in simulated time, its own. `restart`: takes the power from the
     controller and gives it back; None where nobody can. `may_flash`: whether slots for model images may be written.
     `messages`: names of the types of message that passed either way, whole. `error_codes`: those of the controller.
-    `late_s`: the most by which this machine woke up late from a wait, since somebody set it to 0.
+    `late_s`: since `forget_lateness`, the most by which this machine woke up late from a wait, or by which the
+    controller's clock fell behind: a Status was read late, or what runs the controller stood still.
     """
 
     def __init__(
@@ -30,12 +31,17 @@ class TappedLink(FaultyTransport):
     ) -> None:
         super().__init__(transport, clock)
         self._sleep = sleep
-        self.late_s = 0.0
+        self.forget_lateness()
         self.restart = restart
         self.may_flash = may_flash
         self.messages: set[str] = set()
         self.error_codes: set[int] = set()
         self._sent, self._received = FrameReader(), FrameReader()
+
+    def forget_lateness(self) -> None:
+        """Begin to measure `late_s` again."""
+        self.late_s = self._device_s = 0.0
+        self._least_lag_s = math.inf
 
     def sleep(self, seconds: float) -> None:
         """Let time pass."""
@@ -70,7 +76,16 @@ class TappedLink(FaultyTransport):
             self.messages.add(type(message).__name__)
             if isinstance(message, Error):
                 self.error_codes.add(message.code)
+            if isinstance(message, Status):
+                self._compare_clocks(message.device_time_us / 1e6)
         return data if self.to_host is None else self.to_host.carry(data)
+
+    def _compare_clocks(self, device_s: float) -> None:
+        lag_s = self.clock() - device_s
+        # A clock that goes back is one of a restarted controller, or a wrong one: no sign of a slow machine.
+        self._least_lag_s = min(self._least_lag_s, lag_s) if device_s >= self._device_s else lag_s
+        self._device_s = device_s
+        self.late_s = max(self.late_s, lag_s - self._least_lag_s)
 
     def reopen(self) -> None:
         """Close, and open again. Raises TransportError."""

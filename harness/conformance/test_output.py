@@ -5,17 +5,20 @@ import pytest
 from numpy.typing import NDArray
 
 from vibrocast.codec.stream import Stream
-from vibrocast.device_protocol.messages import Gain, Pause, Start, State, Status, Tap
+from vibrocast.device_protocol.messages import Gain, Pause, Resume, Start, State, Status, Tap
 from vibrocast.harness.conformance.fixtures import long, section
-from vibrocast.harness.conformance.probe import ANSWER_S, Probe, describe, in_state
+from vibrocast.harness.conformance.probe import ANSWER_S, Probe, describe, in_state, same_samples
 from vibrocast.harness.conformance.streams import (
     constant,
     dac_samples,
+    decoded,
+    known_actuator,
     lasting_stream,
     loud,
     need_capture,
     stream_for,
 )
+from vibrocast.output.rendering import FADE_SECONDS, Dac, Drive, recording_end
 
 # docs/reference/protocol.md, "Stop"
 _STOP_S = 0.03
@@ -79,6 +82,39 @@ def test_pause_brings_the_output_to_rest(probe: Probe, steady: Stream) -> None:
     probe.listen(0.1)
     last = since(probe, dac_samples(probe) - 1)[0]
     assert last == 0, f"expected an output at rest, the last DAC code is {last}"
+
+
+@section("Playing: Pause, Resume, Loop and Gain")
+def test_output_goes_on_where_it_paused(probe: Probe) -> None:
+    """The controller gives exactly the expected DAC codes at Pause and Resume: two fades, and no sample lost."""
+    need_capture(probe.description)
+    actuator = known_actuator(probe.description.actuator)
+    stream = lasting_stream(probe, 4, 1.0)
+    number = probe.configure(stream).stream
+    probe.feed(number, stream)
+    probe.expect(Start(), Status)
+    probe.wait_for(lambda status: status.position > _FADE_IN_S * stream.header.rate_hz, "to play", ANSWER_S)
+    in_state(probe.expect(Pause(), Status), State.PAUSED, "Pause")
+    probe.listen(0.1)
+    at_rest = dac_samples(probe)
+    in_state(probe.expect(Resume(), Status), State.PLAYING, "Resume")
+    probe.wait_for_state(State.FINISHED, ANSWER_S + 2 * stream.seconds)
+    first, came = probe.captured(Tap.DAC, 1)
+    delay_samples = stream.delay_samples
+    drive = Drive(stream.header, actuator, compensation=True, decoder_delay_samples=delay_samples)
+    played = drive.push(decoded(stream)[: recording_end(stream.header, delay_samples)])
+    samples = np.concatenate([played, drive.finish()])
+
+    def paused_at(sample: int) -> NDArray[np.int16]:
+        dac = Dac(stream.header, actuator, 1.0, True, drive.drive_samples(delay_samples))
+        pieces = dac.play(samples[:sample]), dac.ramp_down(), dac.play(samples[sample:]), dac.ramp_down()
+        return np.concatenate(pieces)[first:]
+
+    # The capture does not tell which sample was the last before the fade.
+    fade_samples = round(FADE_SECONDS * actuator.dac_rate_hz)
+    candidates = [paused_at(at_rest - fade_samples + late) for late in (0, 1, -1, 2, -2)]
+    if not any(np.array_equal(came, expected) for expected in candidates):
+        same_samples(came, candidates[0], "DAC codes of a stream that paused")
 
 
 @section("Playing: Pause, Resume, Loop and Gain")

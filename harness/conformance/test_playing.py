@@ -8,7 +8,7 @@ import pytest
 
 from vibrocast import codec
 from vibrocast.codec.stream import Stream
-from vibrocast.device_protocol.coded_stream import packet_sequence
+from vibrocast.device_protocol.coded_stream import packet_sequence, renumbered
 from vibrocast.device_protocol.encoding import pack_varint
 from vibrocast.device_protocol.messages import (
     EndStream,
@@ -44,6 +44,8 @@ _REQUESTS = 4
 _ENDLESS_PACKETS = 60_000
 # Of the stream: the filters of the output may lead, and times are rounded.
 _SAMPLES_AHEAD = 32
+# A block is decoded and put out meanwhile.
+_LATE_S = 0.005
 # Of a DAC code, to tell a ramp from a jump.
 _MIN_LEVEL = 8
 
@@ -68,6 +70,13 @@ def soon_us(probe: Probe) -> int:
 def finished(probe: Probe, stream: Stream, iterations: int = 1) -> Status:
     """Wait for the end of a stream."""
     return probe.wait_for_state(State.FINISHED, ANSWER_S + 2 * iterations * stream.seconds)
+
+
+def configure_live(probe: Probe, stream: Stream, first_packet: int = 0) -> Status:
+    """Set up a live stream, of unknown length, for the packets of a stream."""
+    header = replace(stream.header, samples=None).pack()
+    configure = replace(probe.configuration(stream, packets=0, first_packet=first_packet), header=header)
+    return in_state(probe.expect(configure, Status), State.BUFFERING, "Configure")
 
 
 def without_loss(status: Status) -> None:
@@ -231,17 +240,40 @@ def test_notifications_while_armed_and_playing(probe: Probe, stream: Stream) -> 
 
 @section("Playing: Positions")
 def test_position_keeps_pace_with_the_clock(probe: Probe, longer: Stream) -> None:
-    """The controller's position is no further than its clock allows since the start."""
+    """The controller's position is no further than its clock allows since the start, and keeps up with it."""
     number = probe.configure(longer).stream
     probe.feed(number, longer)
     start_us = soon_us(probe)
     probe.expect(Start(start_us), Status)
     probe.wait_for_state(State.PLAYING)
+    behind = []
     for _ in range(20):
         status = probe.status()
-        allowed = (status.device_time_us - start_us) * longer.header.rate_hz / 1e6 + _SAMPLES_AHEAD
-        assert status.position <= allowed, f"expected a position of at most {allowed:.0f}, came {describe(status)}"
+        due = (status.device_time_us - start_us) * longer.header.rate_hz / 1e6
+        assert status.position <= due + _SAMPLES_AHEAD, f"expected position {due:.0f}, came {describe(status)}"
+        behind.append(due - status.position)
         probe.listen(0.013)
+    late_s = min(behind) / longer.header.rate_hz
+    assert late_s <= _LATE_S, f"expected to start {start_us} us, came a position {1000 * late_s:.0f} ms late"
+
+
+@section("Playing: Positions")
+def test_positions_have_64_bits(probe: Probe) -> None:
+    """The controller plays on, with position and credit, where they pass 2^32."""
+    stream = lasting_stream(probe, 2)
+    packet_samples = stream.packet_samples
+    before = (1 << 32) // packet_samples - 1
+    packets = [renumbered(packet, before) for packet in stream.packets]
+    status = configure_live(probe, stream, before)
+    least = (before + 2) * packet_samples
+    assert status.credit_until >= least, f"expected a credit until {least} or more, came {describe(status)}"
+    probe.feed(status.stream, stream, packets)
+    probe.expect(EndStream(status.stream, before + len(packets)), Status)
+    probe.expect(Start(), Status)
+    status = finished(probe, stream)
+    without_loss(status)
+    expected = (before + len(packets)) * packet_samples
+    assert status.position == expected, f"expected position {expected}, came {describe(status)}"
 
 
 @section("Playing: Positions")
@@ -392,12 +424,27 @@ def test_loop_ends_an_endless_stream(probe: Probe, longer: Stream) -> None:
     decoded_as(probe, decoded(longer), "one iteration")
 
 
+@section("Playing: Pause, Resume, Loop and Gain")
+def test_loop_may_take_the_end_away(probe: Probe, longer: Stream) -> None:
+    """The controller goes on with a further iteration when Loop(0) comes in the last one, until another Loop."""
+    number = probe.configure(longer).stream
+    probe.feed(number, longer)
+    probe.expect(Start(), Status)
+    probe.wait_for(lambda status: status.position > 0, "to play", ANSWER_S)
+    probe.expect(Loop(0), Status)
+    probe.feed(number, longer, iteration=1)
+    iteration = len(longer.packets) * longer.packet_samples
+    probe.wait_for(lambda status: status.position > iteration, "a further iteration", ANSWER_S + 2 * longer.seconds)
+    probe.expect(Loop(1), Status)
+    without_loss(finished(probe, longer, iterations=2))
+    decoded_as(probe, np.tile(decoded(longer), (2, 1)), "two iterations")
+
+
 @section("Playing: EndStream")
 def test_live_stream_ends_where_end_stream_says(probe: Probe) -> None:
     """The controller ends a live stream at the number of packets in the last EndStream."""
     stream = lasting_stream(probe, 2)
-    live = replace(probe.configuration(stream, packets=0), header=replace(stream.header, samples=None).pack())
-    number = in_state(probe.expect(live, Status), State.BUFFERING, "Configure").stream
+    number = configure_live(probe, stream).stream
     probe.feed(number, stream)
     probe.expect(EndStream(number, len(stream.packets) + 100), Status)
     probe.expect(Start(), Status)
@@ -409,8 +456,7 @@ def test_live_stream_ends_where_end_stream_says(probe: Probe) -> None:
 @section("Playing: EndStream")
 def test_end_stream_that_comes_late(probe: Probe, longer: Stream) -> None:
     """The controller ends a live stream with the decoded packets when EndStream names fewer."""
-    live = replace(probe.configuration(longer, packets=0), header=replace(longer.header, samples=None).pack())
-    number = in_state(probe.expect(live, Status), State.BUFFERING, "Configure").stream
+    number = configure_live(probe, longer).stream
     probe.feed(number, longer)
     probe.expect(Start(), Status)
     probe.wait_for(lambda status: status.position > 0, "to play", ANSWER_S)
@@ -421,10 +467,12 @@ def test_end_stream_that_comes_late(probe: Probe, longer: Stream) -> None:
 
 
 @section("Playing: EndStream")
-def test_end_stream_is_for_live_streams(probe: Probe, stream: Stream) -> None:
-    """The controller answers BAD_VALUE to an EndStream for a stream that is not live."""
+def test_end_stream_is_for_the_live_stream_under_way(probe: Probe, stream: Stream) -> None:
+    """The controller answers BAD_VALUE to an EndStream for a stream that is not live, and for another number."""
     number = probe.configure(stream).stream
     probe.expect_rejection(EndStream(number, 1), ErrorCode.BAD_VALUE)
+    number = configure_live(probe, stream).stream
+    probe.expect_rejection(EndStream(next_number(number), 1), ErrorCode.BAD_VALUE)
 
 
 @section("Playing: Stop")

@@ -9,10 +9,11 @@ from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
 from vibrocast.device_protocol.messages import ErrorCode, HelloResponse, Loop, Position, Start, State, Status, Tap, pack
 from vibrocast.harness.conformance.fixtures import long, section
-from vibrocast.harness.conformance.probe import Probe, describe, in_state, same_samples
+from vibrocast.harness.conformance.probe import Probe, Undecided, describe, in_state, same_samples
 from vibrocast.harness.conformance.streams import (
     RATE_HZ,
     SECONDS,
+    dac_samples,
     decoded,
     decoded_as,
     known_actuator,
@@ -26,6 +27,8 @@ _SAMPLES_PER_METRE, _FINEST_PER_METRE = 20_000, 200_000
 _SETTLED_S = 0.3
 _STILL_SAMPLES = 100
 _LATER_S = 0.01
+_SOON_US = 400_000
+_PLACE_NM, _MOVED_NM, _HELD_US = 3_333_333, 400_000, 10_000
 # A controller decodes a profile block by block.
 _LOADED_S = 0.3
 # Of the buffer, and somewhat more.
@@ -120,18 +123,51 @@ def test_hand_at_rest_holds_the_output(probe: Probe, hello: HelloResponse, profi
     """Under a hand at rest, the controller holds exactly the expected DAC code of the height there."""
     need_capture(hello)
     actuator = known_actuator(hello.actuator)
-    position_nm = 3_333_333
-    played_at(probe, profile, position_nm)
+    played_at(probe, profile, _PLACE_NM)
     probe.expect(Loop(1), Status)  # changes nothing
     end = probe.read_capture(Tap.DAC, (1 << 64) - 1, 0, 1).end
     held = probe.read_capture(Tap.DAC, end - min(end, _STILL_SAMPLES), _STILL_SAMPLES, 1)
     delay_samples = profile.delay_samples
     samples = round(_SETTLED_S * actuator.dac_rate_hz)
-    hand = [(0, position_nm)]
+    hand = [(0, _PLACE_NM)]
     _, codes = rendering.render(profile.header, decoded(profile), delay_samples, hand, samples, actuator)
     came = np.frombuffer(held.data, "<i2").astype(np.int16).reshape(-1, 1)
     assert len(came), "expected samples of the DAC, came none"
     same_samples(came, np.broadcast_to(codes[-1], came.shape), "DAC codes under a hand at rest")
+
+
+@section("Playing: Rendering")
+def test_moving_hand_is_followed_in_time(probe: Probe, hello: HelloResponse, profile: Stream) -> None:
+    """Under a moving hand, the controller gives exactly the expected DAC codes, 20 ms behind its positions."""
+    need_capture(hello)
+    actuator = known_actuator(hello.actuator)
+    probe.feed(probe.configure(profile).stream, profile)
+    start_us = probe.status().device_time_us + _SOON_US + round(3e6 * probe.answer_s)
+    probe.expect(Start(start_us), Status)
+    probe.send(pack(Position(0, _PLACE_NM)))
+    probe.wait_for_state(State.PLAYING)
+    probe.listen(_SETTLED_S)
+    now_us = probe.status().device_time_us
+    hand = [(now_us - _HELD_US, _PLACE_NM), (now_us - 1, _PLACE_NM + _MOVED_NM)]
+    for time_us, position_nm in hand:
+        probe.send(pack(Position(time_us, position_nm)))
+    late_us = probe.status().device_time_us - now_us
+    probe.listen(_SETTLED_S)
+    played = dac_samples(probe)
+    probe.stop()
+    if late_us > rendering.HAND_DELAY_US - _HELD_US:
+        raise Undecided(f"the positions came {late_us / 1000:.0f} ms late")
+    first, came = probe.captured(Tap.DAC, 1)
+    _, expected = rendering.render(
+        profile.header,
+        decoded(profile),
+        profile.delay_samples,
+        [(0, _PLACE_NM), *hand],
+        played,
+        actuator,
+        start_us=start_us,
+    )
+    same_samples(came[: played - first], expected[first:], "DAC codes under a moving hand")
 
 
 @section("Playing: Position")

@@ -9,7 +9,7 @@ from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.coded_stream import MAX_CHANNELS, UNITS
 from vibrocast.device_protocol.messages import HelloResponse, SinglePacket, Start, State, Status, pack
 from vibrocast.harness.conformance.fixtures import section
-from vibrocast.harness.conformance.probe import ANSWER_S, NotConforming, Probe, describe, same_samples
+from vibrocast.harness.conformance.probe import ANSWER_S, NotConforming, Probe, Undecided, describe, same_samples
 from vibrocast.harness.conformance.streams import decoded, known_actuator, need_capture, need_no_signature, stream_for
 from vibrocast.host import player
 from vibrocast.host.controller import Controller
@@ -35,7 +35,7 @@ def played(probe: Probe, stream: Stream, **options: int | float | bool) -> playe
 def read_back(samples: NDArray[np.int16] | None) -> NDArray[np.int16]:
     """Return a capture that was asked for."""
     if samples is None:
-        raise NotConforming("the controller overwrote its capture before it was read; use a less busy machine")
+        raise Undecided("the controller overwrote its capture before this machine read it")
     return samples
 
 

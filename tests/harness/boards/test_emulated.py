@@ -186,7 +186,7 @@ def test_the_board_goes_on_after_a_pause_with_the_lag_that_it_needs() -> None:
 
 
 @pytest.mark.parametrize("decoding_ms", [1, 5])
-def test_a_stop_reaches_the_register_within_30_ms_and_the_output_rests_soon(decoding_ms: int) -> None:
+def test_a_stop_reaches_the_register_at_once(decoding_ms: int) -> None:
     stopped_us = []
 
     def stop(host: Host, link: MemoryLink) -> None:
@@ -201,8 +201,21 @@ def test_a_stop_reaches_the_register_within_30_ms_and_the_output_rests_soon(deco
     assert 0 <= late_us < 1000 * (decoding_ms + 3)
     level = np.abs(played[way_down - 1 :].astype(int))
     assert np.all(np.diff(level, axis=0) <= 12), "on its way to rest"
-    assert not played[way_down + 60 * BOARD_DAC_HZ // 1000 :].any()
     assert len(captured) < len(expected)
+
+
+@pytest.mark.parametrize("name", BOARDS)
+def test_the_output_rests_within_30_ms_of_a_stop(name: str) -> None:
+    codes: list[Codes] = []
+    link, host = session(board(name, on_dac=codes.append))
+    begin(host, coded("mdct", seconds=1.0))
+    link.sleep(0.4)
+    before = len(np.concatenate(codes))
+    host.request(messages.Stop(), messages.Status)
+    link.sleep(0.2)
+    level = np.concatenate(codes)[before:]
+    moving = np.flatnonzero(level.any(axis=1))
+    assert 0 < moving[-1] <= 30 * BOARD_DAC_HZ // 1000
 
 
 @pytest.mark.parametrize(("name", "interrupt"), [("stm32f405", stm32f405._TIM6), ("rp2040", 16 + 4)])

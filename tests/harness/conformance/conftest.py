@@ -83,13 +83,13 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Run each test on the devices that it can tell apart, or on the one that --vibrocast-device names."""
     if "link" not in metafunc.fixturenames:
         return
-    device = metafunc.config.getoption("vibrocast_device")
+    named = metafunc.config.getoption("vibrocast_device")
     long = any(metafunc.definition.iter_markers("long"))
     module = metafunc.function.__module__.rpartition(".")[2]
     names = [name for name in DEVICES if name not in MODULES or (module in MODULES[name] and not long)]
     slow = [name for name in names if name in QUICK_MODULES and module not in QUICK_MODULES[name]]
     marked = [pytest.param(name, marks=[pytest.mark.slow] if name in slow else []) for name in names]
-    metafunc.parametrize("link", [device] if device else marked, indirect=True)
+    metafunc.parametrize("link", named or marked, indirect=True)
 
 
 @pytest.fixture
