@@ -19,7 +19,6 @@ class Figure:
         worse: 1 where a higher one is worse, -1 where a lower one is, 0 where any other is.
         absolute: By how much another run may be worse.
         relative: The same in parts of the earlier value; the larger of the two counts.
-        digits: Decimals where a table shows it next to others of its kind.
     """
 
     key: str
@@ -28,7 +27,6 @@ class Figure:
     worse: int = 1
     absolute: float = 0.0
     relative: float = 0.0
-    digits: int = 0
 
     @property
     def title(self) -> str:
@@ -55,11 +53,11 @@ class Figure:
 FIGURES = {
     figure.key: figure
     for figure in (
-        Figure("latency_ms", "latency", "ms", 1, 2.0, 0.1, 1),
-        Figure("sensor_latency_ms", "latency to the sensor", "ms", 1, 5.0, 0.1, 1),
-        Figure("smallest_latency_ms", "smallest stable latency", "ms", 1, 4.0, 0.2, 1),
-        Figure("delay_ms", "delay", "ms", 1, math.inf, 0.0, 1),
-        Figure("jitter_ms", "jitter", "ms", 1, 2.0, 0.5, 1),
+        Figure("latency_ms", "latency", "ms", 1, 2.0, 0.1),
+        Figure("sensor_latency_ms", "latency to the sensor", "ms", 1, 5.0, 0.1),
+        Figure("smallest_latency_ms", "smallest stable latency", "ms", 1, 4.0, 0.2),
+        Figure("delay_ms", "delay", "ms", 1, math.inf, 0.0),
+        Figure("jitter_ms", "jitter", "ms", 1, 2.0, 0.5),
         Figure("drift_ppm", "drift", "ppm", 0, 50.0),
         Figure("lag_ms", "lag", "ms", 0, 50.0),
         Figure("as_decoded", "decoded as sent", worse=-1),
@@ -67,7 +65,7 @@ FIGURES = {
         Figure("all_as_computed", "controllers that played as computed", worse=-1),
         Figure("underruns", "underruns"),
         Figure("lost_packets", "lost packets"),
-        Figure("lost_percent", "lost packets", "%", digits=2),
+        Figure("lost_percent", "lost packets", "%"),
         Figure("bad_frames", "damaged frames"),
         Figure("to_controller_bytes_per_s", "throughput to the controller", "bytes/s", -1, 0.0, 0.3),
         Figure("to_host_bytes_per_s", "throughput to the host", "bytes/s", -1, 0.0, 0.3),
@@ -77,22 +75,22 @@ FIGURES = {
         Figure("payload_bps", "payload", "bit/s", 1, 0.0, 0.1),
         Figure("wire_bps", "on the wire", "bit/s", 1, 0.0, 0.1),
         Figure("instructions_per_second", "instructions", "1/s", 1, 0.0, 0.1),
-        Figure("load_percent", "load", "%", 1, 0.0, 0.1, 2),
+        Figure("load_percent", "load", "%", 1, 0.0, 0.1),
         Figure("flash_bytes", "flash", "bytes"),
         Figure("ram_bytes", "RAM", "bytes"),
-        Figure("snr_db", "SNR", "dB", -1, 1.0, 0.0, 2),
-        Figure("coding_snr_db", "SNR of the codec", "dB", -1, 1.0, 0.0, 2),
-        Figure("decoded_snr_db", "SNR of the codec at the skin", "dB", -1, 1.0, 0.0, 2),
-        Figure("weighted_snr_db", "SNR weighted by the threshold", "dB", -1, 1.0, 0.0, 2),
-        Figure("playing_snr_db", "SNR without the codec", "dB", -1, 1.0, 0.0, 2),
-        Figure("st_sim", "ST-SIM", "", -1, 0.02, 0.0, 3),
-        Figure("spqi", "SPQI", "", -1, 0.0, 0.1, 3),
-        Figure("third_octave_distance_db", "third-octave distance", "dB", 1, 1.0, 0.0, 2),
-        Figure("error_over_threshold_db", "error re threshold", "dB", 1, 1.0, 0.0, 2),
-        Figure("gain", "gain", "", 0, 0.0, 0.05, 2),
-        Figure("corner_hz", "corner", "Hz", 0, 1.0, 0.03, 1),
-        Figure("stroke_um", "stroke", "um", 0, 0.5, 0.03, 1),
-        Figure("quality", "quality of the resonance", "", 0, 0.05, 0.1, 2),
+        Figure("snr_db", "SNR", "dB", -1, 1.0, 0.0),
+        Figure("coding_snr_db", "SNR of the codec", "dB", -1, 1.0, 0.0),
+        Figure("decoded_snr_db", "SNR of the codec at the skin", "dB", -1, 1.0, 0.0),
+        Figure("weighted_snr_db", "SNR weighted by the threshold", "dB", -1, 1.0, 0.0),
+        Figure("playing_snr_db", "SNR without the codec", "dB", -1, 1.0, 0.0),
+        Figure("st_sim", "ST-SIM", "", -1, 0.02, 0.0),
+        Figure("spqi", "SPQI", "", -1, 0.0, 0.1),
+        Figure("third_octave_distance_db", "third-octave distance", "dB", 1, 1.0, 0.0),
+        Figure("error_over_threshold_db", "error re threshold", "dB", 1, 1.0, 0.0),
+        Figure("gain", "gain", "", 0, 0.0, 0.05),
+        Figure("corner_hz", "corner", "Hz", 0, 1.0, 0.03),
+        Figure("stroke_um", "stroke", "um", 0, 0.5, 0.03),
+        Figure("quality", "quality of the resonance", "", 0, 0.05, 0.1),
     )
 }
 """All figures by their keys. SNR without another word is that at the skin, or of a plan that of the decoded signal."""

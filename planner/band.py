@@ -1,19 +1,17 @@
 """The band worth coding: the frequencies that the actuator can render and a finger may feel."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast import textures
-from vibrocast.codec.stream import Stream
 from vibrocast.codec.threshold import MAX_HZ, over_threshold_db, threshold_amplitude
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.errors import InputError
 from vibrocast.host.playback import displacement_um
-from vibrocast.output.actuator import SKIN_OVERSAMPLING, Actuator, Codes, analog_response, followed_gain
-from vibrocast.output.rendering import Drive, render
+from vibrocast.output.actuator import Actuator, analog_response, followed_gain
 from vibrocast.textures import Profile, Recording
 
 Samples = NDArray[np.float64]
@@ -30,6 +28,7 @@ RATE_STEP = MIN_RATE_HZ = 100
 """Step between rates of streams, and the lowest rate that controllers play."""
 SPEEDS = 5
 """Number of hand speeds, from the lowest to the highest, whose bands a profile over position joins."""
+LOW_CUT_ORDER = 4
 SLOWEST_MM_S = 10.0
 """A slower hand explores no texture: the finest parts of a profile are not coded for it."""
 
@@ -56,13 +55,12 @@ class Band:
     """The band worth coding of one texture.
 
     `lowest`, `highest`: in Hz, or in periods per metre over position. `rate`: of the stream that follows from it, in
-    samples per second, or per metre. `levels`: of the texture, at the highest hand speed.
+    samples per second, or per metre.
     """
 
     lowest: float
     highest: float
     rate: int
-    levels: tuple[Level, ...]
 
 
 def band_of(
@@ -74,10 +72,13 @@ def band_of(
 ) -> Band:
     """Return the band worth coding. `threshold`: rows as of codec.threshold.read_threshold. Raises InputError."""
     if not isinstance(loaded, Profile):
-        _check_recorded(loaded.rate_hz, loaded.name)
-        levels = levels_of(loaded, actuator, threshold)
-        lowest, highest = _edges(levels, loaded.name)
-        return Band(lowest, highest, _rate(highest, loaded.rate_hz), levels)
+        if loaded.rate_hz < MIN_RATE_HZ:
+            raise InputError(
+                f"{loaded.name}: recorded at {loaded.rate_hz:g} Hz, but controllers play at least {MIN_RATE_HZ} Hz; "
+                "record faster"
+            )
+        lowest, highest = _edges(levels_of(loaded, actuator, threshold), loaded.name)
+        return Band(lowest, highest, _rate(highest, loaded.rate_hz))
     if not over_position:
         return band_of(loaded.recording(hand_speed_mm_s[1]), actuator, threshold, hand_speed_mm_s, False)
     edges = []
@@ -90,7 +91,7 @@ def band_of(
         raise _nothing(levels, loaded.name)
     highest = max(high for _, high in edges)
     recorded = min(1e6 / loaded.spacing_um, MAX_RATE_HZ)
-    return Band(min(low for low, _ in edges), highest, _rate(highest, recorded, PROFILE_PASS_BAND), levels)
+    return Band(min(low for low, _ in edges), highest, _rate(highest, recorded, PROFILE_PASS_BAND))
 
 
 def slowest_mm_s(hand_speed_mm_s: tuple[float, float]) -> float:
@@ -117,16 +118,11 @@ def at_the_skin(recording: Recording, actuator: Actuator) -> Samples:
     """
     displacement = displacement_um(recording.samples, recording.unit, recording.rate_hz, actuator)
     samples = len(displacement)
-    gain = rendering_gain(actuator, np.asarray(np.fft.rfftfreq(samples, 1 / recording.rate_hz), np.float64))
-    return np.asarray(np.fft.irfft(np.fft.rfft(displacement, axis=0) * gain[:, None], samples, axis=0))
-
-
-def rendering_gain(actuator: Actuator, frequencies_hz: Samples) -> Samples:
-    """Return displacement at the skin over the displacement asked for; 0 above half the DAC's rate."""
+    frequencies_hz = np.asarray(np.fft.rfftfreq(samples, 1 / recording.rate_hz), np.float64)
     passed = frequencies_hz < actuator.dac_rate_hz / 2
     gain = np.zeros(len(frequencies_hz))
     gain[passed] = followed_gain(frequencies_hz[passed], actuator)
-    return gain
+    return np.asarray(np.fft.irfft(np.fft.rfft(displacement, axis=0) * gain[:, None], samples, axis=0))
 
 
 def max_um(actuator: Actuator, frequencies_hz: Samples) -> Samples:
@@ -137,14 +133,10 @@ def max_um(actuator: Actuator, frequencies_hz: Samples) -> Samples:
     constant = min(1.0, actuator.volts_limit / full_volts, math.sqrt(2 * actuator.power_limit))
     drive = np.minimum(constant, by_slew)
     passed = frequencies_hz < actuator.dac_rate_hz / 2
-    reached: Samples = np.maximum(actuator.excursion_um * drive * _response(actuator, frequencies_hz) * passed, 1e-30)
+    response = np.abs(analog_response(frequencies_hz, actuator.corner_hz, actuator.quality))
+    held = np.sinc(frequencies_hz / actuator.dac_rate_hz)  # the DAC holds each sample
+    reached: Samples = np.maximum(actuator.excursion_um * drive * response * held * passed, 1e-30)
     return reached
-
-
-def _response(actuator: Actuator, frequencies_hz: Samples) -> Samples:
-    """Return the gain from a DAC sample to displacement, in parts of the excursion."""
-    response = analog_response(frequencies_hz, actuator.corner_hz, actuator.quality)
-    return np.asarray(np.abs(response) * np.sinc(frequencies_hz / actuator.dac_rate_hz))
 
 
 def error_over_threshold_db(reference: Recording, decoded: Samples, actuator: Actuator, threshold: Samples) -> float:
@@ -157,44 +149,27 @@ def error_over_threshold_db(reference: Recording, decoded: Samples, actuator: Ac
     return float(np.max(over_threshold_db(at_the_skin(error, actuator), reference.rate_hz, threshold, masker_um)[1]))
 
 
-def played_codes(stream: Stream, decoded: Codes, actuator: Actuator) -> Codes:
-    """Return the DAC's codes (n, channels) of a stream's decoded samples, int16 (samples, channels), played live."""
-    header = replace(stream.header, samples=None)
-    return render(header, decoded, stream.delay_samples, actuator)[0]
+def prepared(
+    loaded: Recording | Profile, hand_speed_mm_s: float, over_position: bool, rate: int, lowest: float
+) -> Recording:
+    """Return a texture at the stream's rate, without the signal below its band. Raises TextureError.
 
-
-def rendering_s(stream: Stream, actuator: Actuator) -> float:
-    """Return the delay in s from a sample's due time to the skin: decoding, output stage, DAC."""
-    drive_s: float = Drive(stream.header, actuator, compensation=True).delay_seconds
-    return stream.delay_samples / stream.header.rate_hz + drive_s + 1 / actuator.dac_rate_hz
-
-
-def played_error_over_threshold_db(
-    stream: Stream,
-    recording: Recording,
-    codes: Codes,
-    driven: Actuator,
-    skin_model: Actuator,
-    threshold: Samples,
-) -> float:
-    """Return the level of the error at the skin in its loudest third octave, dB re what is felt.
-
-    That is the detection threshold or, where it is higher, what the recording masks. The error is the displacement by
-    the DAC's `codes`, minus the displacement by the recording without a codec. Both pass the output stage of a
-    controller that works with `driven`, limits included, and `skin_model`.
+    Resampling removes the signal above the band. Below `lowest`, a Butterworth high-pass of order LOW_CUT_ORDER runs in
+    both directions, without delay. Its corner (-6 dB) lies an octave lower, so it takes 0.03 dB at `lowest`; 0 = no
+    high-pass. The rate of a profile over position is per metre.
     """
-    delay = stream.delay_samples
-    exact = np.zeros((len(stream.packets) * stream.packet_samples, recording.channels), np.int16)
-    full_scale = recording.samples / np.array(stream.header.gains)
-    exact[delay : delay + len(full_scale)] = np.clip(np.round(32768 * full_scale), -32768, 32767)
-    wanted = played_codes(stream, exact, driven)
-    length, rate_hz = min(len(wanted), len(codes)), driven.dac_rate_hz
-    late = round(rendering_s(stream, driven) * rate_hz)
-    end = min(length, late + math.ceil(recording.seconds * rate_hz))
-    heard = slice(SKIN_OVERSAMPLING * late, None)
-    masker_um = skin_model.displacement_um(wanted[:end], SKIN_OVERSAMPLING)[heard]
-    error_um = skin_model.displacement_um(codes[:end], SKIN_OVERSAMPLING)[heard] - masker_um
-    return float(np.max(over_threshold_db(error_um, SKIN_OVERSAMPLING * rate_hz, threshold, masker_um)[1]))
+    from scipy import signal
+
+    if isinstance(loaded, Profile):
+        # At 1000 mm/s, a metre takes a second, so that rates per metre are rates in hertz.
+        loaded = loaded.recording(1000.0 if over_position else hand_speed_mm_s)
+    recording = textures.resample(loaded, rate)
+    if lowest <= 0:
+        return recording
+    sections = signal.butter(LOW_CUT_ORDER, lowest / 2, "highpass", fs=rate, output="sos")
+    longest = len(recording.samples) - 1
+    cut = signal.sosfiltfilt(sections, recording.samples, axis=0, padlen=min(longest, 3 * (2 * LOW_CUT_ORDER + 1)))
+    return Recording(np.ascontiguousarray(cut), recording.rate_hz, recording.unit, recording.name)
 
 
 def _edges(levels: tuple[Level, ...], name: str) -> tuple[float, float]:
@@ -214,13 +189,6 @@ def _nothing(levels: tuple[Level, ...], name: str) -> InputError:
         f"{name}: no part of it can be felt: at best, {source} lies {-min(best.level_db, best.reach_db):.0f} dB below "
         f"the detection threshold, at {best.frequency_hz:.0f} Hz; check unit and full_scale, or give another actuator"
     )
-
-
-def _check_recorded(recorded: float, name: str) -> None:
-    if recorded < MIN_RATE_HZ:
-        raise InputError(
-            f"{name}: recorded at {recorded:g} Hz, but controllers play at least {MIN_RATE_HZ} Hz; record faster"
-        )
 
 
 def _rate(highest: float, recorded: float, pass_band: float = PASS_BAND) -> int:

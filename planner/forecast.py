@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from vibrocast import codec
 from vibrocast.codec import Codec, Setting
-from vibrocast.codec.rate_control import DEFAULT_RATE_BUFFER_S, RateTarget
 from vibrocast.codec.threshold import FLAT, SHAPE
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT, StreamHeader
 from vibrocast.errors import InputError, located
@@ -17,15 +16,11 @@ from vibrocast.output.actuator import Actuator
 from vibrocast.output.profile import HAND_DELAY_US, HAND_SMOOTHING_US, min_samples
 from vibrocast.output.rendering import Drive
 from vibrocast.planner import costs
-from vibrocast.planner.band import MARGIN_DB, Band, band_of
+from vibrocast.planner.band import MARGIN_DB, Band, band_of, prepared
 from vibrocast.planner.costs import MAX_LOAD_PERCENT
-from vibrocast.planner.plan_file import Forecast, prepared
 from vibrocast.planner.scene import MEASURES, Asked, Scene, SceneController, SceneTexture, Weights
 from vibrocast.textures import Profile, Recording
 
-_PLANNED = {"entropy": "range"}
-"""Parameters, of codecs that have them, whose best value is known: the range coder took fewer bits than the Huffman
-code on every texture (docs/benchmarks/results.md)."""
 BUFFERS_MS = (10.0, 8.0, 6.0, 4.0)
 """Playout delays, the usual one first; docs/benchmarks/latency.md has the shortest stable one of each controller."""
 
@@ -79,23 +74,19 @@ def subject_of(scene: Scene, texture: SceneTexture, threshold: NDArray[np.float6
 class CodingOption:
     """A way to code a texture, without the quality. `family`: of models, None = no model. `block`: samples, None if the
     codec has one length only. `touch`: strength of the shape by which steps differ over frequency (shape_setting).
-
-    `rate_limit_bps`: limit over any second that a capped rate keeps; None = every packet has the setting.
     """
 
     codec: str
     family: str | None
     block: str | None
     touch: float = 0.0
-    rate_limit_bps: float | None = None
 
     @property
     def name(self) -> str:
         """Name in the answer, such as "mdct, hop 32"."""
         block = "".join(f", {name} {value}" for name, value in self._known.block_setting(self.block).items())
-        capped = "" if self.rate_limit_bps is None else f", capped to {self.rate_limit_bps:g} bit/s"
         touch = f", touch {self.touch:g}" if self.touch else ""
-        return (self.codec if self.family is None else f"{self.codec} with {self.family}") + block + touch + capped
+        return (self.codec if self.family is None else f"{self.codec} with {self.family}") + block + touch
 
     @property
     def decoder(self) -> str:
@@ -104,8 +95,11 @@ class CodingOption:
 
     @property
     def given(self) -> Setting:
-        """The part of the setting that the option fixes; a strength of touch replaces the shape of the steps."""
-        known = {**_PLANNED, SHAPE: FLAT}
+        """The part of the setting that the option fixes; a strength of touch replaces the shape of the steps.
+
+        The range coder took fewer bits than the Huffman code on every texture (docs/benchmarks/results.md).
+        """
+        known = {"entropy": "range", SHAPE: FLAT}
         given = {name: value for name, value in known.items() if name in self._known.parameters}
         return {**given, **self._known.block_setting(self.block)}
 
@@ -115,18 +109,20 @@ class CodingOption:
 
 
 @dataclass(frozen=True)
-class MeasuredCoding:
+class Coding:
     """One coding of a texture, measured. Figures that the required quality does not need may be None.
 
+    `index`, `packet_blocks`: the place of its setting, and the length of its packets, as of `Evaluator.evaluate`.
     `peak_bps`: the highest rate of the frames over any second. `max_frame_bytes`: of the longest frame.
-    `delay_samples`: by which the codec lags its input. `error_db`: of the error at the skin re the felt level.
-    `quiet`: as costs.quiet_part. `target`: of rate control, None = every packet has the setting.
+    `delay_samples`: by which the codec lags its input. `error_over_threshold_db`: of the error at the skin re the felt
+    level. `quiet`: as costs.quiet_part.
     """
 
     option: CodingOption
+    index: int
+    packet_blocks: int
     model: str | None
     setting: Setting
-    target: RateTarget | None
     packet_samples: int
     refresh_packets: int
     payload_bps: float
@@ -137,16 +133,36 @@ class MeasuredCoding:
     snr_db: float | None
     spqi: float | None
     third_octave_distance_db: float | None
-    error_db: float | None
+    error_over_threshold_db: float | None
     quiet: float
 
-    @property
-    def rate_buffer_bytes(self) -> float:
-        """The most data of a capped rate that may wait on a link of that rate; 0 without a cap."""
-        return 0.0 if self.target is None else (self.target.rate_bps or 0.0) * DEFAULT_RATE_BUFFER_S / 8
+
+@dataclass(frozen=True, kw_only=True)
+class Forecast:
+    """The forecast for a texture. Rates and quality were measured on the texture itself.
+
+    `payload_bps`, `wire_bps`: packets alone, and in their frames. `instructions_per_second`, `load_percent`,
+    `flash_bytes`, `ram_bytes`: of the controller, from this project's tables (docs/benchmarks/firmware.md), None where
+    they were not measured; load is of the whole processor. `snr_db`, `spqi`, `third_octave_distance_db`: as
+    evaluation.metrics measures the decoded signal in the band worth coding. `error_over_threshold_db`: the loudest
+    part of the error at the skin, relative to the detection threshold. `delay_ms`: from a sample at the host to the
+    skin, the sum of packet, codec, buffer, link and compensation.
+    """
+
+    payload_bps: float
+    wire_bps: float
+    instructions_per_second: float | None
+    load_percent: float | None
+    flash_bytes: int | None
+    ram_bytes: int | None
+    snr_db: float | None
+    spqi: float | None
+    third_octave_distance_db: float | None
+    error_over_threshold_db: float | None
+    delay_ms: float
 
 
-def forecast(measured: MeasuredCoding, subject: Subject, scene: Scene) -> Forecast:
+def forecast(measured: Coding, subject: Subject, scene: Scene) -> Forecast:
     """Return what a coding costs and reaches on its controller."""
     controller = scene.controller(subject.texture.controller)
     load = None
@@ -163,13 +179,13 @@ def forecast(measured: MeasuredCoding, subject: Subject, scene: Scene) -> Foreca
         snr_db=measured.snr_db,
         spqi=measured.spqi,
         third_octave_distance_db=measured.third_octave_distance_db,
-        error_over_threshold_db=measured.error_db,
+        error_over_threshold_db=measured.error_over_threshold_db,
         delay_ms=unbuffered_ms(measured, subject, scene) + buffer_ms(measured, subject, scene),
     )
 
 
 def load_of(
-    measured: MeasuredCoding, subject: Subject, controller: SceneController, core: str
+    measured: Coding, subject: Subject, controller: SceneController, core: str
 ) -> tuple[float, int, int] | None:
     """Return instructions a second, and bytes of flash and RAM; None where decoding was not measured on the core."""
     decoding = costs.decoder_cost(measured.option.decoder, core, measured.option.block)
@@ -189,7 +205,7 @@ def load_of(
     return instructions, flash_bytes + decoding.flash_bytes, ram_bytes
 
 
-def unbuffered_ms(measured: MeasuredCoding, subject: Subject, scene: Scene) -> float:
+def unbuffered_ms(measured: Coding, subject: Subject, scene: Scene) -> float:
     """Return the delay from a sample at the host to the skin, without the playout delay.
 
     A profile is on the controller before, so only the hand's position has a delay.
@@ -201,14 +217,12 @@ def unbuffered_ms(measured: MeasuredCoding, subject: Subject, scene: Scene) -> f
     return scene.link.delay_ms + 1e3 * (subject.drive_s + packet_s)
 
 
-def buffer_ms(measured: MeasuredCoding, subject: Subject, scene: Scene) -> float:
+def buffer_ms(measured: Coding, subject: Subject, scene: Scene) -> float:
     """Return the playout delay: the usual one, or the longest of BUFFERS_MS within the limit of the delay."""
     if subject.over_position:
         return 0.0
-    wait_ms = 1e3 * measured.rate_buffer_bytes / scene.link.carried
-    least_ms = unbuffered_ms(measured, subject, scene) + wait_ms
-    max_ms = scene.asked.delay_limit_ms or math.inf
-    return wait_ms + next((each for each in BUFFERS_MS if least_ms + each <= max_ms), BUFFERS_MS[-1])
+    left_ms = (scene.asked.delay_limit_ms or math.inf) - unbuffered_ms(measured, subject, scene)
+    return next((each for each in BUFFERS_MS if each <= left_ms), BUFFERS_MS[-1])
 
 
 @dataclass(frozen=True)
@@ -256,7 +270,7 @@ class Candidate:
     if it is reached. `limits`: of the scene, without the quality. `cost`: weighted sum.
     """
 
-    measured: MeasuredCoding
+    measured: Coding
     forecast: Forecast
     buffer_ms: float
     quality: float | None
@@ -275,11 +289,13 @@ class Candidate:
         return self.shortfall <= 0 and not self.broken
 
 
-def assessed(measured: MeasuredCoding, subject: Subject, scene: Scene) -> Candidate:
+def assessed(measured: Coding, subject: Subject, scene: Scene) -> Candidate:
     """Return a coding, compared with a scene."""
     its_forecast = forecast(measured, subject, scene)
     peak_bps = 0.0 if subject.over_position else measured.peak_bps  # a profile is uploaded before
-    quality, shortfall = quality_of(measured, scene.asked)
+    quality, shortfall = getattr(measured, MEASURES[scene.asked.measure].figure.key), 0.0
+    if quality is not None:
+        shortfall = MEASURES[scene.asked.measure].figure.worse * (quality - wanted(scene.asked))
     return Candidate(
         measured,
         its_forecast,
@@ -287,7 +303,7 @@ def assessed(measured: MeasuredCoding, subject: Subject, scene: Scene) -> Candid
         quality,
         shortfall,
         limits(its_forecast, peak_bps, scene, scene.controller(subject.texture.controller)),
-        sum(each.weight * each.amount / each.per for each in costs_of(its_forecast, scene.weights)),
+        weighted(its_forecast, scene.weights),
     )
 
 
@@ -296,30 +312,12 @@ def wanted(asked: Asked) -> float:
     return MARGIN_DB if asked.measure == "imperceptible" else float(getattr(asked, asked.measure))
 
 
-def quality_of(measured: MeasuredCoding, asked: Asked) -> tuple[float | None, float]:
-    """Return the quality in the required measure, and its shortfall: at most 0 if it is reached."""
-    quality = measured.error_db if asked.measure == "imperceptible" else getattr(measured, asked.measure)
-    return quality, 0.0 if quality is None else MEASURES[asked.measure].figure.worse * (quality - wanted(asked))
-
-
-@dataclass(frozen=True)
-class Cost:
-    """One cost of a candidate: its `amount` over `per` counts `weight`. `more`: unit of a difference, in words."""
-
-    name: str
-    more: str
-    amount: float
-    per: float
-    weight: float
-
-
-def costs_of(forecast: Forecast, weights: Weights) -> tuple[Cost, ...]:
-    """Return all costs; figures that are None count nothing."""
-    instructions, its_weight = forecast.instructions_per_second or 0.0, weights.per_million_instructions_per_second
+def weighted(forecast: Forecast, weights: Weights) -> float:
+    """Return the weighted cost; figures that are None count nothing."""
     memory_bytes = (forecast.flash_bytes or 0) + (forecast.ram_bytes or 0)
     return (
-        Cost("bits", "kbit/s more", forecast.wire_bps, 1e3, weights.per_kilobit_per_second),
-        Cost("instructions", "million instructions/s more", instructions, 1e6, its_weight),
-        Cost("memory", "kB more memory", memory_bytes, 1e3, weights.per_kilobyte),
-        Cost("delay", "ms more delay", forecast.delay_ms, 1.0, weights.per_millisecond),
+        weights.per_kilobit_per_second * forecast.wire_bps / 1e3
+        + weights.per_million_instructions_per_second * (forecast.instructions_per_second or 0.0) / 1e6
+        + weights.per_kilobyte * memory_bytes / 1e3
+        + weights.per_millisecond * forecast.delay_ms
     )

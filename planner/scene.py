@@ -1,6 +1,5 @@
 """The scene file in TOML: textures, hand, actuators, controllers, link, targets (docs/reference/toml_files.md)."""
 
-import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,12 +8,13 @@ from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 from msgspec import Meta, structs
 
 from vibrocast import textures
 from vibrocast.codec.threshold import read_threshold, threshold_file
 from vibrocast.device_protocol.transports import BAUD
-from vibrocast.errors import located
+from vibrocast.errors import InputError, located
 from vibrocast.host import devices
 from vibrocast.host.bench_file import (
     BenchActuator,
@@ -29,19 +29,18 @@ from vibrocast.output.actuator import PIEZO_STACK, Actuator
 from vibrocast.output.actuator_files import ActuatorTable
 from vibrocast.textures import Profile, Recording, TextureError
 from vibrocast.textures.dataset import entries
-from vibrocast.textures.files import TEXT_SUFFIXES
+from vibrocast.textures.files import is_profile
 from vibrocast.textures.recording import MAX_CHANNELS
 from vibrocast.toml_tables import Table, Text, check_names, convert, one_of, read_each, read_toml, within
 
 CORES = ("M4F", "M7", "M33")
 """Processors for which decoding has been measured (docs/benchmarks/firmware.md)."""
 LINKS = ("serial", "usb-full-speed", "usb-high-speed", "simulated")
-USB_BYTES_PER_SECOND = {"usb-full-speed": 1_216_000.0, "usb-high-speed": 53_248_000.0}
-"""The most that bulk transfers carry: 19 packets of 64 bytes in a frame of 1 ms, 13 of 512 in a microframe of 125 us
-(USB 2.0 specification, tables 5-9 and 5-10)."""
+LINK_BYTES_PER_SECOND = {"serial": BAUD / 10, "usb-full-speed": 1_216_000.0, "usb-high-speed": 53_248_000.0}
+"""A serial byte takes a start bit, eight bits of data and a stop bit. USB: the most that bulk transfers carry, 19
+packets of 64 bytes in a frame of 1 ms, 13 of 512 in a microframe of 125 us (USB 2.0, tables 5-9 and 5-10)."""
 LINK_DELAYS_MS = {"serial": 1.0, "usb-full-speed": 1.0, "usb-high-speed": 0.125, "simulated": 0.0}
 """From the host's write to the controller: USB takes data once a frame or microframe; serial adapters are on USB."""
-_BITS_PER_SERIAL_BYTE = 10  # a start bit, eight bits of data, a stop bit
 
 HAND_SPEEDS_MM_S = (1.0, 2000.0)
 """Hands explore surfaces at some 10 to 300 mm/s. The range is wider, but rejects metres given as millimetres."""
@@ -79,7 +78,6 @@ class SceneController(BenchController, frozen=True, kw_only=True):
 class Link:
     """The link that all controllers share. `bytes_per_second`: None = not limited. `delay_ms`: one way."""
 
-    kind: str
     bytes_per_second: float | None
     delay_ms: float
 
@@ -90,50 +88,10 @@ class Link:
 
 
 @dataclass(frozen=True)
-class Source:
-    """Where a texture comes from: files played together, whose channels follow one another, or a generator.
-
-    `options`: keyword arguments of `textures.load`, or of the generator `kind`.
-    """
-
-    files: tuple[Path, ...]
-    kind: str | None
-    options: Mapping[str, Any]
-
-    def load(self, hand_speed_mm_s: float) -> Recording | Profile:
-        """Load or make the texture; a lone height profile as such. Raises TextureError.
-
-        A high-pass removes the band below touch from acceleration in files, as `vibrocast encode` does. It comes before
-        resampling and padding, because these would turn an offset into a step.
-        """
-        if self.kind is not None:
-            return textures.GENERATORS[self.kind](hand_speed_mm_s=hand_speed_mm_s, **self.options)
-        if len(self.files) == 1 and (profile := _profile(self.files[0])) is not None:
-            return profile
-        return together([self._highpassed(path) for path in self.files])
-
-    def _highpassed(self, path: Path) -> Recording:
-        loaded = textures.load_for_actuators(path, **self.options)
-        if loaded.rate_hz <= 2 * textures.HIGHPASS_HZ:
-            return loaded  # `band_of` rejects this rate
-        return textures.highpass(loaded, textures.highpass_of(self.options.get("unit"))).recording
-
-    def sha256(self) -> str | None:
-        """Return the SHA-256 of the files' bytes, one after another, in hexadecimal; None without files."""
-        if not self.files:
-            return None
-        digest = hashlib.sha256()
-        for path in self.files:
-            digest.update(path.read_bytes())
-        return digest.hexdigest()
-
-
-@dataclass(frozen=True)
 class SceneTexture:
     """A texture of the scene, the controller that plays it, and what was loaded."""
 
     name: str
-    source: Source
     controller: str
     loaded: Recording | Profile
 
@@ -147,20 +105,18 @@ class SceneTexture:
 class Measure:
     """A measure of quality that a scene may require.
 
-    `figure`: that states it. `far`: the difference from the target up to which the picture shows candidates. `digits`:
-    decimals of a proposed target.
+    `figure`: that states it. `digits`: decimals of a proposed target.
     """
 
     figure: Figure
-    far: float
     digits: int
 
 
 MEASURES = {
-    "snr_db": Measure(FIGURES["snr_db"], 6.0, 1),
-    "spqi": Measure(FIGURES["spqi"], 0.3, 2),
-    "third_octave_distance_db": Measure(FIGURES["third_octave_distance_db"], 4.0, 1),
-    "imperceptible": Measure(FIGURES["error_over_threshold_db"], 12.0, 1),
+    "snr_db": Measure(FIGURES["snr_db"], 1),
+    "spqi": Measure(FIGURES["spqi"], 2),
+    "third_octave_distance_db": Measure(FIGURES["third_octave_distance_db"], 1),
+    "imperceptible": Measure(FIGURES["error_over_threshold_db"], 1),
 }
 """By the keys of [asked]."""
 
@@ -250,6 +206,14 @@ class Scene:
         """Return the controller of that name."""
         return next(each for each in self.controllers if each.name == name)
 
+    def only(self, names: Sequence[str]) -> "Scene":
+        """Return the scene with the textures of these names alone; all where none is given. Raises InputError."""
+        known = {texture.name: texture for texture in self.textures}
+        for name in names:
+            if name not in known:
+                raise InputError(f"{self.path}: there is no texture {name!r}; choose from {', '.join(known)}")
+        return replace(self, textures=tuple(known[name] for name in names or known))
+
     def actuator(self, texture: SceneTexture) -> Actuator:
         """Return the actuator to plan a texture for: the one with the widest band of those that play it."""
         models = {each.channel: each.model for each in self.actuators if each.controller == texture.controller}
@@ -307,7 +271,6 @@ class _Skin(Table, frozen=True):
 
 class _Link(Table, frozen=True):
     kind: Annotated[str, one_of(LINKS)] | None = None
-    baud: Annotated[float, within(1200, 2e7, "bits per second of the serial link")] | None = None
     delay_ms: Annotated[float, within(0, 5_000, "delay one way in ms")] | None = None
     bytes_per_second: Annotated[float, within(10, 1e10, "bytes per second that the link carries")] | None = None
 
@@ -315,15 +278,8 @@ class _Link(Table, frozen=True):
         """Return the link; missing values are those usual for these controllers. Raises ValueError."""
         simulated = {controller.address for controller in controllers} <= set(devices.SIMULATED)
         kind = self.kind or ("simulated" if simulated else "serial")
-        if self.baud is not None and kind != "serial":
-            raise ValueError(f"[link]: baud goes with kind = 'serial', not {kind!r}; leave one of them out")
-        if self.baud is not None and self.bytes_per_second is not None:
-            raise ValueError("[link]: baud and bytes_per_second both state the capacity of the link; leave one out")
-        carried = USB_BYTES_PER_SECOND.get(kind)
-        if kind == "serial":
-            carried = (self.baud or BAUD) / _BITS_PER_SERIAL_BYTE
         delay_ms = LINK_DELAYS_MS[kind] if self.delay_ms is None else self.delay_ms
-        return Link(kind, self.bytes_per_second or carried, delay_ms)
+        return Link(self.bytes_per_second or LINK_BYTES_PER_SECOND.get(kind), delay_ms)
 
 
 class _SceneFile(Table, frozen=True, kw_only=True):
@@ -381,24 +337,6 @@ def _check_actuators(scene: Scene) -> None:
             )
 
 
-def together(recordings: list[Recording]) -> Recording:
-    """Return recordings as the channels of one, the shorter ones silent at their end. Raises TextureError."""
-    first = recordings[0]
-    if len(recordings) == 1:
-        return first
-    for other in recordings[1:]:
-        if (other.rate_hz, other.unit) != (first.rate_hz, first.unit):
-            raise TextureError(
-                f"{other.name} is {other.rate_hz:g} Hz in {other.unit}, {first.name} {first.rate_hz:g} Hz in "
-                f"{first.unit}; bring files that are played together to one rate and one unit"
-            )
-    import numpy as np
-
-    longest = max(len(each.samples) for each in recordings)
-    padded = [np.pad(each.samples, ((0, longest - len(each.samples)), (0, 0))) for each in recordings]
-    return Recording(np.hstack(padded), first.rate_hz, first.unit, "+".join(each.name for each in recordings))
-
-
 def _check_channels(scene: Scene) -> None:
     """Raise ValueError for an actuator on a channel that its controller does not have."""
     for number, entry in enumerate(scene.actuators, 1):
@@ -435,25 +373,26 @@ def _threshold(folder: Path, skin: _Skin) -> Path:
 def _textures(scene: Scene, table: _Texture) -> list[SceneTexture]:
     """Return the textures of a table: one, or all recordings of a folder. Raises ValueError."""
     controller = one_named(table.controller, [each.name for each in scene.controllers])
-    options = table.options()
     make = partial(_texture, scene, controller)
+    options = table.options()
     if table.generate is not None:
-        return [make(table.name or table.generate, Source((), table.generate, options))]
+        made = textures.GENERATORS[table.generate](hand_speed_mm_s=scene.hand_speed_mm_s[1], **options)
+        return [make(table.name or table.generate, made)]
     files = (table.file,) if isinstance(table.file, str) else table.file or ()
     paths = [scene.path.parent / file for file in files]
     if len(paths) == 1 and paths[0].is_dir():
         prefix = f"{table.name}/" if table.name else ""
-        return [make(prefix + entry.name, Source((entry.path,), None, options)) for entry in entries(paths[0])]
+        return [make(prefix + entry.name, load([entry.path], options)) for entry in entries(paths[0])]
     for path in paths:
         if not path.exists():
             raise ValueError(f"file {path} does not exist; correct its path, which starts at the scene's folder")
-    return [make(table.name or "+".join(path.stem for path in paths), Source(tuple(paths), None, options))]
+    return [make(table.name or "+".join(path.stem for path in paths), load(paths, options))]
 
 
-def _texture(scene: Scene, controller: str, name: str, source: Source) -> SceneTexture:
-    """Return a texture, loaded and checked against the controller that plays it. Raises ValueError."""
+def _texture(scene: Scene, controller: str, name: str, loaded: Recording | Profile) -> SceneTexture:
+    """Return a texture, checked against the controller that plays it. Raises ValueError."""
     low, high = scene.hand_speed_mm_s
-    texture = SceneTexture(name, source, controller, source.load(high))
+    texture = SceneTexture(name, controller, loaded)
     plays = scene.controller(controller)
     if texture.channels > plays.channels:
         raise ValueError(
@@ -479,11 +418,36 @@ def _texture(scene: Scene, controller: str, name: str, source: Source) -> SceneT
     return texture
 
 
-def _profile(path: Path) -> Profile | None:
-    """Return the height profile in a file, None where it is something else."""
-    if path.suffix.lower() not in TEXT_SUFFIXES or not path.is_file():
-        return None
-    try:
-        return textures.load_profile(path)
-    except TextureError:
-        return None
+def load(files: Sequence[Path], options: Mapping[str, Any]) -> Recording | Profile:
+    """Load files that play together, as the channels of one recording; a lone height profile as such.
+
+    `options`: arguments of `textures.load`. A high-pass removes the band below touch from acceleration, as `vibrocast
+    encode` does. It comes before resampling and padding, because these would turn an offset into a step. Raises
+    TextureError.
+    """
+    if len(files) == 1 and is_profile(files[0]):
+        return textures.load_profile(files[0])
+    return together([_highpassed(path, options) for path in files])
+
+
+def _highpassed(path: Path, options: Mapping[str, Any]) -> Recording:
+    loaded = textures.load_for_actuators(path, **options)
+    if loaded.rate_hz <= 2 * textures.HIGHPASS_HZ:
+        return loaded  # `band_of` rejects this rate
+    return textures.highpass(loaded, textures.highpass_of(options.get("unit"))).recording
+
+
+def together(recordings: list[Recording]) -> Recording:
+    """Return recordings as the channels of one, the shorter ones silent at their end. Raises TextureError."""
+    first = recordings[0]
+    if len(recordings) == 1:
+        return first
+    for other in recordings[1:]:
+        if (other.rate_hz, other.unit) != (first.rate_hz, first.unit):
+            raise TextureError(
+                f"{other.name} is {other.rate_hz:g} Hz in {other.unit}, {first.name} {first.rate_hz:g} Hz in "
+                f"{first.unit}; bring files that are played together to one rate and one unit"
+            )
+    longest = max(len(each.samples) for each in recordings)
+    padded = [np.pad(each.samples, ((0, longest - len(each.samples)), (0, 0))) for each in recordings]
+    return Recording(np.hstack(padded), first.rate_hz, first.unit, "+".join(each.name for each in recordings))

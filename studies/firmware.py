@@ -298,8 +298,9 @@ def _play(
         length_mm = 1e3 * len(signal) / played.rate_hz
         movement = hand_playback.back_and_forth(length_mm, PROFILE_SPEED_MM_S, 1)
         hand_playback.play(session.controller, profile, movement, lambda _: counter.note())
-        assert counter.per_second is not None, "emulated processors are counted"
-        return counter.per_second, 0.0
+        per_second = counter.take_per_second()
+        assert per_second is not None, "emulated processors are counted"
+        return per_second, 0.0
     channels = played.channels
     stream = live.LiveStream(
         session.controller,
@@ -308,8 +309,9 @@ def _play(
     )
     live_playback = LivePlayback(session, stream, "rough")
     sent_stream = live_playback.play(live_playback.paced(signal), lambda _: counter.note()).stream
-    assert counter.per_second is not None and sent_stream is not None, "emulated processors are counted"
-    return counter.per_second, decode(program, core, sent_stream).instructions * played.rate_hz
+    per_second = counter.take_per_second()
+    assert per_second is not None and sent_stream is not None, "emulated processors are counted"
+    return per_second, decode(program, core, sent_stream).instructions * played.rate_hz
 
 
 def _rest_bytes(folder: Path, core: Core, channels: int) -> tuple[int, int]:

@@ -17,14 +17,13 @@ from vibrocast.codec.threshold import DETECTION_THRESHOLD, read_threshold
 from vibrocast.errors import InputError
 from vibrocast.evaluation.tables import as_rows, frame
 from vibrocast.host.bench_file import BenchActuator
+from vibrocast.host.playback import output_delay_s
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.planner import costs
-from vibrocast.planner.band import band_of, rendering_s
-from vibrocast.planner.candidates import Evaluator
-from vibrocast.planner.choose import choose
+from vibrocast.planner.band import band_of, prepared
+from vibrocast.planner.choose import Evaluator, choose
 from vibrocast.planner.forecast import BUFFERS_MS
-from vibrocast.planner.plan_file import prepared
-from vibrocast.planner.scene import MAX_DELAY_MS, Asked, Link, Scene, SceneController, SceneTexture, Source, Weights
+from vibrocast.planner.scene import MAX_DELAY_MS, Asked, Link, Scene, SceneController, SceneTexture, Weights, load
 from vibrocast.textures import Profile, Recording, TextureError
 from vibrocast.textures.dataset import DatasetEntry, entries
 
@@ -75,7 +74,8 @@ def savings(group: str, trace: DatasetEntry, unit: str | None) -> Iterator[Savin
     default_snr_db = codec.snr_db(reference.samples[:length], in_band.samples[:length])
     assert default_snr_db is not None, "what is silent has no band worth coding"
     header = default.stream.header
-    default_delay_s = default.stream.packet_samples / header.rate_hz + rendering_s(default.stream, PIEZO_STACK)
+    samples = default.stream.packet_samples + default.stream.delay_samples
+    default_delay_s = samples / header.rate_hz + output_delay_s(header, PIEZO_STACK)
     limits_ms = {FREE: MAX_DELAY_MS, HELD: 1e3 * default_delay_s + BUFFERS_MS[-1]}
     evaluator: Evaluator | None = None
     for delay, limit_ms in limits_ms.items():
@@ -115,11 +115,11 @@ def savings(group: str, trace: DatasetEntry, unit: str | None) -> Iterator[Savin
 def _loaded(trace: DatasetEntry, unit: str | None) -> Recording:
     """Load a trace; one relative to full scale, whose level nobody knows, is brought to the actuator's full stroke."""
     try:
-        loaded = Source((trace.path,), None, {}).load(HAND_SPEED_MM_S)
+        loaded = load([trace.path], {})
     except TextureError:
         if unit is None:
             raise
-        loaded = Source((trace.path,), None, {"unit": unit}).load(HAND_SPEED_MM_S)
+        loaded = load([trace.path], {"unit": unit})
     recording = loaded.recording(HAND_SPEED_MM_S) if isinstance(loaded, Profile) else loaded
     if recording.unit != "full scale":
         return recording
@@ -133,10 +133,10 @@ def _scene(trace: DatasetEntry, recording: Recording, snr_db: float, delay_limit
     return Scene(
         path=trace.path,
         hand_speed_mm_s=(HAND_SPEED_MM_S, HAND_SPEED_MM_S),
-        textures=(SceneTexture(trace.name, Source((trace.path,), None, {}), "controller", recording),),
+        textures=(SceneTexture(trace.name, "controller", recording),),
         controllers=(controller,),
         actuators=(BenchActuator(PIEZO_STACK, "controller", None),),
-        link=Link("simulated", None, 0.0),
+        link=Link(None, 0.0),
         asked=Asked(snr_db=snr_db, waveform=True, delay_limit_ms=delay_limit_ms),
         weights=Weights(),
         threshold_path=DETECTION_THRESHOLD,

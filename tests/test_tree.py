@@ -16,7 +16,7 @@ from vibrocast.evaluation import external
 from vibrocast.export import configuration
 from vibrocast.host import bench_file
 from vibrocast.output import actuator_files
-from vibrocast.planner import plan_file, scene
+from vibrocast.planner import scene
 from vibrocast.study import study_file
 
 ROOT = Path(__file__).parents[1]
@@ -24,7 +24,6 @@ LOCK = (ROOT / "requirements-dev.txt").read_text(encoding="utf-8")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 TOML_FILES: dict[str, tuple[type, ...]] = {
     "Scene": (scene._SceneFile,),
-    "Plan": (plan_file._PlanFile, plan_file._Source, plan_file.PlannedTexture),
     "Bench file": (bench_file._BenchFile, bench_file.ProgramSensor, bench_file.InputSensor),
     "Actuator": (actuator_files.ActuatorTable,),
     "Training": (configuration.Configuration,),
@@ -67,7 +66,7 @@ def test_the_reference_of_toml_files_names_every_key(section: str) -> None:
     _, text = re.split(rf"^## {section}\n", page, flags=re.MULTILINE)
     words = set(re.findall(r"\w+", " ".join(re.findall(r"`([^`]+)`", text.partition("\n## ")[0]))))
     expected = {key for kind in TOML_FILES[section] for key in keys(inspect.type_info(kind))}
-    assert expected <= words | {"source"}, expected - words  # of a plan: the keys of _Source
+    assert expected <= words, expected - words
 
 
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.effect)

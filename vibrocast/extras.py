@@ -16,7 +16,7 @@ EXTRAS = {
     "distributed": ("bench",),
     "elftools": ("firmware",),
     "jinja2": ("plan", "bench", "study"),
-    "matplotlib": ("plot", "plan", "bench", "study", "train"),
+    "matplotlib": ("plot", "bench", "study", "train"),
     "lvm_read": ("formats",),
     "matio": ("formats",),
     "miniaudio": ("audio",),

@@ -1,8 +1,6 @@
 """The subcommand `plan`: chooses how each texture of a scene is coded, says why, and plays what it chose."""
 
-import tempfile
 from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,141 +16,115 @@ from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import FOLDER, INPUT
 from vibrocast.host.cli.options import checked_address
 from vibrocast.host.report import write_json
-from vibrocast.planner import choose, comparison, page, playing
-from vibrocast.planner.plan_file import Plan, is_plan, read_plan, write_plan
-from vibrocast.planner.scene import read_scene
+from vibrocast.planner import choose, page, playing
+from vibrocast.planner.choose import TextureChoice
+from vibrocast.planner.scene import Scene, read_scene
 
-FORECAST_CSV, FORECAST_JSON = "forecast.csv", "forecast.json"
+CANDIDATES, PLAN, FORECAST = "candidates.csv", "plan.json", "forecast.json"
 
 
 @click.command()
-@click.argument("file", metavar="FILE.toml", type=INPUT)
-@click.option("--out", type=FOLDER, help="Write plan, streams, picture and tables into this folder.")
-@click.option("--upload", "uploads", is_flag=True, help="Upload the models that the plan needs.")
-@click.option("--play", "plays", is_flag=True, help="Play the plan, and compare measurement with forecast.")
-@click.option("--texture", "names", multiple=True, metavar="NAME", help="Play this texture. Default: all.")
+@click.argument("file", metavar="SCENE.toml", type=INPUT)
+@click.option("--out", type=FOLDER, help="Write choices, streams and candidates into this folder.")
+@click.option("--upload", "uploads", is_flag=True, help="Upload the models that the choices need.")
+@click.option("--play", "plays", is_flag=True, help="Play the choices, and compare measurement with forecast.")
+@click.option("--texture", "names", multiple=True, metavar="NAME", help="Plan this texture. Default: all.")
 @click.option(
     "--device",
     "addresses",
     multiple=True,
     callback=lambda ctx, parameter, values: tuple(checked_address(ctx, parameter, value) for value in values),
     metavar="ADDRESS",
-    help="Replace a controller's address. Default: the file's.",
+    help="Replace a controller's address. Default: the scene's.",
 )
 def plan(
     file: Path, out: Path | None, uploads: bool, plays: bool, names: tuple[str, ...], addresses: tuple[str, ...]
 ) -> None:
     """Choose the cheapest codec settings that meet your requirements.
 
-    FILE.toml is a scene, or a plan that --out wrote before. For a scene, the command prints the choice for each texture
-    with its reason, and the three nearest alternatives. --out writes the plan (plan.toml), the coded textures (.vct),
-    all candidates (candidates.csv, plan.png) and the bands worth coding (bands.csv).
+    The command prints the choice for each texture of the scene with its reason, and the three nearest alternatives.
+    --out writes the choices (plan.json), the coded textures (.vct) and all candidates (candidates.csv).
 
-    --play prints each forecast next to its measurement; --out then also writes both to forecast.csv and forecast.json.
-    If one differs from the other by more than 10 %, or a level by more than 1 dB, the command fails. --json with --play
-    prints the measurements only.
+    --play prints each forecast next to its measurement; --out then also writes both to forecast.json. If one differs
+    from the other by more than 10 %, or a level by more than 1 dB, the command fails. --json with --play prints the
+    measurements only.
 
-    Give one --device for each controller, in the order of the file.
+    Give one --device for each controller, in the order of the scene.
     """
-    if (names or addresses) and not (uploads or plays):
-        raise click.UsageError("--texture and --device say how to play; add --play or --upload")
-    with ExitStack() as stack:
-        if is_plan(file):
-            if not (uploads or plays):
-                raise click.UsageError(f"{file} is a plan; add --play or --upload, or give a scene")
-            planned = read_plan(file)
-        else:
-            folder = out or Path(stack.enter_context(tempfile.TemporaryDirectory()))
-            planned = _planned(file, folder, out is not None)
-        planned = _at(planned, addresses)
-        if uploads:
-            _upload(planned)
-        if plays:
-            trace_failure(out and out / "plan.pcapng")
-            _play(planned, names, out)
-
-
-def _planned(scene_path: Path, folder: Path, keeps: bool) -> Plan:
-    """Plan a scene, print the choices, and return the plan as its file in a folder says; `keeps`: with all outputs."""
-    scene = read_scene(scene_path)
+    if addresses and not (uploads or plays):
+        raise click.UsageError("--device says where to play; add --play or --upload")
+    scene = read_scene(file).only(names)
+    reached = _at(scene, addresses)
     with progress.bar("planning") as update:
-        planned, choices = choose.plan(scene, update)
-    folder.mkdir(parents=True, exist_ok=True)
-    write_plan(folder / page.PLAN, planned)
-    written = read_plan(folder / page.PLAN)
-    answers = list(zip(choices, planned.textures, strict=True))
-    if wants_json():
-        answer([page.document(choice, texture) for choice, texture in answers])
-    else:
-        click.echo("\n\n".join(page.summary(scene.asked, choice, texture) for choice, texture in answers))
-    if keeps:
-        page.write_tables(folder, choices)
-        page.draw(folder / page.PICTURE, scene, choices)
-        streams = {texture.name: folder / f"{texture.name}.vct" for texture in written.textures}
-        for texture in written.textures:
-            texture.encode().stream.save(streams[texture.name])
-        if not wants_json():
-            files = [page.PLAN, page.PICTURE, page.CANDIDATES, page.BANDS, *(path.name for path in streams.values())]
-            click.echo(f"\n{plain(str(folder))}: {plain(', '.join(files))}")
-    return written
+        choices = choose.plan(scene, update)
+    documents = [page.document(scene.asked, choice) for choice in choices]
+    if not wants_json():
+        click.echo("\n\n".join(page.summary(scene.asked, choice) for choice in choices))
+    if out is not None:
+        _write(out, choices, documents)
+    if uploads:
+        _upload(reached, choices)
+    answer(documents)
+    if plays:
+        trace_failure(out and out / "plan.pcapng")
+        _play(reached, choices, out)
 
 
-def _at(planned: Plan, addresses: Sequence[str]) -> Plan:
-    """Return a plan whose controllers are at other addresses, in its order. Raises click.UsageError."""
+def _write(out: Path, choices: Sequence[TextureChoice], documents: Sequence[object]) -> None:
+    """Write the choices with their streams and all candidates, and print the names of the files."""
+    out.mkdir(parents=True, exist_ok=True)
+    write_json(out / PLAN, documents)
+    page.write_candidates(out / CANDIDATES, choices)
+    streams = {f"{choice.name}.vct": choice for choice in choices}
+    for name, choice in streams.items():
+        choice.encode().stream.save(out / name)
+    if not wants_json():
+        click.echo(f"\n{plain(str(out))}: {plain(', '.join([PLAN, CANDIDATES, *streams]))}")
+
+
+def _at(scene: Scene, addresses: Sequence[str]) -> Scene:
+    """Return a scene whose controllers are at other addresses, in its order. Raises click.UsageError."""
     if not addresses:
-        return planned
-    if len(planned.controllers) != len(addresses):
+        return scene
+    if len(scene.controllers) != len(addresses):
         raise click.UsageError(
-            f"the plan has {len(planned.controllers)} controllers, and --device is given {len(addresses)} times; give "
-            "one for each in the plan's order, or write the addresses into the plan"
+            f"the scene has {len(scene.controllers)} controllers, and --device is given {len(addresses)} times; give "
+            "one for each in the scene's order, or write the addresses into the scene"
         )
-    pairs = zip(planned.controllers, addresses, strict=True)
-    return replace(planned, controllers=tuple(structs.replace(each, address=to) for each, to in pairs))
+    pairs = zip(scene.controllers, addresses, strict=True)
+    return replace(scene, controllers=tuple(structs.replace(each, address=to) for each, to in pairs))
 
 
-def _upload(planned: Plan) -> None:
+def _upload(scene: Scene, choices: Sequence[TextureChoice]) -> None:
     """Upload to each controller the model that its textures need. Raises InputError where they need several."""
-    needed = [
-        (controller, name)
-        for controller in planned.controllers
-        for name in sorted(
-            {each.model for each in planned.textures if each.controller == controller.name and each.model}
-        )
-    ]
-    names = [controller.name for controller, _ in needed]
-    for controller, _ in needed:
-        if names.count(controller.name) > 1:
-            several = " and ".join(name for each, name in needed if each == controller)
+    needed: dict[str, set[str]] = {controller.name: set() for controller in scene.controllers}
+    for choice in choices:
+        if choice.chosen.measured.model is not None:
+            needed[choice.subject.texture.controller].add(choice.chosen.measured.model)
+    for name, its_models in needed.items():
+        if len(its_models) > 1:
             raise InputError(
-                f"{controller.name} runs one model at a time, and its textures need {several}; plan a scene for each "
-                "model, or play simulated controllers, which --play reloads"
+                f"{name} runs one model at a time, and its textures need {' and '.join(sorted(its_models))}; plan one "
+                "by one with --texture, or play simulated controllers, which --play reloads"
             )
-    for controller, name in needed:
-        upload(models.find(name), controller.address, controller.name)
-    if not needed:
+    for name, its_models in needed.items():
+        for model in its_models:
+            upload(models.find(model), scene.controller(name).address, name)
+    if not any(needed.values()):
         tell("no texture needs a model; nothing to upload")
 
 
-def _play(planned: Plan, names: Sequence[str], out: Path | None) -> None:
-    """Play textures of a plan; print forecast and measured, and write them as JSON and CSV.
-
-    Raises click.ClickException where something was not as planned.
-    """
-    failure: playing.PartlyPlayedError | None = None
+def _play(scene: Scene, choices: Sequence[TextureChoice], out: Path | None) -> None:
+    """Play the choices; print forecast and measured, and write them. Raises click.ClickException where they differ."""
     with progress.bar("playing") as update:
-        try:
-            played = playing.play(planned, names, progress=update)
-        except playing.PartlyPlayedError as error:
-            played, failure = error.played, error
-    compared = comparison.rows(played)
-    documents = [comparison.document(each) for each in played]
+        played = playing.play(scene, choices, update)
+    documents = [each.document() for each in played]
     if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
-        write_json(out / FORECAST_JSON, documents)
-        comparison.write_csv(out / FORECAST_CSV, compared)
+        write_json(out / FORECAST, documents)
     answer(documents)
-    for line in () if wants_json() else map(plain, comparison.lines(compared)):
-        click.echo(line)
-    told = comparison.failures(played, compared) + ([] if failure is None else [str(failure)])
-    if told:
-        raise click.ClickException(plain("; ".join(told)))
+    if not wants_json():
+        for row in (row for each in played for row in each.rows()):
+            click.echo(plain(row.line()))
+    failures = [failure for each in played for failure in each.failures()]
+    if failures:
+        raise click.ClickException(plain("; ".join(failures)))

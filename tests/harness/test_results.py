@@ -2,7 +2,7 @@
 
 import copy
 import re
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from vibrocast.errors import InputError
 from vibrocast.harness import page, results
 from vibrocast.harness.results import Results
 from vibrocast.host.figures import FIGURES, BenchLimits, missed
-from vibrocast.planner.plan_file import Forecast
+from vibrocast.planner.forecast import Forecast
 
 
 def test_a_run_is_read_as_it_was_written(tmp_path: Path) -> None:
@@ -126,7 +126,7 @@ def test_limits_name_the_figures_that_miss_them() -> None:
 
 def test_every_limit_and_every_forecast_is_a_figure_of_the_table() -> None:
     limits = {name.partition("_")[2] for name in BenchLimits.__struct_fields__}
-    assert limits | set(Forecast.__struct_fields__) <= set(FIGURES)
+    assert limits | {each.name for each in fields(Forecast)} <= set(FIGURES)
     figures = [(each.label, each.unit) for each in FIGURES.values()]
     assert len(set(figures)) == len(figures)
 

@@ -12,15 +12,19 @@ from msgspec import structs
 from tests.planner.scenes import ASKED, CONTROLLER, scene
 from vibrocast.codec.source import live_framing
 from vibrocast.errors import InputError
-from vibrocast.planner.candidates import Evaluator
-from vibrocast.planner.choose import TextureChoice, choose, plan
+from vibrocast.planner.choose import Evaluator, TextureChoice, choose, plan, why_not
 from vibrocast.textures import Recording, save
 
 
 @pytest.fixture(scope="module")
-def choice(tmp_path_factory: pytest.TempPathFactory) -> TextureChoice:
+def evaluator(tmp_path_factory: pytest.TempPathFactory) -> Evaluator:
     read = scene(tmp_path_factory.mktemp("scene"))
-    return choose(Evaluator(read, read.textures[0]))
+    return Evaluator(read, read.textures[0])
+
+
+@pytest.fixture(scope="module")
+def choice(evaluator: Evaluator) -> TextureChoice:
+    return choose(evaluator)
 
 
 def test_the_choice_is_the_cheapest_that_meets_the_requirements(choice: TextureChoice) -> None:
@@ -30,45 +34,35 @@ def test_the_choice_is_the_cheapest_that_meets_the_requirements(choice: TextureC
     assert len({each.measured.option.codec for each in choice.candidates}) >= 4
 
 
-def test_the_choice_and_every_other_option_have_a_reason_that_fits_their_cost(choice: TextureChoice) -> None:
-    assert re.fullmatch(
-        r"cheapest of \d+ options that meet SNR 10 dB; the next costs (\d+|less than 1) % more, mainly \w+", choice.why
-    )
-    assert len(choice.reasons) == len(choice.evaluator.options()) - 1
-    for reason in choice.reasons:
-        if reason.best is not None:
-            is_higher = reason.best.cost >= choice.compared.cost
-            assert reason.why.startswith("higher cost (" if is_higher else "lower cost (")
-            assert ("misses the target" in reason.why) == (not reason.best.meets)
-
-
-def test_the_alternatives_are_the_nearest_and_those_that_miss_the_targets_come_last(choice: TextureChoice) -> None:
-    measured = [each for each in choice.reasons if each.best is not None]
-    nearest = sorted(measured, key=lambda each: abs(each.best.cost - choice.compared.cost) if each.best else 0.0)
-    meeting = [each for each in nearest if each.best is not None and each.best.meets]
-    missing = [each for each in nearest if each not in meeting]
-    assert len(meeting) >= 3 and len(missing) >= 2
-    assert list(choice.alternatives) == meeting[:3]
-    few = replace(choice, reasons=(*missing[::-1], meeting[0]))
-    assert list(few.alternatives) == [meeting[0], *missing[:2]]
+def test_the_alternatives_are_the_nearest_and_their_reasons_fit_their_costs(
+    choice: TextureChoice, evaluator: Evaluator
+) -> None:
+    asked = evaluator.scene.asked
+    why = r"cheapest of (\d+) options that meet SNR 10 dB; the next costs (\d+ % more|about the same)"
+    assert re.fullmatch(why, choice.why)
+    assert len(choice.alternatives) == 3 and all(each.meets for each in choice.alternatives)
+    assert choice.chosen.measured.option not in [each.measured.option for each in choice.alternatives]
+    for each in choice.alternatives:
+        assert re.fullmatch(r"higher cost \([\d.]+ vs [\d.]+\)", why_not(asked, each, choice.compared))
+    missing = min((each for each in choice.candidates if each.shortfall > 0), key=lambda each: each.cost)
+    reason = why_not(asked, missing, choice.compared)
+    assert reason.startswith("lower cost (") and "misses the target: SNR" in reason
 
 
 @pytest.mark.slow
 def test_a_plan_is_the_same_every_time_and_codes_as_it_forecasts(tmp_path: Path) -> None:
     read = scene(tmp_path)
-    first, _ = plan(read)
-    assert plan(read)[0] == first
-    (texture,) = first.textures
-    encoding = texture.encode()
-    seconds = len(encoding.stream.packets) * texture.packet_samples / texture.rate
-    payload_bps = 8 * sum(map(len, encoding.stream.packets)) / seconds
-    assert payload_bps == pytest.approx(texture.forecast.payload_bps)
-    assert encoding.quality.snr_db == pytest.approx(texture.forecast.snr_db)
+    (first,), (second,) = plan(read), plan(read)
+    assert second.chosen == first.chosen
+    stream, forecast = first.encode().stream, first.chosen.forecast
+    seconds = len(stream.packets) * stream.packet_samples / first.subject.band.rate
+    assert 8 * sum(map(len, stream.packets)) / seconds == pytest.approx(forecast.payload_bps)
+    assert first.encode().quality.snr_db == pytest.approx(forecast.snr_db)
 
 
-def test_weights_decide(choice: TextureChoice, tmp_path: Path) -> None:
+def test_weights_decide(evaluator: Evaluator, tmp_path: Path) -> None:
     def chosen(weights: str) -> TextureChoice:
-        return choose(choice.evaluator.in_scene(scene(tmp_path, weights="[weights]\n" + weights)))
+        return choose(evaluator.in_scene(scene(tmp_path, weights="[weights]\n" + weights)))
 
     nothing_else = "per_kilobyte = 0\nper_million_instructions_per_second = 0\n"
     few_bits = chosen(nothing_else + "per_millisecond = 0\n").chosen.forecast
@@ -77,12 +71,12 @@ def test_weights_decide(choice: TextureChoice, tmp_path: Path) -> None:
 
 
 def test_only_a_limit_of_the_delay_allows_packets_longer_than_those_of_a_live_stream(
-    choice: TextureChoice, tmp_path: Path
+    choice: TextureChoice, evaluator: Evaluator, tmp_path: Path
 ) -> None:
-    usual = live_framing(choice.evaluator.subject.band.rate).packet_samples
+    usual = live_framing(choice.subject.band.rate).packet_samples
     assert all(each.measured.packet_samples <= usual for each in choice.candidates)
     read = scene(tmp_path, asked=ASKED + "delay_limit_ms = 300\n", weights="[weights]\nper_millisecond = 0\n")
-    allowed = choose(choice.evaluator.in_scene(read)).chosen
+    allowed = choose(evaluator.in_scene(read)).chosen
     assert allowed.measured.packet_samples > usual
     assert allowed.forecast.wire_bps < choice.chosen.forecast.wire_bps
 
@@ -96,14 +90,13 @@ def test_only_a_limit_of_the_delay_allows_packets_longer_than_those_of_a_live_st
         ({"controller": CONTROLLER + "ram_bytes = 60_000\n"}, "[[controllers]] one: ram_bytes"),
         ({"controller": CONTROLLER + "flash_bytes = 50_000\n"}, "[[controllers]] one: flash_bytes"),
         ({"controller": CONTROLLER + "clock_hz = 1_000_000\n"}, "[[controllers]] one: clock_hz"),
-        ({"link": '[link]\nkind = "serial"\nbaud = 1200\n'}, "[link] bytes_per_second"),
+        ({"link": "[link]\nbytes_per_second = 120\n"}, "[link] bytes_per_second"),
     ],
 )
 def test_an_impossible_scene_names_the_limit_and_a_value_that_works(
-    changed: dict[str, str], limit: str, choice: TextureChoice, tmp_path: Path
+    changed: dict[str, str], limit: str, evaluator: Evaluator, tmp_path: Path
 ) -> None:
     read = scene(tmp_path, **changed)
-    evaluator = choice.evaluator  # of the same texture: what it has measured is measured already
     with pytest.raises(InputError) as raised:
         choose(evaluator.in_scene(read))
     named = re.search(
@@ -137,10 +130,10 @@ def test_an_impossible_scene_names_the_limit_and_a_value_that_works(
     ],
 )
 def test_an_impossible_scene_says_how_near_it_comes(
-    changed: dict[str, str], message: str, choice: TextureChoice, tmp_path: Path
+    changed: dict[str, str], message: str, evaluator: Evaluator, tmp_path: Path
 ) -> None:
     with pytest.raises(InputError, match=message):
-        choose(choice.evaluator.in_scene(scene(tmp_path, **changed)))
+        choose(evaluator.in_scene(scene(tmp_path, **changed)))
 
 
 @pytest.mark.slow
@@ -191,7 +184,7 @@ def test_a_profile_is_planned_over_position(tmp_path: Path) -> None:
         hand="[hand]\nspeed_mm_s = [0, 300]\n",
         controller=CONTROLLER + "reads_position = true\n",
     )
-    (planned,) = plan(read)[0].textures
-    assert planned.over_position and planned.buffer_ms == 0
+    (planned,) = plan(read)
+    assert planned.subject.over_position and planned.chosen.buffer_ms == 0
     assert planned.encode().stream.header.unit == "um over position"
-    assert planned.forecast.delay_ms < 50
+    assert planned.chosen.forecast.delay_ms < 50

@@ -3,7 +3,6 @@
 import csv
 import json
 import re
-import tomllib
 from functools import partial
 from pathlib import Path
 
@@ -15,28 +14,23 @@ from tests.planner.scenes import CONTROLLER, TEXTURE, written
 run = partial(command.run, "plan")
 
 
-def test_a_plan_a_picture_tables_and_reasons(tmp_path: Path) -> None:
+def test_a_plan_its_streams_candidates_and_reasons(tmp_path: Path) -> None:
     # Parametric coding looks far ahead: it is the cheapest where delay costs nothing.
     asked, weights = "[asked]\nthird_octave_distance_db = 4.5\n", "[weights]\nper_millisecond = 0\n"
     done = run(written(tmp_path, asked=asked, weights=weights), "--out", tmp_path / "planned")
     assert done.exit_code == 0, done.output
     names = {path.name for path in (tmp_path / "planned").iterdir()}
-    assert names == {"plan.toml", "plan.png", "candidates.csv", "bands.csv", "wood.vct"}
-    plan = tomllib.loads((tmp_path / "planned" / "plan.toml").read_text())
-    assert plan["textures"][0]["codec"] == "parametric", (
-        "the cheapest rate point where a measure blind to phase allows it"
-    )
-    assert plan["textures"][0]["forecast"]["snr_db"] < 5
+    assert names == {"plan.json", "candidates.csv", "wood.vct"}
+    (plan,) = json.loads((tmp_path / "planned" / "plan.json").read_text())
+    assert plan["choice"]["codec"] == "parametric", "the cheapest rate point where a measure blind to phase allows it"
+    assert plan["choice"]["forecast"]["snr_db"] < 5
     with (tmp_path / "planned" / "candidates.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert sum(row["chosen"] == "True" for row in rows) == 1
     assert re.search(r"^wood: parametric", done.output, re.MULTILINE) and "higher cost (" in done.output
     assert len(re.findall(r"^  rejected ", done.output, re.MULTILINE)) == 3
     assert re.search(r"quality +SNR [-0]", done.output), "the answer shows the SNR that parametric coding gives up"
-    assert (
-        done.stdout.splitlines()[-1]
-        == f"{tmp_path / 'planned'}: plan.toml, plan.png, candidates.csv, bands.csv, wood.vct"
-    )
+    assert done.stdout.splitlines()[-1] == f"{tmp_path / 'planned'}: plan.json, candidates.csv, wood.vct"
 
 
 def test_a_waveform_is_kept_where_it_is_asked_for(tmp_path: Path) -> None:
@@ -48,7 +42,7 @@ def test_a_waveform_is_kept_where_it_is_asked_for(tmp_path: Path) -> None:
     assert answer["reason"].startswith("cheapest of ")
     forecast = answer["choice"]["forecast"]
     assert forecast["wire_bps"] > forecast["payload_bps"] > 0 and "parametric" not in done.output
-    assert 'codec = "parametric"' not in (tmp_path / "planned" / "plan.toml").read_text()
+    assert json.loads((tmp_path / "planned" / "plan.json").read_text()) == [answer]
 
 
 @pytest.mark.slow

@@ -1,7 +1,7 @@
-"""Use of plans by the commands: one command plans and plays example scenes; plans are played and coded."""
+"""The subcommand `plan` plays and uploads what it chose."""
 
 import json
-import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,18 +9,11 @@ import pytest
 from tests.command import run
 from tests.planner.scenes import CONTROLLER, written
 from vibrocast.codec.stream import read_stream
+from vibrocast.planner import choose, playing
+from vibrocast.planner.choose import TextureChoice
+from vibrocast.planner.scene import Scene
 
 SCENES = Path(__file__).parents[2] / "examples" / "scenes"
-
-
-@pytest.fixture(scope="module")
-def plan(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a plan file of one texture on a simulated controller."""
-    folder = tmp_path_factory.mktemp("planned")
-    path = written(folder, controller=CONTROLLER.replace("cortex-m4", "sim"))
-    planned = run("plan", path, "--out", folder / "out")
-    assert planned.exit_code == 0, planned.stderr
-    return folder / "out" / "plan.toml"
 
 
 @pytest.mark.slow
@@ -36,16 +29,18 @@ def test_an_example_scene_plays_as_it_was_forecast(tmp_path: Path, name: str) ->
     for each in document:
         assert each["measured"]["wire_bps"] == pytest.approx(each["forecast"]["wire_bps"], rel=0.1)
         assert each["measured"]["snr_db"] == pytest.approx(each["forecast"]["snr_db"], abs=0.8)
-    loads = [line.split(",") for line in (tmp_path / "forecast.csv").read_text().splitlines() if "load_percent" in line]
-    assert [fields[-1] for fields in loads] == (["True"] * 3 if name == "one-piezo" else [])
+        assert (each["measured"].get("load_percent") is not None) == (name == "one-piezo")
 
 
-def test_a_texture_of_a_plan_is_played_and_coded_as_planned(plan: Path, tmp_path: Path) -> None:
-    result = run("plan", plan, "--play", "--texture", "wood", "--out", tmp_path)
+def test_a_choice_is_played_as_its_stream_was_coded(tmp_path: Path) -> None:
+    scene = written(tmp_path, controller=CONTROLLER.replace("cortex-m4", "sim"))
+    result = run("plan", scene, "--play", "--upload", "--texture", "wood", "--device", "sim-usb", "--out", tmp_path)
     assert result.exit_code == 0, result.stderr
+    assert "no texture needs a model; nothing to upload" in result.stdout
     (played,) = json.loads((tmp_path / "forecast.json").read_text())
-    assert played["texture"] == "wood" and "on the wire" in result.stdout
-    stream = read_stream(plan.parent / "wood.vct")
+    assert played["texture"] == "wood" and played["report"]["device"]["address"] == "sim-usb"
+    assert "on the wire" in result.stdout
+    stream = read_stream(tmp_path / "wood.vct")
     seconds = len(stream.packets) * stream.packet_samples / stream.header.rate_hz
     assert 8 * sum(map(len, stream.packets)) / seconds == pytest.approx(played["measured"]["payload_bps"])
 
@@ -53,49 +48,51 @@ def test_a_texture_of_a_plan_is_played_and_coded_as_planned(plan: Path, tmp_path
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--play", "--texture", "oak"), "the plan has no texture 'oak'; choose from wood"),
+        (("--texture", "oak"), "there is no texture 'oak'; choose from wood"),
         (("--play", "--device", "nowhere"), "'nowhere' is no address; give sim"),
-        (("--play", "--device", "sim", "--device", "sim"), "the plan has 1 controllers, and --device is given 2 times"),
-        (("--device", "sim"), "--texture and --device say how to play; add --play or --upload"),
-        ((), "is a plan; add --play or --upload, or give a scene"),
+        (
+            ("--play", "--device", "sim", "--device", "sim"),
+            "the scene has 1 controllers, and --device is given 2 times",
+        ),
+        (("--device", "sim"), "--device says where to play; add --play or --upload"),
     ],
 )
-def test_what_a_plan_cannot_do_is_rejected(plan: Path, arguments: tuple[str, ...], message: str) -> None:
-    result = run("plan", plan, *arguments)
+def test_what_a_scene_cannot_do_is_rejected(tmp_path: Path, arguments: tuple[str, ...], message: str) -> None:
+    result = run("plan", written(tmp_path), *arguments)
     assert result.exit_code == 2
     assert message in result.stderr and len(result.stderr.splitlines()) == 1
 
 
-def rewritten(plan: Path, path: Path, model: str) -> str:
-    """Write a plan whose textures name a model, or none, and return its text."""
-    text = re.sub(r'^model = ".*"\n', "", plan.read_text(), flags=re.MULTILINE)
-    text = text.replace('codec = "', f'{model}codec = "').replace(
-        "../scene.toml", str(plan.parent.parent / "scene.toml")
+def test_each_controller_is_sent_the_one_model_that_it_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    texture = '[[textures]]\ngenerate = "wood"\nseconds = 0.6\nrate_hz = 2800\nname = "{}"\n'
+    scene = written(
+        tmp_path,
+        texture=texture.format("wood") + texture.format("oak"),
+        controller=CONTROLLER.replace("cortex-m4", "sim"),
     )
-    path.write_text(text)
-    return text
+    wood, oak = "eva-16-4", "eva-16-4"
 
+    def with_models(scene: Scene, update: choose.Progress) -> tuple[TextureChoice, ...]:
+        return tuple(
+            replace(each, chosen=replace(each.chosen, measured=replace(each.chosen.measured, model=model)))
+            for each, model in zip(planned(scene, update), (wood, oak), strict=True)
+        )
 
-def test_a_plan_says_what_to_upload_and_no_more_than_a_controller_runs(plan: Path, tmp_path: Path) -> None:
-    rewritten(plan, tmp_path / "none.toml", "")
-    result = run("plan", tmp_path / "none.toml", "--upload")
-    assert (result.exit_code, result.stdout) == (0, "no texture needs a model; nothing to upload\n")
-    one = rewritten(plan, tmp_path / "one.toml", 'model = "eva-16-4"\n')
-    result = run("plan", tmp_path / "one.toml", "--upload")
+    planned = choose.plan
+    monkeypatch.setattr(choose, "plan", with_models)
+    result = run("plan", scene, "--upload")
     assert result.exit_code == 0, result.stderr
-    assert result.stdout.startswith("one: eva-16-4 ") and "confirmed" in result.stdout
-    another = one[one.index("[[textures]]") :].replace('name = "wood"', 'name = "oak"').replace("eva-16-4", "eva-16-5")
-    (tmp_path / "two.toml").write_text(one + another)
-    result = run("plan", tmp_path / "two.toml", "--upload")
+    assert result.stdout.count("one: eva-16-4 ") == 1 and "confirmed" in result.stdout
+    oak = "eva-16-5"
+    result = run("plan", scene, "--upload")
     assert result.exit_code == 2
     assert "one runs one model at a time, and its textures need eva-16-4 and eva-16-5" in result.stderr
 
 
-def test_a_plan_that_plays_otherwise_leaves_its_last_frames(
-    plan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("vibrocast.planner.comparison.failures", lambda *_: ["wood is not as planned"])
-    result = run("plan", plan, "--play", "--out", tmp_path, "--json")
+def test_what_plays_otherwise_leaves_its_last_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = written(tmp_path, controller=CONTROLLER.replace("cortex-m4", "sim"))
+    monkeypatch.setattr(playing.Played, "failures", lambda _: ["wood is not as planned"])
+    result = run("plan", scene, "--play", "--out", tmp_path, "--json")
     assert (result.exit_code, (tmp_path / "plan.pcapng").exists()) == (1, True), result.output
     told = json.loads(result.stdout)
     assert told["error"] == "wood is not as planned" and told["results"][0]["texture"] == "wood"

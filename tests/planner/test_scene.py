@@ -11,18 +11,18 @@ from hypothesis import strategies as st
 from tests.planner.scenes import ACTUATOR, ASKED, CONTROLLER, TEXTURE, scene, written
 from vibrocast.codec.threshold import sites
 from vibrocast.errors import InputError
-from vibrocast.planner.candidates import Evaluator
+from vibrocast.planner.choose import Evaluator
 from vibrocast.planner.scene import read_scene
 from vibrocast.textures import Recording, save
 
 
 def test_a_scene_is_read(tmp_path: Path) -> None:
-    read = scene(tmp_path, hand="[hand]\nspeed_mm_s = [20, 80]\n", link='[link]\nkind = "serial"\nbaud = 115200\n')
+    read = scene(tmp_path, hand="[hand]\nspeed_mm_s = [20, 80]\n", link='[link]\nkind = "serial"\n')
     (texture,) = read.textures
     assert texture.name == "wood" and isinstance(texture.loaded, Recording)
     assert read.hand_speed_mm_s == (20.0, 80.0)
     assert read.controllers[0].core == "M4F" and read.controllers[0].clock_hz == 168e6
-    assert read.link.bytes_per_second == 11520.0
+    assert read.link.bytes_per_second == 92160.0
     assert read.asked.measure == "snr_db" and read.asked.waveform
     assert read.actuator(texture).name == "piezo-stack"
 
@@ -74,10 +74,9 @@ def test_a_folder_is_a_texture_for_each_recording_and_a_list_is_played_together(
         ({"asked": ASKED + "waveform = false\n"}, "waveform = false contradicts snr_db, which parametric coding"),
         ({"asked": ASKED + "delay_limit_ms = 3\n", "link": "[link]\ndelay_ms = 5\n"}, "delay_limit_ms = 3 cannot be"),
         (
-            {"asked": ASKED + "rate_limit_bps = 1e6\n", "link": '[link]\nkind = "serial"\nbaud = 9600\n'},
+            {"asked": ASKED + "rate_limit_bps = 1e6\n", "link": '[link]\nkind = "serial"\nbytes_per_second = 960\n'},
             "rate_limit_bps = 1000000 is above the 7680 bit/s that the link carries",
         ),
-        ({"link": '[link]\nkind = "usb-full-speed"\nbaud = 9600\n'}, "baud goes with kind = 'serial', not"),
         ({"skin": '[skin]\nthreshold = "none.csv"\n'}, "cannot be read as a detection threshold"),
         (
             {"weights": "[weights]\n" + "".join(f"{key} = 0\n" for key in (
@@ -122,7 +121,7 @@ PLACES = {
     "channels": ("controller", CONTROLLER, ""),
     "snr_db": ("asked", "[asked]\n", ""),
     "delay_ms": ("link", "[link]\n", ""),
-    "baud": ("link", '[link]\nkind = "serial"\n', ""),
+    "bytes_per_second": ("link", "[link]\n", ""),
     "file": ("texture", "[[textures]]\n", ""),
     "weights": ("texture", "", TEXTURE),
 }
