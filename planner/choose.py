@@ -1,5 +1,6 @@
 """Chooses how each texture of a scene is coded: codes it by every option, and takes the cheapest that suffices."""
 
+import bisect
 import math
 from collections.abc import Callable, Iterator
 from copy import copy
@@ -408,6 +409,9 @@ def _quality(value: float, asked: Asked, error_form: str) -> str:
 
 def _impossible(evaluator: Evaluator) -> InputError:
     """Return the error: the requirement that cannot be met, the best that can be reached, and what to change."""
+    for option in evaluator.options():
+        for blocks in (evaluator.packet_blocks(option)[0], evaluator.packet_blocks(option)[-1]):
+            _finest_within(evaluator, option, blocks)
     texture, candidates, asked = evaluator.subject.texture, evaluator.candidates(), evaluator.scene.asked
     where = f"{texture.name}: no codec"
     if not candidates:
@@ -429,6 +433,16 @@ def _impossible(evaluator: Evaluator) -> InputError:
         f"{where} with {exceeded}; {nearest.measured.option.name} comes nearest and needs {needed}; "
         f"{reaches if within else 'no setting keeps all limits'}; {remedy}{f', or {lower}' if within and lower else ''}"
     )
+
+
+def _finest_within(evaluator: Evaluator, option: CodingOption, packet_blocks: int) -> None:
+    """Try the finest setting of an option that keeps all limits: the search for the quality may not have come there."""
+
+    def exceeds(index: int) -> bool:
+        candidate = evaluator.evaluate(option, index, packet_blocks)
+        return candidate is not None and bool(candidate.broken)
+
+    bisect.bisect_left(range(len(evaluator.settings(option))), True, key=exceeds)
 
 
 def _octaves_over(candidate: Candidate) -> float:

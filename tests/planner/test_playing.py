@@ -60,7 +60,7 @@ def test_controllers_play_one_after_another_and_one_that_fails_is_named(tmp_path
     assert "load_percent" not in {row.figure.key for each in both for row in each.rows()}
     left, right = read.controllers
     broken = replace(read, controllers=(left, structs.replace(right, address="serial:/dev/no-such-port")))
-    with pytest.raises(VibrocastError, match="cannot open /dev/no-such-port"):
+    with pytest.raises(VibrocastError, match="cannot open serial port /dev/no-such-port"):
         playing.play(broken, choices)
 
 
