@@ -1,8 +1,7 @@
-"""Serial accelerometers: reads lines of text and binary frames (docs/reference/serial_sensors.md)."""
+"""Serial accelerometers: reads lines of text (docs/reference/serial_sensors.md)."""
 
 import math
 import re
-import struct
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -10,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vibrocast.device_protocol.frames import DELIMITER, FrameReader
 from vibrocast.device_protocol.transports import BAUD, Closing, SerialTransport, Transport, TransportError
 from vibrocast.files import plain
 from vibrocast.progress import notes
@@ -23,14 +21,11 @@ from vibrocast.textures.times import CLOCK_TOLERANCE, GAP_STEPS, MAX_FILLED_S, i
 MAX_LINE_BYTES = 200
 MAX_CHANNELS = 3
 MAX_RATE_HZ = 100_000
-DESCRIPTION, SAMPLES = 1, 2
-"""The first byte of a binary frame: says what it holds."""
 
 _SILENT_S = 5.0  # opening the port restarts some boards, which then need seconds
 _UNKNOWN_BYTES = 1 << 16  # of which nothing was understood
 _STATED_WITHIN_S = 2.0  # a sensor of text should repeat its comment every second
 _LINES = 8  # of one form make it text
-_FRAMES = 2  # make it binary
 _MEASURED_S = 1.0  # by this computer's clock, or by the times
 _MEASURED_LINES = 32
 _MAX_MEASURED_LINES = 20_000
@@ -291,13 +286,19 @@ class Lines:
             self.description = replace(self.description, unit=layout.unit)
         return [layout.sample(values) for values in self._rows[layout.form]]
 
+    @property
+    def settled(self) -> Layout:
+        """The layout that `settle` chose."""
+        assert self.layout is not None, "settled"
+        return self.layout
+
     def told(self) -> str:
         """Return the first lines, for people."""
         return ", ".join(f"'{plain(line)}'" for line in self.shown) or "no line"
 
     def per_second(self) -> float:
         """Return how many of the lines with samples came in a second; infinite where they came at once."""
-        arrivals_s = self._arrivals_s[self.layout.form] if self.layout else [0.0]
+        arrivals_s = self._arrivals_s[self.settled.form]
         elapsed_s = arrivals_s[-1] - arrivals_s[0]
         return sum(each > arrivals_s[0] for each in arrivals_s) / elapsed_s if elapsed_s else math.inf
 
@@ -441,98 +442,6 @@ def _resolution(counts: Signal) -> float:
         if np.all(np.abs(scaled - np.rint(scaled)) < 1e-3):
             return 10.0**-digits
     return 0.0
-
-
-class Frames:
-    """Finds samples in binary frames; holds at most one frame, whatever arrives. `bad`: frames that were damaged."""
-
-    def __init__(self) -> None:
-        self.description = Description()
-        self.found = 0
-        self._reader = FrameReader()
-        self._wrong = 0
-
-    def begin_again(self) -> None:
-        """Forget the frame that came in part: the port was opened again."""
-        self._reader.feed(DELIMITER)
-
-    @property
-    def bad(self) -> int:
-        """How many frames were damaged, or of a wrong length."""
-        return self._reader.bad_frames + self._wrong
-
-    def feed(self, data: bytes) -> list[tuple[int, Signal]]:
-        """Take bytes that arrived; return the number of the first sample and the samples (n, channels) of each frame.
-
-        Frames before a description with axes are left out. Raises TransportError for a description with wrong facts.
-        """
-        pieces = []
-        for payload in self._reader.feed(data):
-            kind, content = payload[0], payload[1:]
-            if kind == DESCRIPTION:
-                self.description = self.description.with_facts(content.decode("ascii", "replace"))
-            elif kind == SAMPLES:
-                self.found += 1
-                width = 2 * len(self.description.axes or "")
-                if not width:
-                    continue
-                if len(content) <= 4 or (len(content) - 4) % width:
-                    self._wrong += 1
-                    continue
-                (number,) = struct.unpack_from("<I", content)
-                pieces.append((number, np.frombuffer(content[4:], "<i2").reshape(-1, width // 2).astype(np.float64)))
-            else:
-                self._wrong += 1
-        return pieces
-
-
-class NumberedSamples:
-    """Puts samples of binary frames, whose numbers count them, on a uniform grid.
-
-    A gap is interpolated from its two ends. `losses`: the samples that were lost.
-    """
-
-    def __init__(self, frames: Frames, rate_hz: int) -> None:
-        self.losses = Losses()
-        self._frames, self._rate_hz = frames, rate_hz
-        self._expected: int | None = None
-        self._last = np.zeros(0)
-        self._placed = 0
-        self._bad_before = frames.bad
-
-    def feed(self, data: bytes) -> Signal:
-        """Take bytes that arrived; return the samples (n, channels) that are now known. Raises TransportError."""
-        return self.place(self._frames.feed(data))
-
-    def begin_again(self) -> None:
-        """Take the next sample for the first one: the port was opened again."""
-        self._frames.begin_again()
-        self._expected = None
-
-    def place(self, pieces: list[tuple[int, Signal]]) -> Signal:
-        """Return the samples of frames in a row, those of gaps between them filled in. Raises TransportError."""
-        placed = [np.zeros((0, len(self._frames.description.axes or "")))]
-        for number, samples in pieces:
-            missing = 0 if self._expected is None else (number - self._expected) % 2**32
-            if missing > MAX_FILLED_S * self._rate_hz:
-                raise TransportError(
-                    f"the sensor's count of samples jumps from {self._expected} to {number}, which is more than "
-                    f"{MAX_FILLED_S:g} s; check its cable and that it does not restart"
-                )
-            if missing:
-                self.losses.add(self._placed / self._rate_hz, missing)
-                part = np.arange(1, missing + 1)[:, None] / (missing + 1)
-                placed.append(self._last + part * (samples[0] - self._last))
-            placed.append(samples)
-            self._placed += missing + len(samples)
-            self._expected = (number + len(samples)) % 2**32
-            self._last = samples[-1]
-        return np.concatenate(placed)
-
-    def warnings(self) -> list[str]:
-        """Return remarks on the stream, for people."""
-        damaged = self._frames.bad - self._bad_before
-        return [f"{damaged} damaged frame(s)"] if damaged else []
 
 
 class TimedSamples:
@@ -689,22 +598,19 @@ class SerialSensor(Closing):
         self._lost_s: float | None = None
         try:
             self._began_s = self._heard_s = self._tried_s = clock()
-            reader = self._recognised()
-            found = reader.settle(self.name) if isinstance(reader, Lines) else []
-            self.description = reader.description
-            self.format = "text" if isinstance(reader, Lines) else "binary"
+            self._lines = self._recognised()
+            found = self._lines.settle(self.name)
+            self.description = self._lines.description
             self._scale, self.unit = self._scaled(sensitivity)
-            self._columns, self.axes = self._chosen(axes, reader)
+            self._columns, self.axes = self._chosen(axes)
             self.channels = len(self._columns)
-            limit = self.description.full_scale
-            if limit is not None and self.description.unit is not None:
-                self.full_scale: float | None = limit * INPUT_UNITS[self.description.unit][1]
-            else:
-                # int16 ends at 32767; what ends a number in text is not known.
-                self.full_scale = 32767 * self._scale if self.format == "binary" else None
-            self._placing, self._first = self._placed(reader, rate_hz, found)
-            self._shown = reader.shown if isinstance(reader, Lines) else []
-            self.understood = self._in_words(reader)
+            self.full_scale: float | None = None
+            if self.description.full_scale is not None and self.description.unit is not None:
+                self.full_scale = self.description.full_scale * INPUT_UNITS[self.description.unit][1]
+            evenly = self._clock_of(rate_hz, [time_us for time_us, _ in found])
+            self._placing = TimedSamples(self._lines, self.rate_hz, evenly)
+            self._first = self._placing.place(found)
+            self.understood = self._in_words(evenly)
             self._reconnect_s = reconnect_s
         except BaseException:
             self.close()
@@ -721,7 +627,7 @@ class SerialSensor(Closing):
 
     def introduction(self) -> list[str]:
         """Return the first lines that came, and how they are read, for people."""
-        return [*(f"  {line}" for line in self._shown), f"understood as {self.understood}"]
+        return [*(f"  {line}" for line in self._lines.shown), f"understood as {self.understood}"]
 
     def warnings(self) -> list[str]:
         """Return remarks on the stream so far, for people."""
@@ -729,13 +635,11 @@ class SerialSensor(Closing):
 
     def facts(self) -> dict[str, object]:
         """Return what is known of the stream, for the sidecar."""
-        facts: dict[str, object] = {"format": self.format, "understood": self.understood}
-        if isinstance(self._placing, TimedSamples):
-            facts |= {
-                "jitter_us": round(self._placing.jitter_us, 2),
-                "worst_jitter_us": round(self._placing.worst_jitter_us, 2),
-            }
-        return facts
+        return {
+            "understood": self.understood,
+            "jitter_us": round(self._placing.jitter_us, 2),
+            "worst_jitter_us": round(self._placing.worst_jitter_us, 2),
+        }
 
     def read(self, timeout_s: float) -> Signal:
         """Return the samples (n, channels) since the last call; none after `timeout_s`.
@@ -790,9 +694,9 @@ class SerialSensor(Closing):
         self._placing.begin_again()
         notes.warning("%s is back", self.name)
 
-    def _recognised(self) -> Lines | Frames:
+    def _recognised(self) -> Lines:
         """Read until format and rate can be known, and return the reader, which knows the description."""
-        lines, frames = Lines(), Frames()
+        lines = Lines()
         received = 0
         first_s = math.inf  # of text, or else of bytes
         while True:
@@ -802,9 +706,8 @@ class SerialSensor(Closing):
                 first_s = min(first_s, now_s)
             received += len(data)
             lines.feed(data, now_s)
-            frames.feed(data)
+            elapsed_s = now_s - first_s
             if lines.gathered:
-                elapsed_s = now_s - first_s
                 known = lines.description != Description() or elapsed_s >= _STATED_WITHIN_S
                 enough = lines.gathered >= _MEASURED_LINES and elapsed_s >= _MEASURED_S
                 if (known and enough) or lines.gathered > _MAX_MEASURED_LINES:
@@ -814,25 +717,17 @@ class SerialSensor(Closing):
                         f"{self.name} sends only {lines.gathered / elapsed_s:.1f} lines a second, too few for a "
                         f"vibration: {lines.told()}; raise its rate"
                     )
-            elif frames.found >= _FRAMES and frames.description.axes:
-                return frames
-            elif received > _UNKNOWN_BYTES or now_s - first_s > 2 * _SILENT_S:
-                raise TransportError(f"{self.name} {self._unknown(lines, frames)}")
-
-    def _unknown(self, lines: Lines, frames: Frames) -> str:
-        """Return what was not understood of the bytes that came, and what to do."""
-        if frames.found >= _FRAMES:
-            return "sends samples in frames, and no frame that states its axes; let it send one every second"
-        garbled = sum(not line.isprintable() or "\ufffd" in line for line in lines.shown)
-        if lines.shown and 2 * garbled < len(lines.shown):
-            return (
-                f"sends lines that hold no samples: {lines.told()}; let it send a time and up to {MAX_CHANNELS} "
-                "numbers in each line"
-            )
-        return (
-            "sends neither lines of samples nor frames; check the @BAUD of its address (many boards use 115200 or "
-            "9600), and that this is the sensor's port"
-        )
+            elif received > _UNKNOWN_BYTES or elapsed_s > 2 * _SILENT_S:
+                garbled = sum(not line.isprintable() or "\ufffd" in line for line in lines.shown)
+                if lines.shown and 2 * garbled < len(lines.shown):
+                    raise TransportError(
+                        f"{self.name} sends lines that hold no samples: {lines.told()}; let it send a time and up to "
+                        f"{MAX_CHANNELS} numbers in each line"
+                    )
+                raise TransportError(
+                    f"{self.name} sends no lines of samples; check the @BAUD of its address (many boards use 115200 "
+                    "or 9600), and that this is the sensor's port"
+                )
 
     def _scaled(self, sensitivity: Sensitivity | None) -> tuple[float, str]:
         """Return the value of one count, and its unit. Raises TextureError."""
@@ -860,10 +755,9 @@ class SerialSensor(Closing):
             )
         return 1 / sensitivity.per_unit, sensitivity.unit
 
-    def _chosen(self, axes: str, reader: Lines | Frames) -> tuple[list[int], str]:
+    def _chosen(self, axes: str) -> tuple[list[int], str]:
         """Return the columns to record, in the order x, y, z, and their axes. Raises TextureError."""
-        width = reader.channels if isinstance(reader, Lines) else len(reader.description.axes or "")
-        named = reader.layout.axes if isinstance(reader, Lines) and reader.layout else ""
+        width, named = self._lines.channels, self._lines.settled.axes
         stated = self.description.axes or named or (axes if axes else "xyz" if width == MAX_CHANNELS else "")
         if stated and len(stated) != width:
             raise TextureError(
@@ -878,34 +772,23 @@ class SerialSensor(Closing):
         chosen = "".join(sorted(axes or stated))
         return ([stated.index(axis) for axis in chosen] if chosen else list(range(width))), chosen
 
-    def _placed(
-        self, reader: Lines | Frames, rate_hz: int | None, found: list[tuple[float, tuple[float, ...]]]
-    ) -> tuple[NumberedSamples | TimedSamples, Signal]:
-        """Return what places the samples, and those `found`. Raises TextureError and TransportError."""
+    def _clock_of(self, rate_hz: int | None, times_us: Sequence[float]) -> Clock:
+        """Return the clock of lines with these times, and set `rate_hz`. Raises TextureError and TransportError."""
         stated_hz = self.description.rate_hz
         if rate_hz is not None and stated_hz not in (None, rate_hz):
             raise TextureError(
                 f"{self.name} states {stated_hz} Hz", action=f"leave out `rate_hz`={rate_hz}", parameter="rate_hz"
             )
         wanted_hz = rate_hz or stated_hz
-        if isinstance(reader, Frames):
-            if wanted_hz is None:
-                raise TextureError(
-                    f"{self.name} does not state its sample rate", action="give `rate_hz`", parameter="rate_hz"
-                )
-            self.rate_hz = wanted_hz
-            numbered = NumberedSamples(reader, wanted_hz)
-            return numbered, np.zeros((0, len(reader.description.axes or "")))
-        assert reader.layout is not None, "settled"
-        has_time = reader.layout.time is not None
-        arriving_hz = reader.per_second()
+        layout, arriving_hz = self._lines.settled, self._lines.per_second()
+        has_time = layout.time is not None
         if not has_time and wanted_hz is None:
             raise TextureError(
-                f"{self.name} sends no time: {reader.told()}",
+                f"{self.name} sends no time: {self._lines.told()}",
                 action=f"give `rate_hz`; about {arriving_hz:.0f} lines came in a second",
                 parameter="rate_hz",
             )
-        clock = Clock([time_us for time_us, _ in found], reader.layout.us, self.name, wanted_hz)
+        clock = Clock(times_us, layout.us, self.name, wanted_hz)
         measured_hz = 1e6 / clock.period_us if has_time else arriving_hz
         tolerance = CLOCK_TOLERANCE if has_time else _ARRIVAL_TOLERANCE
         if wanted_hz is not None and abs(measured_hz - wanted_hz) > tolerance * wanted_hz:
@@ -914,15 +797,11 @@ class SerialSensor(Closing):
                 f"{measured_hz:.1f} Hz; correct one of them, or raise the @BAUD of its address if it loses lines"
             )
         self.rate_hz = wanted_hz or max(1, round(measured_hz))
-        self._kind = clock.kind
-        timed = TimedSamples(reader, self.rate_hz, clock)
-        return timed, timed.place(found)
+        return clock
 
-    def _in_words(self, reader: Lines | Frames) -> str:
+    def _in_words(self, clock: Clock) -> str:
         """Return how the samples are read, for people."""
         what = f"{', '.join(self.axes) or f'{self.channels} channel(s)'} in {self.description.unit or self.sensitivity}"
-        if isinstance(reader, Frames):
-            return f"binary frames: {what}, {self.rate_hz} Hz"
-        left_out = reader.layout.left_out if reader.layout else ()
+        left_out = self._lines.settled.left_out
         without = f"; left out: {', '.join(left_out)}" if left_out else ""
-        return f"text: {self._kind}; {what}; {self.rate_hz} Hz{without}"
+        return f"text: {clock.kind}; {what}; {self.rate_hz} Hz{without}"

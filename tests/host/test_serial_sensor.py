@@ -1,6 +1,5 @@
-"""Serial sensors: both formats, lost samples, and devices that send something else."""
+"""Serial sensors: lines of text, lost samples, and devices that send something else."""
 
-import struct
 from functools import partial
 from itertools import pairwise
 from typing import Any
@@ -9,20 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
-from vibrocast.device_protocol.frames import write_frame
 from vibrocast.device_protocol.transports import Closing, TransportError
 from vibrocast.host import serial_sensor
 from vibrocast.host.serial_sensor import (
-    DESCRIPTION,
     MAX_LINE_BYTES,
-    SAMPLES,
     Clock,
     Description,
-    Frames,
     Lines,
-    NumberedSamples,
     SerialSensor,
     TimedSamples,
 )
@@ -30,7 +23,6 @@ from vibrocast.textures import TextureError
 from vibrocast.textures.recording import Signal
 from vibrocast.textures.sensitivity import parse
 
-Counts = NDArray[Any]
 RATE_HZ = 1000
 G = 9.80665
 HEADER = b"# rate_hz=1000 unit=g axes=xyz\n"
@@ -92,22 +84,6 @@ def text(times_us: list[int], header: bytes = HEADER) -> bytes:
     )
 
 
-def description(facts: bytes) -> bytes:
-    return write_frame(bytes([DESCRIPTION]) + facts)
-
-
-def frame(number: int, samples: Counts) -> bytes:
-    return write_frame(bytes([SAMPLES]) + struct.pack("<I", number % 2**32) + samples.astype("<i2").tobytes())
-
-
-def frames(counts: Counts, first: int = 0, size: int = 16, without: tuple[int, ...] = ()) -> bytes:
-    starts = range(0, len(counts), size)
-    return b"".join(frame(first + at, counts[at : at + size]) for at in starts if at not in without)
-
-
-FACTS = b"rate_hz=1000 unit=g counts_per_unit=256 axes=xyz"
-
-
 def test_lines_become_samples_in_the_unit() -> None:
     times_us = list(range(5_000_000, 9_000_000, 1000))
     sensor = opened(b"rubbish of a start\n" + text(times_us))
@@ -120,46 +96,6 @@ def test_lines_become_samples_in_the_unit() -> None:
     assert samples == pytest.approx(expected[first : first + len(samples)], abs=1e-4)
     assert sensor.losses.gaps == 0
     assert sensor.warnings() == []
-
-
-@pytest.mark.parametrize("size", [1, 7, 2000])
-def test_frames_become_samples_whatever_the_pieces(size: int) -> None:
-    counts = np.arange(3 * 1600).reshape(-1, 3) % 1000 - 500
-    data = b"\x55\x00" + description(FACTS) + frames(counts, first=2**32 - 100)
-    sensor = opened(data, size)
-    assert (sensor.format, sensor.rate_hz, sensor.unit, sensor.axes) == ("binary", 1000, "m/s^2", "xyz")
-    assert sensor.full_scale == pytest.approx(32767 / 256 * G)
-    samples = heard(sensor)
-    assert samples == pytest.approx(counts[-len(samples) :] / 256 * G)
-    assert sensor.losses.gaps == 0
-
-
-def test_lost_frames_are_counted_and_interpolated() -> None:
-    counts = np.repeat(np.arange(640)[:, None], 3, axis=1)
-    sensor = opened(description(FACTS) + frames(counts, without=(320, 336, 480)), size=50)
-    samples = heard(sensor)
-    assert samples == pytest.approx(counts[-len(samples) :] / 256 * G)  # a ramp is what a line restores
-    assert (sensor.losses.gaps, sensor.losses.samples) == (2, 48)
-    start = 640 - len(samples)
-    assert sensor.losses.places == [((320 - start) / RATE_HZ, 32), ((480 - start) / RATE_HZ, 16)]
-
-
-def test_a_damaged_frame_is_a_loss_and_is_said() -> None:
-    counts = np.repeat(np.arange(640)[:, None], 3, axis=1)
-    whole = frames(counts[:320])
-    broken = bytearray(frame(320, counts[320:336]))
-    broken[20] ^= 0xFF
-    sensor = opened(description(FACTS) + whole + bytes(broken) + frames(counts[336:], first=336), size=64)
-    heard(sensor)
-    assert sensor.losses.samples == 16
-    assert sensor.warnings() == ["1 damaged frame(s)"]
-
-
-@pytest.mark.parametrize("jump", [-1, 5000, 2**31])
-def test_a_count_that_jumps_ends_the_recording(jump: int) -> None:
-    counts = np.zeros((320, 3))
-    data = description(FACTS) + frames(counts) + frames(counts, first=320 + jump)
-    heard(opened(data, size=64), "count of samples jumps")
 
 
 def test_times_with_jitter_become_a_uniform_grid() -> None:
@@ -206,10 +142,8 @@ def test_a_rate_that_is_not_stated_comes_from_the_times() -> None:
         (text(list(range(0, 2_000_000, 1000)), b"# unit=g rate_hz=nan\n"), {}, "rate_hz=nan, which cannot be"),
         (text(list(range(0, 2_000_000, 1000)), HEADER + b"# unit=um\n"), {}, "states unit=g, and then unit=um"),
         (text([5] * 30_000), {}, "its times do not rise"),
-        (description(b"unit=g axes=x") + frames(np.zeros((64, 1))), {}, "does not state its sample rate"),
-        (b"x" * 100_000, {}, "neither lines of samples nor frames; check the @BAUD"),
-        (bytes(range(256)) * 400, {}, "neither lines of samples nor frames; check the @BAUD"),
-        (frames(np.zeros((20_000, 3))), {}, "no frame that states its axes"),
+        (b"x" * 100_000, {}, "sends no lines of samples; check the @BAUD"),
+        (bytes(range(256)) * 400, {}, "sends no lines of samples; check the @BAUD"),
         (b"nan,nan,nan\n1,inf,nan,3\n" * 5000, {}, "lines that hold no samples: '1,inf,nan,3'"),
         (b"1,,3\n" * 20_000, {}, "lines that hold no samples"),
         (b"sensor not found\n" * 20_000, {}, "lines that hold no samples: 'sensor not found'"),
@@ -241,13 +175,11 @@ def test_a_sensor_that_begins_to_send_rubbish_ends_the_recording() -> None:
     heard(opened(text(list(range(0, 2_000_000, 1000))) + rubbish), "lines in a row that hold no sample")
 
 
-@pytest.mark.parametrize("kind", ["text", "binary"])
 def test_a_lost_port_is_opened_again_for_a_live_stream(
-    kind: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr("time.sleep", lambda seconds: None)
-    counts = np.repeat(np.arange(640)[:, None], 3, axis=1)
-    sent = description(FACTS) + frames(counts) if kind == "binary" else text(list(range(1000, 2_000_000, 1000)))
+    sent = text(list(range(1000, 2_000_000, 1000)))
     port = Port(sent, size=500)
     reopened = 0
 
@@ -405,16 +337,6 @@ def test_lines_survive_anything(pieces: list[bytes]) -> None:
         assert np.isfinite(values).all()
 
 
-@given(st.lists(st.one_of(st.binary(max_size=100), st.just(description(FACTS)), st.just(frame(7, np.ones((4, 3)))))))
-def test_frames_survive_anything(pieces: list[bytes]) -> None:
-    reader = Frames()
-    try:
-        for _, samples in (each for piece in pieces for each in reader.feed(piece)):
-            assert samples.shape[1] == 3
-    except TransportError:
-        return
-
-
 @given(st.binary(max_size=200))
 def test_a_description_is_known_or_rejected(data: bytes) -> None:
     try:
@@ -422,22 +344,6 @@ def test_a_description_is_known_or_rejected(data: bytes) -> None:
     except TransportError:
         return
     assert stated.rate_hz is None or stated.rate_hz >= 1
-
-
-@given(st.lists(st.tuples(st.integers(0, 2**32 - 1), st.integers(1, 40)), max_size=30))
-def test_numbered_samples_are_as_many_as_the_numbers_say(pieces: list[tuple[int, int]]) -> None:
-    reader = Frames()
-    reader.feed(description(FACTS))
-    numbered = NumberedSamples(reader, RATE_HZ)
-    count, first = 0, None
-    try:
-        for number, size in pieces:
-            first = number if first is None else first
-            count += len(numbered.place([(number, np.ones((size, 3)))]))
-            assert (first + count) % 2**32 == (number + size) % 2**32
-    except TransportError:
-        pass
-    assert count <= sum(size for _, size in pieces) + RATE_HZ * len(pieces)
 
 
 @given(st.lists(st.integers(1, 60_000), min_size=8, max_size=60), st.integers(1, 9))
