@@ -35,7 +35,7 @@ from vibrocast.device_protocol.frames import MAX_PAYLOAD_BYTES, write_frame
 from vibrocast.device_protocol.messages import SinglePacket, pack
 from vibrocast.errors import InputError
 
-DEFAULT_RATE_BUFFER_S = 0.018
+RATE_BUFFER_S = 0.018
 """Size of the rate buffer, as time at the rate: 1 % of 2 s, less a tenth, because packets seldom add up to just 2 s."""
 FRAMES_ADD = 0.101
 """Most bytes that frames may add, relative to the packets in them. With the beginning and end of a stream of 5 s at 4
@@ -48,12 +48,6 @@ WINDOW_S = 2.0
 FrameBytes: TypeAlias = Callable[[bytes], int]
 """Counts the bytes that a packet's frame adds to it. Raises CodecError for a packet that no frame carries."""
 
-# A constant rate aims at the mean quality of the last _MEMORY_RATE_BUFFERS times of the rate buffer. It aims up to half
-# of _SWING_DB higher as the rate buffer empties, and as much lower as it fills. If the rate buffer holds few packets,
-# the swing is smaller, because it would overshoot.
-_MEMORY_RATE_BUFFERS = 4.0
-_SWING_DB = 4.0
-_PACKETS_FOR_FULL_SWING = 4.0
 _PROBE_PACKETS = 4
 # A sequence number takes one byte at first, and four from packet 2^20 on.
 _SEQUENCE_GROWTH_BYTES = 3
@@ -211,16 +205,13 @@ class RateBuffer:
     """The bytes sent and not yet drained at a constant rate, as in ITU-T H.264, C.1. Their number stays in 0 ... size.
 
     With fullness F, a packet of s bytes that lasts T seconds leaves F + s - R T / 8 at R bit/s. So over any run of
-    packets, the bytes differ from R T / 8 by at most the size: R * rate_buffer_s / 8, and at least one byte. On a link
-    of R bit/s no packet waits longer than rate_buffer_s.
+    packets, the bytes differ from R T / 8 by at most the size: R * RATE_BUFFER_S / 8, and at least one byte. On a link
+    of R bit/s no packet waits longer than RATE_BUFFER_S.
     """
 
-    def __init__(self, bits_per_second: float, rate_buffer_s: float, full: float) -> None:
-        """Make a rate buffer, at first filled to the part `full`. Raises CodecError for an invalid rate or size."""
-        if not (math.isfinite(rate_buffer_s) and rate_buffer_s > 0):
-            raise CodecError(f"a rate buffer of {rate_buffer_s} s; give a positive time")
+    def __init__(self, bits_per_second: float, full: float) -> None:
+        """Make a rate buffer, at first filled to the part `full`. Raises CodecError for an invalid rate."""
         self.bits_per_second = bits_per_second
-        self.rate_buffer_s = rate_buffer_s
         self.fullness_bytes = full * self.size_bytes
 
     @property
@@ -237,7 +228,7 @@ class RateBuffer:
     @property
     def size_bytes(self) -> float:
         """The capacity."""
-        return max(1.0, self.bits_per_second * self.rate_buffer_s / 8)
+        return max(1.0, self.bits_per_second * RATE_BUFFER_S / 8)
 
     @property
     def full(self) -> float:
@@ -345,9 +336,8 @@ class CappedRate(RatePolicy):
         meter: SnrMeter,
         bits_per_second: float,
         frame_bytes: FrameBytes | int = 0,
-        rate_buffer_s: float = DEFAULT_RATE_BUFFER_S,
     ) -> None:
-        super().__init__(RateBuffer(bits_per_second, rate_buffer_s, full=0.0), frame_bytes)
+        super().__init__(RateBuffer(bits_per_second, full=0.0), frame_bytes)
         self.quality_db = quality_db
         self._meter = meter
 
@@ -366,50 +356,28 @@ class CappedRate(RatePolicy):
 class ConstantRate(RatePolicy):
     """A constant rate: no packet overfills the rate buffer, and padding keeps it from running dry.
 
-    Between these limits, a meter makes the quality as even as the rate buffer allows. Each packet aims at the mean
-    quality of those before it, and up to 2 dB higher or lower, as the rate buffer is emptier or fuller than half.
-    Without a meter each packet aims at its share of the rate; the default rate buffer leaves no other choice.
+    Between these limits, each packet aims at its share of the rate.
     """
 
-    def __init__(
-        self,
-        bits_per_second: float,
-        frame_bytes: FrameBytes | int = 0,
-        rate_buffer_s: float = DEFAULT_RATE_BUFFER_S,
-        meter: SnrMeter | None = None,
-    ) -> None:
-        super().__init__(RateBuffer(bits_per_second, rate_buffer_s, full=0.5), frame_bytes)
-        self._meter = meter
-        self._mean_db, self._measured = 0.0, 0  # the mean quality, and the number of packets in it
+    def __init__(self, bits_per_second: float, frame_bytes: FrameBytes | int = 0) -> None:
+        super().__init__(RateBuffer(bits_per_second, full=0.5), frame_bytes)
 
     def __call__(self, trial: Trial) -> Choice:
         """Choose the packet's quantiser offset and padding. Raises TargetUnreachable if none fits."""
         attempts = Attempts(trial, self.sent_bytes)
         min_bytes, max_bytes = self.rate_buffer.min_bytes(self._seconds), self.rate_buffer.max_bytes(self._seconds)
-        quantiser_offset = self._aim(attempts)
+        share_bytes = self.bits_per_second * self._seconds / 8
+        aim = attempts.finest(lambda each: attempts.size_bytes(each) <= share_bytes, trial.previous)
+        quantiser_offset = attempts.quantiser_offsets[-1] if aim is None else aim
         if attempts.size_bytes(quantiser_offset) > max_bytes:
             quantiser_offset = self._finest_that_fits(attempts, quantiser_offset)
         elif attempts.size_bytes(quantiser_offset) < min_bytes:
             quantiser_offset = self._coarsest_that_fills(attempts, quantiser_offset, min_bytes, max_bytes)
-        # A packet that needs padding does not show which quality the rate allows.
-        if self._meter is not None:
-            if attempts.size_bytes(quantiser_offset) >= min_bytes:
-                self._remember(self._meter.quality_at_db(attempts, quantiser_offset))
-            self._meter.choose(attempts, quantiser_offset)
         packet = attempts.coded(quantiser_offset)
         padded = self._padded(packet, min_bytes, max_bytes)
         self.padding_bytes += len(padded) - len(packet)
         self.rate_buffer.fill(self.sent_bytes(padded), self._seconds)
         return Choice(quantiser_offset, len(padded))
-
-    def _aim(self, attempts: Attempts) -> int:
-        """Return the offset for the target quality or, if none is known, for the packet's share of the rate."""
-        if self._meter is None or self._measured == 0:
-            share_bytes = self.bits_per_second * self._seconds / 8
-            aim = attempts.finest(lambda each: attempts.size_bytes(each) <= share_bytes, attempts.trial.previous)
-            return attempts.quantiser_offsets[-1] if aim is None else aim
-        swing_db = _SWING_DB * min(1.0, self.rate_buffer.rate_buffer_s / self._seconds / _PACKETS_FOR_FULL_SWING)
-        return self._meter.coarsest_with(attempts, self._mean_db + swing_db * (0.5 - self.rate_buffer.full))
 
     def _coarsest_that_fills(self, attempts: Attempts, start: int, min_bytes: int, max_bytes: int) -> int:
         """Return the coarsest offset without padding or, if that does not fit, the one with the least padding."""
@@ -417,12 +385,6 @@ class ConstantRate(RatePolicy):
         assert short is not None, "the packets at the aim are too short"
         finer = within(attempts.quantiser_offsets, short - 1)
         return finer if attempts.size_bytes(finer) <= max_bytes else short
-
-    def _remember(self, quality_db: float) -> None:
-        """Add a quality to the mean."""
-        self._measured += 1
-        kept = math.exp(-self._seconds / (_MEMORY_RATE_BUFFERS * self.rate_buffer.rate_buffer_s))
-        self._mean_db += max(1 / self._measured, 1 - kept) * (quality_db - self._mean_db)
 
     def _padded(self, packet: bytes, min_bytes: int, max_bytes: int) -> bytes:
         """Return the packet, padded with zeros so that it has the fewest bytes allowed with its frame."""
@@ -511,15 +473,12 @@ def encode_rate_controlled(source: Source, setting: Setting, policy: RatePolicy,
 class RateTarget:
     """A target for rate control: a constant rate; or a quality of every packet, up to a capped rate.
 
-    `constant_rate_bps`, `capped_rate_bps`: of all channels, frames included. `snr_db`: the quality. `rate_buffer_s`:
-    size of the rate buffer. None = the size that holds a rate within 1 % over any 2 s; a larger one makes the SNR more
-    even.
+    `constant_rate_bps`, `capped_rate_bps`: of all channels, frames included. `snr_db`: the quality.
     """
 
     constant_rate_bps: float | None = None
     capped_rate_bps: float | None = None
     snr_db: float | None = None
-    rate_buffer_s: float | None = None
 
     @property
     def rate_bps(self) -> float:
@@ -531,14 +490,11 @@ class RateTarget:
 
     def policy(self, signal_format: SignalFormat) -> RatePolicy:
         """Return the policy, for one stream. Raises CodecError for an impossible target."""
-        rate_buffer_s = DEFAULT_RATE_BUFFER_S if self.rate_buffer_s is None else self.rate_buffer_s
         if self.constant_rate_bps is not None:
-            # The default rate buffer leaves a meter nothing to choose.
-            meter = None if self.rate_buffer_s is None else SnrMeter(signal_format.rate_hz)
-            return ConstantRate(self.constant_rate_bps, added_bytes, rate_buffer_s, meter)
+            return ConstantRate(self.constant_rate_bps, added_bytes)
         if self.snr_db is None:
             raise CodecError("a quality is needed; give an SNR")
-        return CappedRate(self.snr_db, SnrMeter(signal_format.rate_hz), self.rate_bps, added_bytes, rate_buffer_s)
+        return CappedRate(self.snr_db, SnrMeter(signal_format.rate_hz), self.rate_bps, added_bytes)
 
     def framing(self, rate_hz: int) -> Framing:
         """Return how a stream of this sample rate is cut into packets: the shortest that the rate allows."""

@@ -23,6 +23,7 @@ from vibrocast.codec import (
     rate_controlled_framing,
 )
 from vibrocast.codec.interface import Choice, Decoded, Trial
+from vibrocast.codec.rate_control import RATE_BUFFER_S
 
 RATE_HZ = 2800
 SECONDS = 0.1
@@ -76,26 +77,21 @@ packets = st.lists(
     max_size=30,
 )
 rates = st.floats(900, 20_000)
-rate_buffers_s = st.floats(0.001, 2)
 
 
-@given(packets, rates, rate_buffers_s, st.booleans())
-def test_over_any_run_a_constant_rate_has_its_bytes(
-    trials: list[Trial], rate: float, rate_buffer_s: float, judged: bool
-) -> None:
-    policy = begun(ConstantRate(rate, FRAME_BYTES, rate_buffer_s, SnrMeter(RATE_HZ) if judged else None))
+@given(packets, rates)
+def test_over_any_run_a_constant_rate_has_its_bytes(trials: list[Trial], rate: float) -> None:
+    policy = begun(ConstantRate(rate, FRAME_BYTES))
     sizes = [sent_bytes(trial, policy(trial)) for trial in trials]
-    assert np.ptp(ahead_of_rate(sizes, rate)) <= max(1, rate * rate_buffer_s / 8) + 1e-6
+    assert np.ptp(ahead_of_rate(sizes, rate)) <= max(1, rate * RATE_BUFFER_S / 8) + 1e-6
 
 
-@given(packets, rates, rate_buffers_s, st.floats(0, 60))
-def test_over_any_run_a_capped_rate_is_not_exceeded(
-    trials: list[Trial], rate: float, rate_buffer_s: float, quality_db: float
-) -> None:
-    policy = begun(CappedRate(quality_db, SnrMeter(RATE_HZ), rate, FRAME_BYTES, rate_buffer_s))
+@given(packets, rates, st.floats(0, 60))
+def test_over_any_run_a_capped_rate_is_not_exceeded(trials: list[Trial], rate: float, quality_db: float) -> None:
+    policy = begun(CappedRate(quality_db, SnrMeter(RATE_HZ), rate, FRAME_BYTES))
     ahead = ahead_of_rate([sent_bytes(trial, policy(trial)) for trial in trials], rate)
     max_ahead = np.maximum.accumulate(ahead[::-1])[::-1] - ahead
-    assert np.max(max_ahead) <= max(1, rate * rate_buffer_s / 8) + 1e-6
+    assert np.max(max_ahead) <= max(1, rate * RATE_BUFFER_S / 8) + 1e-6
 
 
 @given(packets, rates, rates)
@@ -148,8 +144,6 @@ def test_a_rate_below_the_coarsest_packets_is_rejected_with_the_least() -> None:
 def test_what_is_no_rate_is_rejected(rate: float) -> None:
     with pytest.raises(CodecError, match="ask for a positive number"):
         ConstantRate(rate)
-    with pytest.raises(CodecError, match="give a positive time"):
-        ConstantRate(1000, rate_buffer_s=rate)
 
 
 def texture(seconds: float, seed: int = 0, channels: int = 1) -> Signal:
@@ -221,18 +215,6 @@ def test_every_packet_has_the_quality_where_the_rate_suffices_and_no_more_bytes_
     packet_samples = codec.decoder(codec.codec_by_name(name).identifier, tight.header.configuration, 1).packet_samples
     assert max(map(len, tight.packets)) <= 1500 * (packet_samples / RATE_HZ + 0.018) / 8
     assert np.mean(packet_snrs_db(samples, tight)) < 14
-
-
-def test_a_larger_rate_buffer_makes_the_quality_more_even() -> None:
-    samples = np.concatenate([texture(3), np.sin(np.arange(3 * RATE_HZ) / 5)[:, None], texture(3, 1)])
-    framing = Framing(350, 8)
-    spreads = []
-    for rate_buffer_s in (0.018, 2.0):
-        policy = ConstantRate(4000, 0, rate_buffer_s, SnrMeter(RATE_HZ))
-        source = codec.Source.of(samples, RATE_HZ, live=True)
-        ratios = packet_snrs_db(samples, codec.encode_rate_controlled(source, {}, policy, framing))
-        spreads.append(np.std(ratios[3:]))
-    assert spreads[1] < spreads[0] - 1
 
 
 def test_a_rate_whose_packets_last_over_two_seconds_is_rejected() -> None:
