@@ -21,6 +21,7 @@ from vibrocast.study import study_file
 
 ROOT = Path(__file__).parents[1]
 LOCK = (ROOT / "requirements-dev.txt").read_text(encoding="utf-8")
+INSTALLED = (ROOT / "requirements.txt").read_text(encoding="utf-8")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 TOML_FILES: dict[str, tuple[type, ...]] = {
     "Scene": (scene._SceneFile,),
@@ -45,8 +46,18 @@ def test_every_requirement_but_those_of_train_has_pins_in_its_range_with_hashes(
         assert all(requirement.specifier.contains(version) for version in versions), f"{text}: run `make lock`"
 
 
+def test_the_pins_of_an_installation_are_a_part_of_those_of_the_development_environment() -> None:
+    pin = r"^[\w.-]+==(?:.+\\\n)+.+"
+    pinned, all_pins = (set(re.findall(pin, text, re.MULTILINE)) for text in (INSTALLED, LOCK))
+    assert pinned < all_pins, "run `make lock`"
+    names = {each.partition("==")[0] for each in pinned}
+    needed = [*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["plot"], "hatchling", "ziglang"]
+    assert names >= {canonicalize_name(Requirement(text).name) for text in needed}
+
+
 def test_the_pins_name_no_machine() -> None:
-    assert re.findall(r"https?:|file:|--(?:extra-)?index|--find-links| @ |^\s*#.*\s/\w", LOCK, re.MULTILINE) == []
+    machine = r"https?:|file:|--(?:extra-)?index|--find-links| @ |^\s*#.*\s/\w"
+    assert re.findall(machine, LOCK + INSTALLED, re.MULTILINE) == []
 
 
 def keys(node: object) -> Iterator[str]:
