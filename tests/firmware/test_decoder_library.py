@@ -201,10 +201,10 @@ def test_decoder_words_hold_each_codec_and_little_more(tmp_path: Path, target: s
     assert sizes["all"] == max(sizes[f"words_{name}"] for name in CODECS)
 
 
-def needed(folder: Path, name: str) -> set[str]:
+def needed(folder: Path, name: str, processor: str = "cortex_m0plus") -> set[str]:
     """Return the sources that the linker takes for a decoder of one codec."""
     switches = [f"-DVC_WITH_{other.upper()}={int(other == name)}" for other in CODECS]
-    target = ["-target", "thumb-freestanding-eabi", "-mcpu=cortex_m0plus", "-O", "ReleaseFast"]
+    target = ["-target", "thumb-freestanding-eabi", f"-mcpu={processor}", "-O", "ReleaseFast"]
     flags = [*FLAGS, "-ffreestanding", "-fno-builtin", *switches, f"-I{ROOT / 'include'}"]
     archive = folder / "libvibrocast.a"
     done = run(*ZIG, "build-lib", *target, f"-femit-bin={archive}", "-cflags", *flags, "--", *CORE)
@@ -225,6 +225,10 @@ def test_the_page_lists_the_sources_of_each_codec(tmp_path: Path, name: str) -> 
     assert shared and own
     listed = set(re.findall(r"`(vc_\w+)\.c`", shared[1] + own[1]))
     assert listed == needed(tmp_path, name)
+    if name == "eva":
+        more = re.search(r"^On a Cortex-M with DSP.*", text, re.MULTILINE)
+        assert more
+        assert listed | set(re.findall(r"`(vc_\w+)\.c`", more[0])) == needed(tmp_path, name, "cortex_m4")
 
 
 def test_a_build_without_a_codec_offers_and_takes_the_others(tmp_path: Path) -> None:

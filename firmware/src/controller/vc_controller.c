@@ -355,11 +355,12 @@ static int dispatch(vc_controller *controller, const vc_message *message, vc_fra
     default:
         return write_flash(controller, message, writer, rejection);
     }
-    if (!rejected) {
+    if (!rejected && (message->type == VC_QUEUE || message->type == VC_CONFIGURE)) {
         const vc_coding *set_up = message->type == VC_QUEUE ? &playback->next_coding : &playback->coding;
         const vc_coding_description coding = {set_up->packet_samples, set_up->delay_samples};
-        const int sets_up = message->type == VC_QUEUE || message->type == VC_CONFIGURE;
-        write_status(controller, writer, message->sequence, sets_up ? &coding : NULL);
+        write_status(controller, writer, message->sequence, &coding);
+    } else if (!rejected) {
+        write_status(controller, writer, message->sequence, NULL);
     }
     return rejected;
 }

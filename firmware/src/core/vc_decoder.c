@@ -139,10 +139,12 @@ int vc_stream_open(vc_stream *stream)
 int vc_stream_feed(vc_stream *stream, const uint8_t *packet, size_t length)
 {
     const vc_codec *codec = stream->decodes;
-    const uint64_t before = stream->number * stream->packet_samples, end = stream->delay_samples + stream->samples;
+    uint64_t before, end;
     int status;
     if (codec == NULL)
         return stream->ended;
+    before = stream->number * stream->packet_samples;
+    end = stream->delay_samples + stream->samples;
     status = codec->feed(stream->memory, packet, length);
     stream->decoded = status < 0 ? stream->packet_samples : 0;
     if (status < 0)
