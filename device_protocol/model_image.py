@@ -12,6 +12,9 @@ MAGIC = b"VCMI"
 LAYOUT_VERSION = 1
 MAX_IMAGE_BYTES = 16 * 1024 * 1024
 
+ACTUATOR_IDENTIFIER = 0xFE
+"""In place of a codec's: the image holds an actuator."""
+
 # Magic, layout version, codec identifier, lengths of name, version and hardware, length of the payload.
 _FIXED = struct.Struct("<4sBBBBBI")
 _CRC_BYTES = 4

@@ -23,6 +23,7 @@ from vibrocast.device_protocol.messages import (
     pack,
 )
 from vibrocast.device_protocol.model_image import (
+    ACTUATOR_IDENTIFIER,
     MAX_IMAGE_BYTES,
     MAX_NUMBER,
     ModelError,
@@ -35,6 +36,7 @@ from vibrocast.device_protocol.transports import TransportError
 from vibrocast.firmware import keys
 from vibrocast.host.controller import ConnectionLost, Controller, ControllerError
 from vibrocast.host.devices import SIMULATED
+from vibrocast.output.actuator_constants import dac_of
 
 RECONNECT_S = 10.0
 
@@ -114,7 +116,14 @@ def check_fit(controller: Controller, model: ModelImage) -> None:
             "give another model, or connect the board that it is for",
             ErrorCode.WRONG_HARDWARE,
         )
-    if model.codec_identifier not in [identifier for identifier, _ in hello.codecs]:
+    if model.codec_identifier == ACTUATOR_IDENTIFIER:
+        bits, rate_hz = hello.actuator.dac_bits, hello.actuator.dac_rate_hz
+        if dac_of(model.payload) != (bits, rate_hz):
+            raise ControllerError(
+                f"the actuator {model.name} is for another DAC, and the controller's has {bits} bits and {rate_hz} Hz; "
+                "change the actuator's file"
+            )
+    elif model.codec_identifier not in [identifier for identifier, _ in hello.codecs]:
         names = ", ".join(name for _, name in hello.codecs)
         raise ControllerError(
             f"the model {model.name} is for codec {model.codec_identifier}, and the controller has {names}; give "

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from vibrocast.device_protocol.model_image import ACTUATOR_IDENTIFIER, ModelError, ModelImage
 from vibrocast.output.actuator import (
     LRA,
     PIEZO_STACK,
@@ -27,6 +28,9 @@ SHIPPED = {
 }
 
 _NAME_BYTES = 31
+_CRC_BYTES = 4
+_LAYOUT = struct.Struct("<32s6IBxhI2iI7iB3x")
+"""vc_actuator, as every compiler for a little-endian processor lays it out."""
 _PLAIN = string.ascii_letters + string.digits + " _-.,()/+"
 """Characters that stand for themselves in a C string."""
 _MAX_DAC_BITS = 16
@@ -96,6 +100,26 @@ def board_source(actuator: Actuator) -> str:
         "/* The actuator of a board; written by `vibrocast actuator --c`. */\n"
         f'#include "vibrocast/output.h"\n\n{definition("board_actuator", actuator)}'
     )
+
+
+def image(actuator: Actuator) -> bytes:
+    """Return a packed model image that holds an actuator (docs/reference/protocol.md). Raises as `constants`."""
+    fields = constants(actuator)
+    section = fields.pop("compensation")
+    values = *fields.values(), *(section[name] for name in ("tangent", "damping", "gain")), *section["weight"]
+    payload = _LAYOUT.pack(*values, section["shift"])
+    lone = ModelImage(ACTUATOR_IDENTIFIER, actuator.name, "1", "", payload)
+    # The structure is aligned in flash: bytes of 0 before it, its end is that of the payload, and a CRC follows.
+    padding = -(len(lone.pack()) - _CRC_BYTES) % 4
+    return replace(lone, payload=bytes(padding) + payload).pack()
+
+
+def dac_of(payload: bytes) -> tuple[int, int]:
+    """Return the bits and the rate in Hz of the DAC of an image's actuator. Raises ModelError for another payload."""
+    if len(payload) < _LAYOUT.size:
+        raise ModelError("the image holds no actuator; pack it again")
+    *_, dac_rate_hz, dac_bits = _LAYOUT.unpack(payload[-_LAYOUT.size :])[:8]
+    return dac_bits, dac_rate_hz
 
 
 def source() -> tuple[str, str]:

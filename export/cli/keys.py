@@ -12,13 +12,13 @@ from vibrocast.firmware import keys as key_files
 from vibrocast.host import uploader
 from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import INPUT, OutputFile, Whole, reject_overwriting
-from vibrocast.host.cli.options import chosen_model
+from vibrocast.host.cli.options import chosen_image
 from vibrocast.host.cli.steps import files_of
 
 KEY_SUFFIX = ".pem"
 PUBLIC_SUFFIX = ".pub.pem"
 
-model_argument = click.argument("model", callback=chosen_model)
+model_argument = click.argument("model", callback=chosen_image)
 
 
 @click.group()
@@ -70,8 +70,8 @@ def show(key: Path) -> None:
 def sign(model: models.Model, key: Path, number: int, out: Path) -> None:
     """Sign a model image.
 
-    MODEL is a name that `vibrocast models` lists, a folder of `vibrocast export`, or a model image. Streams of the
-    model play with the signed image as well.
+    MODEL is a name that `vibrocast models` lists, a folder of `vibrocast export`, a model image, or an actuator's TOML
+    file. Streams of the model play with the signed image as well.
     """
     reject_overwriting([out], [key, *files_of(model)])
     private_key = key_files.read_private_key(key)

@@ -2,6 +2,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "vibrocast/actuator_tables.h"
 #include "../src/core/vc_crc.h"
 #include "../src/controller/vc_image_store.h"
 #include "targets.h"
@@ -135,7 +136,7 @@ void vc_fuzz_flash(const uint8_t *data, size_t length)
                  {PIECE_BYTES, ENTRY_BYTES},
                  {2 * PIECE_BYTES, SLOT_BYTES},
                  {2 * PIECE_BYTES + SLOT_BYTES, SLOT_BYTES}};
-    static const vc_controller_settings settings = {.hardware = "board"};
+    static const vc_controller_settings settings = {.hardware = "board", .actuator = &vc_piezo_stack};
     vc_image_store *store = malloc(sizeof *store);
     uint8_t *record;
     size_t record_length;

@@ -54,6 +54,7 @@ SECTIONS = (
     "Model upload: FlashRead",
     "Model upload: Restarts and power failures",
     "Model upload: Model image",
+    "Model upload: Actuator image",
     "Model upload: Signatures",
 )
 """Headings of docs/reference/protocol.md that hold requirements, in its order: a section, or section: subsection."""

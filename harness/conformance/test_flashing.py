@@ -10,6 +10,7 @@ from vibrocast import codec
 from vibrocast.codec.stream import image_hash
 from vibrocast.device_protocol.messages import (
     CaptureRead,
+    Error,
     ErrorCode,
     FlashActivate,
     FlashBegin,
@@ -37,6 +38,7 @@ from vibrocast.harness.conformance.fixtures import section
 from vibrocast.harness.conformance.probe import NotConforming, Probe, an_error, describe, in_state, same_samples
 from vibrocast.harness.conformance.streams import (
     decoded,
+    known_actuator,
     lasting_stream,
     model,
     need_capture,
@@ -44,6 +46,8 @@ from vibrocast.harness.conformance.streams import (
     need_since,
     stream_for,
 )
+from vibrocast.host.session import description_of
+from vibrocast.output.actuator_constants import image as actuator_image
 
 _REQUESTS_OF_AN_UPLOAD = 7
 _NO_SLOTS = (0x7F, 0xFF)
@@ -374,6 +378,28 @@ def test_stream_plays_with_the_image_that_it_names(probe: Probe, slot: int, imag
     probe.wait_for_state(State.FINISHED, 2.0 + 2 * stream.seconds)
     first, came = probe.captured(Tap.DECODED, 1)
     same_samples(came, decoded(stream)[first:], "a stream with its image")
+
+
+@section("Model upload: Actuator image")
+def test_actuator_of_an_image_is_driven_within_the_limits(probe: Probe, slot: int, hello: HelloResponse) -> None:
+    """While an image with an actuator runs, HelloResponse describes it. One with wider limits is IMAGE_REJECTED."""
+    need_no_signature(hello)
+    own = known_actuator(hello.actuator)
+    wider, narrower = (replace(own, name="conformance", power_limit=part * own.power_limit) for part in (2.0, 0.5))
+    for actuator in (wider, narrower):
+        begin(probe, slot, actuator_image(actuator))
+        write(probe, slot, actuator_image(actuator))
+        answer = probe.ask(FlashVerify(slot))
+        if actuator is wider or isinstance(answer, Error):
+            an_error(
+                answer, ErrorCode.IMAGE_REJECTED, f"FlashVerify of an actuator's power limit {actuator.power_limit}"
+            )
+    if isinstance(answer, Error):
+        pytest.skip("the controller takes no images with actuators")
+    probe.expect(FlashActivate(slot), FlashStatus)
+    probe.open()
+    found, expected = probe.description.actuator, description_of(narrower)
+    assert found == expected, f"expected {expected}, came {found}"
 
 
 @section("Model upload: Restarts and power failures")

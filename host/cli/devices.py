@@ -20,7 +20,7 @@ from vibrocast.host.cli.errors import controllers_failed
 from vibrocast.host.cli.option_types import INPUT, OutputFile
 from vibrocast.host.cli.options import (
     actuator_option,
-    chosen_model,
+    chosen_image,
     device_option,
     devices_option,
     link_option,
@@ -46,7 +46,7 @@ def list_devices() -> None:
 
 
 @click.command("upload")
-@click.argument("model", required=False, callback=chosen_model)
+@click.argument("model", required=False, callback=chosen_image)
 @devices_option
 @click.option("--list", "lists", is_flag=True, help="List the slots and the models in them.")
 @click.option("--rollback", is_flag=True, help="Run the verified model of the other slot again.")
@@ -66,7 +66,8 @@ def upload_model(
 ) -> None:
     """Upload a trained model to controllers.
 
-    MODEL is a name that `vibrocast models` lists, a folder of `vibrocast export`, or a model image. The command
+    MODEL is a name that `vibrocast models` lists, a folder of `vibrocast export`, or a model image. It may also be an
+    actuator's TOML file: the controller then drives this one, within the limits of its firmware. The command
     transfers the model, reads it back, tests it on the controller and confirms it. A model that the board cannot use is
     rejected before anything is written.
 

@@ -24,7 +24,7 @@ from vibrocast.host.cli.answers import wants_json
 from vibrocast.host.cli.errors import CommandError
 from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, positive
 from vibrocast.host.figures import BenchLimits, Value, missed
-from vibrocast.output import actuator_files
+from vibrocast.output import actuator_constants, actuator_files
 from vibrocast.output.actuator import Actuator
 
 _BENCH = "vibrocast.bench"
@@ -56,6 +56,14 @@ def chosen_model(ctx: click.Context, param: click.Parameter, value: str | None) 
         return None if value is None else models.find(value)
     except models.ModelError as error:
         raise click.BadParameter(str(error), ctx, param) from error
+
+
+def chosen_image(ctx: click.Context, param: click.Parameter, value: str | None) -> models.Model | None:
+    """Return what `chosen_model` does, or the image of an actuator in a TOML file. Raises InputError, too."""
+    if value is None or Path(value).suffix != ".toml":
+        return chosen_model(ctx, param, value)
+    actuator = actuator_files.find(value)
+    return models.Model(actuator.name, Path(value), actuator_constants.image(actuator))
 
 
 def chosen_bench(ctx: click.Context, param: click.Parameter, value: Path | None) -> Bench | None:

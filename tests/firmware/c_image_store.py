@@ -4,6 +4,8 @@ from typing import Any
 
 from tests.firmware.native import ffi, native, piece_bytes, rejection_text
 from vibrocast.device_protocol.messages import ErrorCode, SlotState
+from vibrocast.output.actuator import PIEZO_STACK
+from vibrocast.output.actuator_constants import constants
 from vibrocast.simulated_device.callbacks import Callbacks
 from vibrocast.simulated_device.controller import signature_verifier
 from vibrocast.simulated_device.flash import SLOTS, FlashMemory, FlashPort
@@ -29,7 +31,7 @@ class CImageStore:
         self._check = self._callbacks.make("vc_payload_check", lambda *_: 0, -1)
         self._store, self._rejection = ffi.new("vc_image_store *"), ffi.new("vc_rejection *")
         self._report = ffi.new("vc_flash_status *")
-        fields = {"hardware": ffi.new("char[]", b"sim")}
+        fields = {"hardware": ffi.new("char[]", b"sim"), "actuator": ffi.new("vc_actuator *", constants(PIEZO_STACK))}
         if public_key:
             fields["public_key"] = ffi.new("uint8_t[]", public_key)
             fields["verify_signature"] = signature_verifier(ffi, self._callbacks)

@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from tests.conftest import linked, texture
+from tests.conftest import linked, session, texture
 from vibrocast import models
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import Stream
 from vibrocast.codec.threshold import over_threshold_db, read_threshold
 from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.device_protocol.messages import CaptureData, Gain, Message, Pause, Resume, SlotState, Status, Tap
-from vibrocast.host import devices, playback
+from vibrocast.device_protocol.model_image import ModelImage
+from vibrocast.host import devices, playback, uploader
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.host.event_loop import Steps
 from vibrocast.host.playback import Playback
@@ -23,8 +24,11 @@ from vibrocast.host.player import Progress
 from vibrocast.host.session import actuator_model, session_with
 from vibrocast.host.stream_session import Capture
 from vibrocast.output.actuator import LRA, PIEZO_STACK, VOICE_COIL, Actuator
-from vibrocast.output.actuator_constants import constants
-from vibrocast.simulated_device.controller import Settings
+from vibrocast.output.actuator_constants import constants, image
+from vibrocast.simulated_device.controller import FLASH_BYTES, Settings
+from vibrocast.simulated_device.controller import Controller as SimulatedController
+from vibrocast.simulated_device.flash import FlashMemory
+from vibrocast.simulated_device.memory_link import MemoryLink
 
 LOOPS = 3
 SAMPLES = 1000
@@ -114,6 +118,66 @@ def test_codes_of_an_own_actuator_are_compared_where_its_file_is_given() -> None
         report = playback.play(session_with(controller, "serial:a", given), "sine", stream).report
         assert (report.decoded_equals_offline, report.dac_equals_offline) == (True, is_equal)
         assert (report.comparison_note is None) == (is_equal is True)
+
+
+def uploaded(actuator: Actuator, controller: Controller) -> str:
+    """Upload an actuator; return the name of the one that the controller then drives."""
+    uploader.flash(controller, image(actuator))
+    return controller.description.actuator.name
+
+
+def test_an_uploaded_actuator_is_driven_until_another_image_runs() -> None:
+    own = replace(LRA, name="own", corner_hz=161.3, power_limit=0.01)
+    stream = encode_recording(texture(SINE), live=True).stream
+    _, controller = linked(Settings(actuator=LRA))
+    assert uploaded(own, controller) == "own"
+    assert playback.play(session_with(controller, "serial:a", own), "sine", stream).report.dac_equals_offline is True
+    uploader.flash(controller, models.find("mdct-textures").image)
+    assert controller.description.actuator.name == "lra"
+    uploader.roll_back(controller)
+    assert controller.description.actuator.name == "own"
+
+
+def test_firmware_with_narrower_limits_drives_its_own_actuator() -> None:
+    flash, own = FlashMemory(FLASH_BYTES), replace(LRA, name="own")
+    before = session(MemoryLink(SimulatedController(Settings(actuator=LRA), flash)))
+    assert uploaded(own, before) == "own"
+    after = session(MemoryLink(SimulatedController(Settings(actuator=replace(LRA, power_limit=0.1)), flash)))
+    assert after.description.images == before.description.images
+    assert after.description.actuator.name == "lra"
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"dac_rate_hz": 4000}, "another DAC"),
+        ({"dac_bits": 12}, "another DAC"),
+        ({"volts_limit": 2.8}, "wider limits"),
+        ({"slew_volts_per_second": 9000.0}, "wider limits"),
+        ({"power_limit": 0.3}, "wider limits"),
+    ],
+)
+def test_no_uploaded_actuator_lifts_a_limit_or_changes_the_dac(
+    changes: dict[str, Any], reason: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the controller itself, whatever the host checks."""
+    monkeypatch.setattr(uploader, "check_fit", lambda *_: None)
+    _, controller = linked(Settings(actuator=replace(LRA, volts_limit=2.0, slew_volts_per_second=8000.0)))
+    own = replace(LRA, name="own", volts_limit=1.0, slew_volts_per_second=7000.0)
+    with pytest.raises(ControllerError, match=reason):
+        uploaded(replace(own, **changes), controller)
+    assert uploaded(own, controller) == "own"
+
+
+def test_an_image_whose_actuator_cannot_be_driven_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(uploader, "check_fit", lambda *_: None)
+    _, controller = linked(Settings(actuator=LRA))
+    whole = ModelImage.unpack(image(LRA))
+    unstable = bytearray(whole.payload)
+    unstable[-28:-24] = bytes(4)  # damping
+    for payload in (bytes(unstable), b"\0" + whole.payload + b"\0\0\0", whole.payload + b"\0"):
+        with pytest.raises(ControllerError, match="no actuator that can be driven"):
+            uploader.flash(controller, replace(whole, payload=payload).pack())
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,8 @@
 #define VC_IMAGE_HASH_BYTES 4
 #define VC_IMAGE_MAGIC "VCMI"
 #define VC_IMAGE_LAYOUT_VERSION 1
+/* In place of a codec: the image holds an actuator. */
+#define VC_IMAGE_OF_ACTUATOR 0xFEu
 #define VC_IMAGE_SIGNED_BYTES 68 /* number and signature behind a signed image */
 
 /* cffi: begin */

@@ -69,7 +69,7 @@ typedef struct {
  * other limits are compiled in: sizes.h. */
 typedef struct {
     const char *build, *hardware;
-    const vc_actuator *actuator;
+    const vc_actuator *actuator;            /* that of an image may take its place, but never lifts its limits */
     const uint8_t *public_key;              /* 32 bytes of Ed25519: images need its signature; NULL: they need none */
     vc_signature_verifier verify_signature; /* NULL only where public_key is */
     void *verify_context;

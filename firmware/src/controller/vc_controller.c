@@ -202,7 +202,8 @@ static int configure(vc_controller *controller, const vc_configure *configure, i
     if (!rejected)
         rejected = find_coding(controller, &header, &coding, rejection);
     if (!rejected)
-        rejected = vc_playback_check(configure, &header, &coding, controller->settings, rejection);
+        rejected = vc_playback_check(configure, &header, &coding, controller->settings, controller->playback.actuator,
+                                     rejection);
     if (rejected)
         return rejected;
     if (behind)
@@ -367,7 +368,7 @@ static int dispatch(vc_controller *controller, const vc_message *message, vc_fra
 
 static void write_description(vc_controller *controller, vc_frame_writer *writer, uint16_t sequence)
 {
-    const vc_actuator *actuator = controller->settings->actuator;
+    const vc_actuator *actuator = controller->playback.actuator;
     const vc_decoder_callbacks *callbacks = controller->settings->callbacks;
     const vc_sizes sizes = vc_playback_sizes(controller->settings);
     vc_codec_description codecs[VC_CODEC_COUNT];
@@ -422,6 +423,7 @@ static void write_description(vc_controller *controller, vc_frame_writer *writer
 /* After a boot of the image store. */
 static void start_idle(vc_controller *controller)
 {
+    controller->playback.actuator = vc_image_store_actuator(&controller->images);
     controller->configured = 0;
     controller->state_without_stream = VC_STATE_IDLE;
     controller->in_session = 0;
@@ -583,7 +585,6 @@ int vc_controller_init(vc_controller *controller, const vc_controller_settings *
     controller->time_us = now_us;
     controller->dac_free_us = 0;
     controller->outgoing_at = controller->outgoing_end = 0;
-    controller->playback.actuator = settings->actuator;
     controller->playback.dac_port = dac;
     controller->playback.profile = settings->profile;
     controller->playback.sizes = vc_playback_sizes(settings);

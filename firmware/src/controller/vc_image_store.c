@@ -191,6 +191,42 @@ const uint8_t *vc_image_store_running_sha256(const vc_image_store *store)
     return store->running == NO_SLOT ? NULL : slot_of(store, (unsigned)store->running)->sha256;
 }
 
+/* The actuator of an image: the last bytes of the payload, in the layout and alignment of the structure. An image never
+ * lifts a limit of the settings, signed or not, nor changes the clock and the codes that the port has set up. Returns
+ * NULL and fills the rejection if the controller cannot drive it. */
+static const vc_actuator *actuator_of(const vc_model_image *image, const vc_actuator *own, vc_rejection *rejection)
+{
+    const vc_actuator *actuator = NULL;
+    if (image->payload.length >= sizeof *actuator) {
+        const uint8_t *at = image->payload.bytes + image->payload.length - sizeof *actuator;
+        if ((uintptr_t)at % sizeof(uint32_t) == 0)
+            actuator = (const vc_actuator *)(const void *)at;
+    }
+    if (actuator == NULL || !vc_actuator_is_usable(actuator))
+        vc_reject(rejection, VC_IMAGE_REJECTED, "the image holds no actuator that can be driven: pack it again");
+    else if (actuator->dac_bits != own->dac_bits || actuator->dac_rate_hz != own->dac_rate_hz)
+        vc_reject_numbers(rejection, VC_IMAGE_REJECTED,
+                          "the image's actuator is for another DAC; here it has # bits and # Hz: change the file",
+                          own->dac_bits, own->dac_rate_hz);
+    else if (actuator->code_limit > own->code_limit || actuator->code_step_limit > own->code_step_limit ||
+             actuator->power_limit > own->power_limit)
+        vc_reject(rejection, VC_IMAGE_REJECTED,
+                  "the image's actuator has wider limits than the firmware: lower those of voltage, slew and power");
+    else
+        return actuator;
+    return NULL;
+}
+
+const vc_actuator *vc_image_store_actuator(const vc_image_store *store)
+{
+    const vc_model_image *image = vc_image_store_running(store);
+    const vc_actuator *own = store->settings->actuator, *actuator = NULL;
+    vc_rejection unused;
+    if (image != NULL && image->codec == VC_IMAGE_OF_ACTUATOR)
+        actuator = actuator_of(image, own, &unused);
+    return actuator != NULL ? actuator : own;
+}
+
 void vc_image_store_describe(const vc_image_store *store, unsigned number, vc_image_description *description)
 {
     memset(description, 0, sizeof *description);
@@ -367,7 +403,9 @@ static int check_image(vc_image_store *store, unsigned number, vc_rejection *rej
         rejected = reject_outdated(store, image, rejection);
     if (!rejected)
         rejected = wrong_hardware(store, image->hardware, VC_IMAGE_REJECTED, rejection);
-    if (!rejected)
+    if (!rejected && image->codec == VC_IMAGE_OF_ACTUATOR)
+        rejected = actuator_of(image, store->settings->actuator, rejection) == NULL ? VC_IMAGE_REJECTED : 0;
+    else if (!rejected)
         rejected =
             store->check(store->check_context, image->codec, image->payload.bytes, image->payload.length, rejection);
     return rejected;

@@ -36,7 +36,7 @@ typedef struct {
 unsigned vc_image_store_slots(const vc_image_store *store);
 
 /* Prepares the store at power-on, and boots it. All pointers must stay valid. `flash`: NULL: there are no slots. Of the
- * settings, the store uses `hardware`, `public_key`, `verify_signature` and `verify_context`. With a key, which needs a
+ * settings, the store uses `actuator`, `hardware`, `public_key`, `verify_signature` and `verify_context`. With a key, which needs a
  * verifier, it takes only images that the key signed, and none with a lower number than one confirmed before. */
 void vc_image_store_init(vc_image_store *store, const vc_flash *flash, const vc_controller_settings *settings,
                          vc_payload_check check, const void *check_context);
@@ -48,6 +48,9 @@ void vc_image_store_boot(vc_image_store *store);
 /* The image that runs, in flash, or NULL; and the 32 bytes of its SHA-256. */
 const vc_model_image *vc_image_store_running(const vc_image_store *store);
 const uint8_t *vc_image_store_running_sha256(const vc_image_store *store);
+
+/* The actuator to drive: that of the image that runs, in flash, or else that of the settings. */
+const vc_actuator *vc_image_store_actuator(const vc_image_store *store);
 
 /* Describes a slot that there is, 0 or 1, as HelloResponse does. Points into the store and the flash. */
 void vc_image_store_describe(const vc_image_store *store, unsigned number, vc_image_description *description);

@@ -100,6 +100,7 @@ static int reject_profile(const vc_configure *configure, const vc_stream_header 
                           const vc_controller_settings *settings, vc_rejection *rejection)
 {
     const uint32_t room = vc_playback_sizes(settings).profile_samples;
+    /* An image's actuator has the same rate. */
     const uint32_t least_samples = vc_profile_least_samples(header->output.rate_hz, settings->actuator->dac_rate_hz);
     if (header->samples == VC_LENGTH_UNKNOWN || configure->first_packet > 0 ||
         (uint64_t)configure->packets * coding->packet_samples < coding->delay_samples + header->samples)
@@ -162,9 +163,8 @@ uint32_t vc_playback_max_rate_hz(const vc_actuator *actuator)
 }
 
 int vc_playback_check(const vc_configure *configure, const vc_stream_header *header, vc_coding *coding,
-                      const vc_controller_settings *settings, vc_rejection *rejection)
+                      const vc_controller_settings *settings, const vc_actuator *actuator, vc_rejection *rejection)
 {
-    const vc_actuator *actuator = settings->actuator;
     const vc_output_stream output = output_of(header, actuator);
     const uint32_t max_rate_hz = vc_playback_max_rate_hz(actuator);
     const vc_sizes sizes = vc_playback_sizes(settings);

@@ -102,7 +102,7 @@ vc_sizes vc_playback_sizes(const vc_controller_settings *settings);
 /* Checks whether a stream can play. Returns 0, or the rejection's code. `coding`: of the header's codec and
  * configuration; the check fills in its packets. */
 int vc_playback_check(const vc_configure *configure, const vc_stream_header *header, vc_coding *coding,
-                      const vc_controller_settings *settings, vc_rejection *rejection);
+                      const vc_controller_settings *settings, const vc_actuator *actuator, vc_rejection *rejection);
 /* Sets up a stream that vc_playback_check has accepted, after the former one has stopped. `sizes` and the members after
  * it stay. */
 void vc_playback_init(vc_playback *playback, const vc_configure *configure, const vc_stream_header *header,
