@@ -28,8 +28,6 @@ DETECTED = ("same_different", "abx", "two_alternative")
 METRICS = {"snr_db": "SNR, dB", "st_sim": "ST-SIM", "spqi": "SPQI", "third_octave_db": "third-octave distance, dB"}
 POWER = 0.8
 ALPHA = 0.05
-MIN_PILOT = 5
-"""With fewer participants to draw from, a sample size means nothing."""
 PLANNED_PARTICIPANTS = (5, 10, 15, 20, 30, 40)
 """Of the table of power."""
 FAILED = "device failed"
@@ -510,27 +508,10 @@ def _could_find(read: Analysis, test: PairedTest) -> str:
     return f"{test.count} participants find an effect of d = {least:.2f} in {100 * POWER:.0f} % of such studies."
 
 
-def _participants_needed(read: Analysis) -> dict[tuple[str, str], int | None]:
-    """Return how many participants find each condition in 80 % of studies, after Holm's correction.
-
-    Studies are drawn from the participants who rated all conditions of a texture.
-    """
-    hidden = next(iter(read.study.of_role(HIDDEN_REFERENCE)), None)
-    found = {}
-    for texture in dict.fromkeys(each.texture for each in read.ratings):
-        group = [each for each in read.ratings if each.texture == texture]
-        against = next((each for each in group if each.condition == hidden), None)
-        tested = [each for each in group if each.test is not None]
-        if against is None or not tested:
-            continue
-        whole = [number for number in against.by_participant if all(number in each.by_participant for each in tested)]
-        if len(whole) >= MIN_PILOT:
-            rows = [
-                [each.by_participant[number] - against.by_participant[number] for each in tested] for number in whole
-            ]
-            for each, count in zip(tested, statistics.participants_by_resampling(rows, POWER, ALPHA), strict=True):
-                found[texture, each.condition] = count
-    return found
+def _participants_needed(test: PairedTest, tests: int) -> int | None:
+    """Return how many participants find an effect like this one; None without an effect, or for more than 100."""
+    effect = test.effect.value
+    return None if effect is None else statistics.participants_needed(effect, POWER, ALPHA / tests)
 
 
 def _tests_of_texture(read: Analysis) -> int:
@@ -541,7 +522,7 @@ def _tests_of_texture(read: Analysis) -> int:
 
 def tables(read: Analysis) -> dict[str, list[dict[str, Any]]]:
     """Return the report's tables by the name of their CSV file, without empty ones."""
-    needed, tests = _participants_needed(read), _tests_of_texture(read)
+    tests = _tests_of_texture(read)
     found: dict[str, list[dict[str, Any]]] = {
         "stimuli": [
             {"stimulus": each.key, **_columns(each, "role", "gain_db"), **each.facts}
@@ -570,7 +551,7 @@ def tables(read: Analysis) -> dict[str, list[dict[str, Any]]]:
             | {"participants": each.test.count}
             | _columns(each, "difference")
             | _columns(each.test, "t", "p", "holm_p", "effect")
-            | {"participants_needed": needed.get((each.texture, each.condition))}
+            | {"participants_needed": _participants_needed(each.test, tests)}
             for each in read.ratings
             if each.test is not None
         ],

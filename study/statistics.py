@@ -291,40 +291,9 @@ def detectable_effect(count: int, power: float = 0.8, alpha: float = 0.05) -> fl
     return float(brentq(lambda effect: power_of_paired_test(effect, count, alpha) - power, 1e-6, 50.0))
 
 
-def participants_by_resampling(
-    differences: ArrayLike, power: float = 0.8, alpha: float = 0.05, most: int = 100
-) -> list[int | None]:
-    """Return for each condition how many participants the study needs to find it, after Holm's correction.
-
-    `differences`: (participants, conditions), each participant's mean rating less that of the reference, from
-    simulated observers or a pilot study. Studies of 2 to `most` participants are drawn from them, BOOTSTRAPS / 4 of
-    each size. None: a condition that more than `most` are needed for. With few participants to draw from, the numbers
-    are rough. Raises InputError.
-    """
-    from scipy import stats
-
-    pool = np.asarray(differences, np.float64)
-    if pool.ndim != 2 or len(pool) < 2 or not np.all(np.isfinite(pool)):
-        raise InputError("differences must be finite, of at least two participants; simulate more of them")
-    studies, conditions = BOOTSTRAPS // 4, pool.shape[1]
-    random = np.random.default_rng(0)
-    needed: list[int | None] = [None] * conditions
-    for count in range(2, most + 1):
-        if None not in needed:
-            break
-        drawn = pool[random.integers(len(pool), size=(studies, count))]
-        errors = np.std(drawn, axis=1, ddof=1) / math.sqrt(count)
-        means = np.mean(drawn, axis=1)
-        # Without a spread, a test finds any difference or none; the smallest error stands for 0.
-        p = 2 * stats.t.sf(np.abs(means) / np.maximum(errors, 1e-12), count - 1)
-        # Holm's correction, all studies at once: the k-th smallest p counts times (conditions - k).
-        order = np.argsort(p, axis=1)
-        steps = np.take_along_axis(p, order, axis=1) * (conditions - np.arange(conditions))
-        corrected = np.empty_like(p)
-        np.put_along_axis(corrected, order, np.maximum.accumulate(steps, axis=1), axis=1)
-        found = np.mean(corrected < alpha, axis=0)
-        needed = [count if each is None and part >= power else each for each, part in zip(needed, found, strict=True)]
-    return needed
+def participants_needed(effect: float, power: float = 0.8, alpha: float = 0.05, most: int = 100) -> int | None:
+    """Return how many participants a paired t-test needs to find an effect d_z; None for more than `most`."""
+    return next((count for count in range(2, most + 1) if power_of_paired_test(effect, count, alpha) >= power), None)
 
 
 # ---- models of several conditions ----

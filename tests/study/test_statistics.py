@@ -184,15 +184,11 @@ def test_power_of_three_people_agrees_with_simulated_studies() -> None:
     assert own.power_of_paired_test(7.3, 3, 0.01) == pytest.approx(found, abs=0.01)
 
 
-def test_resampled_sample_size_agrees_with_the_formula_and_corrects_for_several_tests() -> None:
-    people = np.random.default_rng(1).normal([0.8, 0.0, 0.0, 0.0], 1.0, (3000, 4))
-    effect = float(np.mean(people[:, 0]) / np.std(people[:, 0]))
-    wanted = next(count for count in range(2, 100) if own.power_of_paired_test(effect, count) >= 0.8)
-    (alone,) = own.participants_by_resampling(people[:, :1])
-    among, *others = own.participants_by_resampling(people, most=30)
-    assert alone is not None and abs(alone - wanted) <= 2
-    assert among is not None and among > alone and others == [None, None, None]
-    assert own.participants_by_resampling([[0.0, 1.0]] * 5, most=10) == [None, 2]
+def test_the_needed_participants_are_the_fewest_with_enough_power() -> None:
+    needed = own.participants_needed(0.8)
+    assert needed is not None
+    assert own.power_of_paired_test(0.8, needed) >= 0.8 > own.power_of_paired_test(0.8, needed - 1)
+    assert own.participants_needed(0.1) is None
 
 
 # ---- models ----
@@ -294,7 +290,6 @@ DAMAGED: list[tuple[Callable[..., object], tuple[object, ...], str]] = [
     *((own.sensitivity_same_different, (rate, 0.5), "gives no d'") for rate in (0.0, 1.0, math.nan)),
     *((own.bradley_terry, (wins,), "wins") for wins in ([1, 2], [[1, 2]], [[0, math.nan], [1, 0]], [[0, -1], [1, 0]])),
     (own.bradley_terry, (np.zeros((0, 0)),), "wins"),
-    *((own.participants_by_resampling, (each,), "differences") for each in ([[1.0]], [1.0, 2.0], [[math.nan], [1.0]])),
     *((own.mean_interval, (each,), "remove those rows") for each in ([1.0, math.nan], [1.0, math.inf], [[1.0], [2.0]])),
     (own.paired_test, ([1, 2], [1]), "needs both"),
     (own.holm, ([0.1, math.nan],), "p value"),
