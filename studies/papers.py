@@ -64,10 +64,10 @@ OTHER_DATA = (
     "one set."
 )
 OTHER_MACHINE = "Other programs on another processor. The paper does not say how many cores worked."
-OTHER_SURFACES = "Other surfaces: generated ones, alike in kind. The page on this codec explains each difference."
+OTHER_SURFACES = "Other surfaces: generated ones, alike in kind. The part on that paper explains each difference."
 OTHER_THRESHOLD = "Other surfaces, and another detection threshold, which is from memory."
 OTHER_SPLIT = "The set does not ship with this project, and the paper publishes no list of its split."
-NO_PEOPLE = "No people took part. Another page shows what simulated observers answer."
+NO_PEOPLE = "No people took part. The last part shows what simulated observers answer."
 BY_CHANCE = "The energy rises at every L. By chance a third of the stretches would peak here."
 IN_A_MODEL = "Computed from the model of the actuator. No recording has been played on a real one."
 PEOPLE_DECIDE = (
