@@ -242,11 +242,6 @@ class Limit:
         table = f"[[controllers]] {controller}:" if self.table == "controllers" else f"[{self.table}]"
         return f"{table} {self.key}"
 
-    @property
-    def kept(self) -> bool:
-        """Whether the candidate keeps the limit."""
-        return self.available is None or self.needed <= self.available
-
 
 def limits(forecast: Forecast, peak_bps: float, scene: Scene, controller: SceneController) -> tuple[Limit, ...]:
     """Return the limits of a scene, without the quality. `peak_bps`: of the frames over any second."""
@@ -281,7 +276,7 @@ class Candidate:
     @property
     def broken(self) -> tuple[Limit, ...]:
         """The limits that it exceeds."""
-        return tuple(limit for limit in self.limits if not limit.kept)
+        return tuple(each for each in self.limits if each.available is not None and each.needed > each.available)
 
     @property
     def meets(self) -> bool:

@@ -3,7 +3,7 @@
 import csv
 import json
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -17,36 +17,33 @@ WIDTH, INDENT = 80, 14
 
 
 def write_candidates(path: Path, choices: Sequence[TextureChoice]) -> None:
-    """Write all candidates as CSV; None is an empty field. Raises OSError."""
-    rows = [row for choice in choices for row in _candidate_rows(choice)]
+    """Write all candidates as CSV; costs and qualities as in forecast.Forecast, None is an empty field. Raises OSError.
+
+    `short_of`: the requirements that it misses: "quality", or keys of limits.
+    """
+    rows = [
+        {
+            "texture": choice.name,
+            "codec": each.measured.option.codec,
+            "model": each.measured.model,
+            "setting": json.dumps(each.measured.setting),
+            "packet_samples": each.measured.packet_samples,
+            "refresh_packets": each.measured.refresh_packets,
+            "buffer_ms": each.buffer_ms,
+            "cost": round(each.cost, 4),
+            "quality": each.quality,
+            "meets": each.meets,
+            "chosen": each == choice.chosen,
+            "short_of": "; ".join(["quality"] * (each.shortfall > 0) + [limit.key for limit in each.broken]),
+            **asdict(each.forecast),
+        }
+        for choice in choices
+        for each in choice.candidates
+    ]
     with atomic_write(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         table = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
         table.writeheader()
         table.writerows(rows)
-
-
-def _candidate_rows(choice: TextureChoice) -> Iterator[dict[str, object]]:
-    """Yield a row for each candidate; costs and qualities as in forecast.Forecast.
-
-    `short_of`: the requirements that it misses: "quality", or keys of limits.
-    """
-    for candidate in choice.candidates:
-        measured = candidate.measured
-        yield {
-            "texture": choice.name,
-            "codec": measured.option.codec,
-            "model": measured.model,
-            "setting": json.dumps(measured.setting),
-            "packet_samples": measured.packet_samples,
-            "refresh_packets": measured.refresh_packets,
-            "buffer_ms": candidate.buffer_ms,
-            "cost": round(candidate.cost, 4),
-            "quality": candidate.quality,
-            "meets": candidate.meets,
-            "chosen": candidate == choice.chosen,
-            "short_of": "; ".join(["quality"] * (candidate.shortfall > 0) + [limit.key for limit in candidate.broken]),
-            **asdict(candidate.forecast),
-        }
 
 
 def summary(asked: Asked, choice: TextureChoice) -> str:

@@ -35,7 +35,6 @@ from vibrocast.toml_tables import Table, Text, check_names, convert, one_of, rea
 
 CORES = ("M4F", "M7", "M33")
 """Processors for which decoding has been measured (docs/benchmarks/firmware.md)."""
-LINKS = ("serial", "usb-full-speed", "usb-high-speed", "simulated")
 LINK_BYTES_PER_SECOND = {"serial": BAUD / 10, "usb-full-speed": 1_216_000.0, "usb-high-speed": 53_248_000.0}
 """A serial byte takes a start bit, eight bits of data and a stop bit. USB: the most that bulk transfers carry, 19
 packets of 64 bytes in a frame of 1 ms, 13 of 512 in a microframe of 125 us (USB 2.0, tables 5-9 and 5-10)."""
@@ -270,12 +269,12 @@ class _Skin(Table, frozen=True):
 
 
 class _Link(Table, frozen=True):
-    kind: Annotated[str, one_of(LINKS)] | None = None
+    kind: Annotated[str, one_of(LINK_DELAYS_MS)] | None = None
     delay_ms: Annotated[float, within(0, 5_000, "delay one way in ms")] | None = None
     bytes_per_second: Annotated[float, within(10, 1e10, "bytes per second that the link carries")] | None = None
 
     def link(self, controllers: Sequence[SceneController]) -> Link:
-        """Return the link; missing values are those usual for these controllers. Raises ValueError."""
+        """Return the link; missing values are those usual for these controllers."""
         simulated = {controller.address for controller in controllers} <= set(devices.SIMULATED)
         kind = self.kind or ("simulated" if simulated else "serial")
         delay_ms = LINK_DELAYS_MS[kind] if self.delay_ms is None else self.delay_ms
@@ -304,18 +303,19 @@ def read_scene(path: Path) -> Scene:
         file = convert(document, _SceneFile)
         names = [each.name for each in file.controllers]
         check_names("controllers", names)
-        link = file.link.link(file.controllers)
-        _check_limits(file.asked, link)
+        threshold_path = threshold_file(file.skin.threshold, path.parent)
+        with located("[skin]"):
+            read_threshold(threshold_path)
         scene = Scene(
             path=path,
             hand_speed_mm_s=file.hand.range,
             textures=(),
             controllers=file.controllers,
             actuators=read_actuators(file.actuators, names),
-            link=link,
+            link=file.link.link(file.controllers),
             asked=file.asked,
             weights=file.weights,
-            threshold_path=_threshold(path.parent, file.skin),
+            threshold_path=threshold_path,
         )
         _check_channels(scene)
         _check_actuators(scene)
@@ -346,28 +346,6 @@ def _check_channels(scene: Scene) -> None:
                 f"[[actuators]] {number}: channel {entry.channel}, but {entry.controller} has {channels} channels; "
                 "give another channel"
             )
-
-
-def _check_limits(asked: Asked, link: Link) -> None:
-    """Raise ValueError for a limit that the link cannot keep."""
-    if asked.delay_limit_ms is not None and asked.delay_limit_ms <= link.delay_ms:
-        raise ValueError(
-            f"[asked]: delay_limit_ms = {asked.delay_limit_ms:g} cannot be kept, because the link alone takes "
-            f"{link.delay_ms:g} ms; raise the limit, or give another link"
-        )
-    carried_bps = 8 * link.carried
-    if asked.rate_limit_bps is not None and asked.rate_limit_bps > carried_bps:
-        raise ValueError(
-            f"[asked]: rate_limit_bps = {asked.rate_limit_bps:.9g} is above the {carried_bps:.9g} bit/s that the link "
-            "carries; lower it, or give another link"
-        )
-
-
-def _threshold(folder: Path, skin: _Skin) -> Path:
-    path = threshold_file(skin.threshold, folder)
-    with located("[skin]"):
-        read_threshold(path)
-    return path
 
 
 def _textures(scene: Scene, table: _Texture) -> list[SceneTexture]:

@@ -32,7 +32,7 @@ from vibrocast.host.cli.options import (
 )
 from vibrocast.host.cli.sections import CODING, CONTROLLER, INPUT, SectionedCommand, section
 from vibrocast.host.live_playback import LivePlayback
-from vibrocast.host.report import Provenance
+from vibrocast.host.report import Provenance, Report
 from vibrocast.host.serial_sensor import SerialSensor
 from vibrocast.host.standard_input import StandardInput
 from vibrocast.output import actuator_files
@@ -191,16 +191,7 @@ def live(
         stream = streaming.LiveStream(session.controller, signal_format, coding=how, playout_delay_s=delay.seconds)
         run = Provenance(None if bench is None else bench.sha256)
         playing = LivePlayback(session, stream, source, model=coding.model, provenance=run)
-        try:
-            blocks = source_blocks(playing, samples, given)
-            report = playing.play(blocks, lambda _: update(*so_far(stream, given))).report
-        except KeyboardInterrupt:
-            if isinstance(given, (textures.Recording, StandardInput)):
-                raise
-            report = playing.report()  # nothing else ends a sensor
-        finally:
-            add(asdict(playing.report()))  # of a stream that is cut, too
-    add(asdict(report))
+        report = played(playing, samples, given, update)
     tell_report(report)
     judge(bench, report.figures())
 
@@ -281,6 +272,21 @@ def live_coding(coding: CodingOptions, delay: DelayOptions, signal_format: codec
         policy=target.policy(signal_format),
         packet_samples=target.framing(signal_format.rate_hz).packet_samples,
     )
+
+
+def played(playing: LivePlayback, samples: SampleOptions, given: Given, update: progress.Update) -> Report:
+    """Play a source to its end, and return the report, which is added to the answer: of a stream that is cut, too."""
+    try:
+        blocks = source_blocks(playing, samples, given)
+        report = playing.play(blocks, lambda _: update(*so_far(playing.stream, given))).report
+    except BaseException as cut:
+        report = playing.report()
+        # Nothing but Ctrl-C ends a sensor.
+        if not isinstance(cut, KeyboardInterrupt) or isinstance(given, (textures.Recording, StandardInput)):
+            add(asdict(report))
+            raise
+    add(asdict(report))
+    return report
 
 
 def so_far(stream: streaming.LiveStream, given: object) -> tuple[float | None, str]:

@@ -72,11 +72,6 @@ def test_a_folder_is_a_texture_for_each_recording_and_a_list_is_played_together(
         ({"asked": "[asked]\n"}, "[asked]: no quality is given; give one of snr_db"),
         ({"asked": ASKED + "imperceptible = true\n"}, "snr_db and imperceptible are given; give one of"),
         ({"asked": ASKED + "waveform = false\n"}, "waveform = false contradicts snr_db, which parametric coding"),
-        ({"asked": ASKED + "delay_limit_ms = 3\n", "link": "[link]\ndelay_ms = 5\n"}, "delay_limit_ms = 3 cannot be"),
-        (
-            {"asked": ASKED + "rate_limit_bps = 1e6\n", "link": '[link]\nkind = "serial"\nbytes_per_second = 960\n'},
-            "rate_limit_bps = 1000000 is above the 7680 bit/s that the link carries",
-        ),
         ({"skin": '[skin]\nthreshold = "none.csv"\n'}, "cannot be read as a detection threshold"),
         (
             {"weights": "[weights]\n" + "".join(f"{key} = 0\n" for key in (
