@@ -10,7 +10,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,9 +43,6 @@ MAX_PACKET_S = 2.0
 """Longest packet: a rate is held over any 2 s."""
 WINDOW_S = 2.0
 """A rate is held over any run of whole packets of this length."""
-
-FrameBytes: TypeAlias = Callable[[bytes], int]
-"""Counts the bytes that a packet's frame adds to it. Raises CodecError for a packet that no frame carries."""
 
 _PROBE_PACKETS = 4
 # A sequence number takes one byte at first, and four from packet 2^20 on.
@@ -259,10 +255,8 @@ class RatePolicy(ABC):
 
     _meter: SnrMeter | None = None
 
-    def __init__(self, rate_buffer: RateBuffer, frame_bytes: FrameBytes | int) -> None:
-        """`frame_bytes`: bytes that the frame of a packet adds to it, or a function that counts them."""
+    def __init__(self, rate_buffer: RateBuffer) -> None:
         self.rate_buffer = rate_buffer
-        self._frame_bytes = (lambda packet: frame_bytes) if isinstance(frame_bytes, int) else frame_bytes
         self._seconds = math.nan
         self.min_bytes = 0
         """Bytes of a packet at its coarsest, as given to `begin`."""
@@ -295,8 +289,8 @@ class RatePolicy(ABC):
         self._check_reach(self.bits_per_second)
 
     def sent_bytes(self, packet: bytes) -> int:
-        """Return the bytes of a packet and its frame."""
-        return len(packet) + self._frame_bytes(packet)
+        """Return the bytes of a packet and its frame. Raises TargetUnreachable for a packet that no frame carries."""
+        return len(packet) + added_bytes(packet)
 
     @abstractmethod
     def __call__(self, trial: Trial) -> Choice:
@@ -330,14 +324,8 @@ class CappedRate(RatePolicy):
 
     _meter: SnrMeter
 
-    def __init__(
-        self,
-        quality_db: float,
-        meter: SnrMeter,
-        bits_per_second: float,
-        frame_bytes: FrameBytes | int = 0,
-    ) -> None:
-        super().__init__(RateBuffer(bits_per_second, full=0.0), frame_bytes)
+    def __init__(self, quality_db: float, meter: SnrMeter, bits_per_second: float) -> None:
+        super().__init__(RateBuffer(bits_per_second, full=0.0))
         self.quality_db = quality_db
         self._meter = meter
 
@@ -359,8 +347,8 @@ class ConstantRate(RatePolicy):
     Between these limits, each packet aims at its share of the rate.
     """
 
-    def __init__(self, bits_per_second: float, frame_bytes: FrameBytes | int = 0) -> None:
-        super().__init__(RateBuffer(bits_per_second, full=0.5), frame_bytes)
+    def __init__(self, bits_per_second: float) -> None:
+        super().__init__(RateBuffer(bits_per_second, full=0.5))
 
     def __call__(self, trial: Trial) -> Choice:
         """Choose the packet's quantiser offset and padding. Raises TargetUnreachable if none fits."""
@@ -428,9 +416,7 @@ def rate_controlled_encoder(
     return encoder
 
 
-def rate_controlled_framing(
-    bits_per_second: float, rate_hz: float, frame_bytes: FrameBytes, max_s: float = math.inf
-) -> Framing:
+def rate_controlled_framing(bits_per_second: float, rate_hz: float, max_s: float = math.inf) -> Framing:
     """Return the framing for a rate: the shortest packets to which the wire adds at most 12 % at the full rate.
 
     `bits_per_second`: of all channels, frames included. `max_s`: longest packet that the target delay allows. Encoders
@@ -440,9 +426,9 @@ def rate_controlled_framing(
     Raises TargetUnreachable for a rate whose packets would last longer than 2 s.
     """
     packet = b"\xff"
-    while frame_bytes(packet) > FRAMES_ADD * len(packet):
+    while added_bytes(packet) > FRAMES_ADD * len(packet):
         packet += b"\xff"
-    sent_bits = 8 * (len(packet) + frame_bytes(packet))
+    sent_bits = 8 * (len(packet) + added_bytes(packet))
     seconds = min(sent_bits / bits_per_second, max_s)
     if seconds > MAX_PACKET_S:
         raise TargetUnreachable(
@@ -491,14 +477,14 @@ class RateTarget:
     def policy(self, signal_format: SignalFormat) -> RatePolicy:
         """Return the policy, for one stream. Raises CodecError for an impossible target."""
         if self.constant_rate_bps is not None:
-            return ConstantRate(self.constant_rate_bps, added_bytes)
+            return ConstantRate(self.constant_rate_bps)
         if self.snr_db is None:
             raise CodecError("a quality is needed; give an SNR")
-        return CappedRate(self.snr_db, SnrMeter(signal_format.rate_hz), self.rate_bps, added_bytes)
+        return CappedRate(self.snr_db, SnrMeter(signal_format.rate_hz), self.rate_bps)
 
     def framing(self, rate_hz: int) -> Framing:
         """Return how a stream of this sample rate is cut into packets: the shortest that the rate allows."""
-        return rate_controlled_framing(self.rate_bps, rate_hz, added_bytes)
+        return rate_controlled_framing(self.rate_bps, rate_hz)
 
 
 @dataclass(frozen=True)

@@ -260,7 +260,7 @@ class LiveStream:
         """Return the samples in a packet, to be rounded up to whole blocks: asked for, for the rate, or the fewest."""
         if asked is None and self._target_bps is not None:
             rate_hz = self.format.rate_hz
-            return codec.rate_controlled_framing(self._target_bps, rate_hz, added_bytes, max_packet_s).packet_samples
+            return codec.rate_controlled_framing(self._target_bps, rate_hz, max_packet_s).packet_samples
         return asked or 1
 
     def _make_encoder(self, framing: codec.Framing) -> codec.Encoder:

@@ -8,9 +8,9 @@ from typing import Any
 
 from vibrocast import models
 from vibrocast.codec import Signal, metrics
+from vibrocast.codec.rate_control import added_bytes
 from vibrocast.codec.source import recording_format
-from vibrocast.device_protocol.frames import write_frame
-from vibrocast.device_protocol.messages import SinglePacket, State, pack
+from vibrocast.device_protocol.messages import State
 from vibrocast.errors import InputError
 from vibrocast.host import devices, hand_playback, live, session, uploader
 from vibrocast.host.bench_file import Bench, check_actuator
@@ -207,7 +207,7 @@ def _play_profile(
     report = hand_playback.play_and_compare(its_session, choice.name, stream, movement, subject.whole, note).report
     # As if swept at the greatest speed, like the forecast.
     seconds = len(stream.packets) * stream.packet_samples / subject.samples_per_second
-    frame_bytes = sum(len(write_frame(pack(SinglePacket(0, packet)))) for packet in stream.packets)
+    frame_bytes = sum(len(packet) + added_bytes(packet) for packet in stream.packets)
     return {
         "payload_bps": 8 * sum(map(len, stream.packets)) / seconds,
         "wire_bps": 8 * frame_bytes / seconds,

@@ -7,7 +7,7 @@ import pytest
 
 from tests.conftest import RATE_HZ, linked, noise
 from vibrocast import codec
-from vibrocast.codec.rate_control import RateTarget, added_bytes
+from vibrocast.codec.rate_control import RateTarget
 from vibrocast.codec.source import live_format
 from vibrocast.host import live
 from vibrocast.host.live import LiveCoding, LiveResult, LiveStream
@@ -35,7 +35,7 @@ class Run:
         self.link, controller = linked(faults=[self.capacity(self.wire_bps)])
         assert isinstance(self.link.controller, FaultyWire)
         self.wire = self.link.controller
-        self.policy = self.policy or codec.ConstantRate(self.rate_bps, added_bytes)
+        self.policy = self.policy or codec.ConstantRate(self.rate_bps)
         self.stream = LiveStream(
             controller,
             live_format(RATE_HZ, "um", [10.0] * self.channels),
