@@ -49,6 +49,8 @@ _PROBE_PACKETS = 4
 _SEQUENCE_GROWTH_BYTES = 3
 
 
+_SHORT_BYTES, _SHORT_ADDED_BYTES = 250, 6  # one block of COBS holds such a packet, whatever its bytes
+
 # Forward masking of vibration at the fingertip fades within some 0.25 s (Gescheider, Bolanowski and Verrillo,
 # "Vibrotactile masking: effects of stimulus onset asynchrony and stimulus frequency", JASA 85, 1989).
 _MASKING_S = 0.25
@@ -58,10 +60,12 @@ _FIRST_STRIDE = 2
 
 
 def added_bytes(packet: bytes) -> int:
-    """Return the bytes that a frame of its own adds to a packet: 6 for up to 250 bytes, as policies count them.
+    """Return the bytes that a frame of its own adds to a packet, as policies count them.
 
     Raises TargetUnreachable for a packet that no frame carries.
     """
+    if len(packet) <= _SHORT_BYTES:
+        return _SHORT_ADDED_BYTES
     try:
         return len(write_frame(pack(SinglePacket(0, packet)))) - len(packet)
     except InputError as error:

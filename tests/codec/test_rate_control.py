@@ -25,6 +25,8 @@ from vibrocast.codec import (
 )
 from vibrocast.codec.interface import Choice, Decoded, Trial
 from vibrocast.codec.rate_control import RATE_BUFFER_S, added_bytes
+from vibrocast.device_protocol.frames import write_frame
+from vibrocast.device_protocol.messages import SinglePacket, pack
 
 RATE_HZ = 2800
 SECONDS = 0.1
@@ -109,6 +111,11 @@ def test_a_rate_that_changes_counts_again_when_the_rate_buffer_has_drained(
         policy(empty)
     sizes = [sent_bytes(trial, policy(trial)) for trial in trials]
     assert np.ptp(ahead_of_rate(sizes, after)) <= policy.rate_buffer.size_bytes + 1e-6
+
+
+@given(st.binary(max_size=600))
+def test_policies_count_the_bytes_of_a_frame(packet: bytes) -> None:
+    assert len(packet) + added_bytes(packet) == len(write_frame(pack(SinglePacket(0, packet))))
 
 
 def test_the_finest_that_fits_is_found_in_few_trials() -> None:
