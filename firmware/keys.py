@@ -1,7 +1,6 @@
 """Keys and signatures of Ed25519 (RFC 8032) by the package cryptography, and key files in PEM (RFC 8410)."""
 
 import base64
-import os
 import re
 import secrets
 from pathlib import Path
@@ -70,10 +69,10 @@ def is_signed(signature: bytes, public_key: bytes, message: bytes) -> bool:
 
 
 def write_private_key(path: Path, private_key: bytes) -> None:
-    """Write a private key to a new file that only its owner can read. Raises OSError, also where the file exists."""
-    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    with open(descriptor, "w", encoding="ascii") as file:
-        file.write(_pem("PRIVATE", private_key))
+    """Write a private key to a file that only its owner can read. Raises OSError."""
+    with atomic_write(path) as partial:
+        partial.chmod(0o600)  # before it holds the key
+        partial.write_text(_pem("PRIVATE", private_key), encoding="ascii")
 
 
 def write_public_key(path: Path, public_key: bytes) -> None:

@@ -19,6 +19,7 @@ STATUS_INTERVAL_S = 0.1
 _JITTER_S = 0.005
 # The capacity is taken to double in so long while nothing speaks against it, and halves at most for each frame.
 _DOUBLING_S = 2.0
+_MAX_DOUBLINGS = 64  # at once: a controller's clock may jump
 _MAX_FALL = 0.5
 # Over so long at most what arrives is counted: long enough for whole frames to do, and to follow a link that changes.
 _WINDOW_S = 2.0
@@ -176,7 +177,8 @@ class Link:
             max_rate = min((carried - before) / (device_s - busy_s) for busy_s, before in self._busy)
             self.bytes_per_second = min(self.bytes_per_second, max(head.min_rate, max_rate))
         elif self.bytes_per_second < self.needed:
-            self.bytes_per_second = min(self.needed, self.bytes_per_second * 2 ** (passed_s / _DOUBLING_S))
+            doublings = min(passed_s / _DOUBLING_S, _MAX_DOUBLINGS)
+            self.bytes_per_second = min(self.needed, self.bytes_per_second * 2**doublings)
         if self._under_way and head.reached_s < device_s:
             while self._busy and self._busy[0][0] < device_s - _WINDOW_S:
                 self._busy.popleft()

@@ -11,7 +11,7 @@ from vibrocast import models
 from vibrocast.codec.stream import read_stream
 from vibrocast.device_protocol.trace import read_trace
 from vibrocast.errors import InputError
-from vibrocast.files import atomic_write, read_input
+from vibrocast.files import atomic_folder, atomic_write, read_input
 from vibrocast.textures import load
 
 
@@ -100,3 +100,17 @@ def test_an_error_names_the_requested_file(tmp_path: Path) -> None:
         pass
     assert missing.value.filename == str(unwritable)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_a_killed_process_has_left_is_removed_or_taken_back(tmp_path: Path) -> None:
+    killed = 2**22 + 1  # more than any process has
+    (tmp_path / f".out.{killed}.partial.wav").touch()
+    (tmp_path / f".out.{os.getppid()}.partial.wav").touch()
+    (tmp_path / f".model.{killed}.before").mkdir()
+    (tmp_path / f".model.{killed}.before" / "card").touch()
+    with atomic_write(tmp_path / "out.wav") as partial:
+        partial.write_text("new")
+    with pytest.raises(RuntimeError), atomic_folder(tmp_path / "model"):
+        raise RuntimeError
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f".out.{os.getppid()}.partial.wav", "model", "out.wav"]
+    assert (tmp_path / "model" / "card").exists()

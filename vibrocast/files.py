@@ -1,9 +1,10 @@
 """Reads whole input files of a known kind, and writes files and folders completely or not at all."""
 
 import os
+import re
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from vibrocast.errors import InputError, VibrocastError
@@ -22,19 +23,46 @@ def remove_partial() -> None:
             path.unlink(missing_ok=True)
 
 
+def _beside(target: Path, state: str) -> Path:
+    return target.with_name(f".{target.stem}.{os.getpid()}.{state}{target.suffix}")
+
+
+def _remove_abandoned(target: Path) -> None:
+    """Remove what processes that were killed have left of a file or folder; take a folder's former content back."""
+    name = re.compile(rf"\.{re.escape(target.stem)}\.(\d+)\.(partial|before){re.escape(target.suffix)}")
+    with suppress(OSError):  # a folder that can be written can perhaps not be listed
+        for path in target.parent.iterdir():
+            found = name.fullmatch(path.name)
+            if found is None or _runs(int(found[1])):
+                continue
+            if found[2] == "before" and not target.exists():
+                path.rename(target)
+            elif path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                path.unlink()
+
+
+def _runs(process: int) -> bool:
+    import psutil  # which most files never need
+
+    return bool(psutil.pid_exists(process))
+
+
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
     """Yield a temporary path next to `path`, with the same suffix; it replaces `path` when the block succeeds.
 
-    Anything but a regular file (a terminal, /dev/stdout) is written directly. An error of the block names `path`, too.
-    Raises OSError, which names `path`, when it cannot be written.
+    Removes what a killed process has left of `path`. Anything but a regular file (a terminal, /dev/stdout) is written
+    directly. An error of the block names `path`, too. Raises OSError, which names `path`, when it cannot be written.
     """
     target = Path(os.path.realpath(path))
     try:
         if target.exists() and not target.is_file():
             yield target
             return
-        partial = target.with_name(f".{target.stem}.{os.getpid()}.partial{target.suffix}")
+        _remove_abandoned(target)
+        partial = _beside(target, "partial")
         _partial.add(partial)
         try:
             partial.touch()
@@ -57,9 +85,10 @@ def atomic_folder(path: Path) -> Iterator[Path]:
     Raises OSError, which names `path`, when it cannot be written.
     """
     target = Path(os.path.realpath(path))
-    partial, before = (target.with_name(f".{target.name}.{os.getpid()}.{state}") for state in ("partial", "before"))
+    partial, before = _beside(target, "partial"), _beside(target, "before")
     _partial.add(partial)
     try:
+        _remove_abandoned(target)
         partial.mkdir()
         yield partial
         if target.exists():

@@ -44,7 +44,11 @@ def new(key: Path) -> None:
         if path.exists():
             raise InputError(f"{path} exists, and a key cannot be made again; name another file")
     key_files.write_private_key(key, private_key)
-    key_files.write_public_key(public_path, public_key)
+    try:
+        key_files.write_public_key(public_path, public_key)
+    except OSError:
+        key.unlink()  # so that the same command can be run again
+        raise
     shown = public_key.hex()
     tell(f"{public_path}: public key {shown}", file=str(public_path), public_key=shown)
 

@@ -1,16 +1,19 @@
 """The subcommand `keys`, and controllers with a key: from a new key to a stream that a signed image decodes."""
 
+import errno
 import re
 import stat
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
 from tests.command import fails, started, succeeds
 from vibrocast import models
 from vibrocast.device_protocol.model_image import ModelImage, unsigned
+from vibrocast.firmware import keys as key_files
 
 MODEL = "mdct-textures"
 
@@ -54,6 +57,13 @@ def test_a_pair_is_made_whole_or_not_at_all(tmp_path: Path) -> None:
     (tmp_path / "key.pub.pem").write_text("")
     assert "exists" in fails(2, "keys", "new", tmp_path / "key.pem")
     assert not (tmp_path / "key.pem").exists()
+
+
+def test_a_disk_that_holds_no_public_key_keeps_no_private_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    full = OSError(errno.ENOSPC, "No space left on device")
+    monkeypatch.setattr(key_files, "write_public_key", Mock(side_effect=full))
+    assert "No space left" in fails(2, "keys", "new", tmp_path / "key.pem")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_image_is_signed_and_verified(folder: Path) -> None:

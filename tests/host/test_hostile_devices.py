@@ -229,6 +229,14 @@ def test_loading_a_profile_ends_though_the_controller_creeps(profile: Stream) ->
     assert scripted.now_s < 60
 
 
+def test_a_live_stream_bears_a_clock_that_jumps() -> None:
+    scripted = answering(lambda device, _: replace(device.status(), device_time_us=2**63))
+    stream = live.LiveStream(scripted.connect(), codec.SignalFormat(RATE_HZ, "um", (1.0,), (0.1,)))
+    stream._link.bytes_per_second = 1000.0  # as after a slow packet
+    stream._link.hear(replace(scripted.status(), device_time_us=2**63), 16, scripted.now_s)
+    assert stream.link_bytes_per_second > 1000
+
+
 def test_the_end_of_a_live_stream_is_not_awaited_for_ever() -> None:
     scripted = ScriptedController()
     scripted.check_credit = False
