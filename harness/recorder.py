@@ -16,7 +16,7 @@ from vibrocast.device_protocol.transports import TransportError
 from vibrocast.files import atomic_write
 from vibrocast.host.serial_sensor import Losses
 from vibrocast.host.sources import Source
-from vibrocast.textures import LiveHighPass, TextureError, sidecar, wav
+from vibrocast.textures import LiveHighPass, TextureError, sidecar, sound_files
 from vibrocast.textures.recording import Signal
 
 DRIFT_HZ = 2.0
@@ -181,7 +181,7 @@ def record(
     began = datetime.datetime.now(datetime.UTC)
     levels = Levels(source)
     origin = _origin(source, began, highpass_hz)
-    writer = wav.Writer(path, source.rate_hz, source.channels, source.unit, source.axes)
+    writer = sound_files.Writer(path, source.rate_hz, source.channels, source.unit, source.axes)
     try:
         wanted = _wanted(path, writer, source.rate_hz, seconds)
 
@@ -210,7 +210,7 @@ def _write_sidecar(path: Path, facts: dict[str, Any]) -> None:
         sidecar.write(partial, facts)
 
 
-def _wanted(path: Path, writer: wav.Writer, rate_hz: int, seconds: float | None) -> int:
+def _wanted(path: Path, writer: sound_files.Writer, rate_hz: int, seconds: float | None) -> int:
     """Return how many frames to record. Raises TextureError if the file cannot hold them."""
     wanted = writer.max_frames if seconds is None else max(1, round(seconds * rate_hz))
     if wanted > writer.max_frames:
@@ -227,7 +227,7 @@ def _limited(progress: Callable[[float | None, str], None], seconds: float | Non
 
 def _record(
     source: Source,
-    writer: wav.Writer,
+    writer: sound_files.Writer,
     wanted: int,
     levels: Levels,
     highpass: LiveHighPass | None,
@@ -279,7 +279,7 @@ def _recorded(
         how_many = f"{losses.samples} samples in {losses.gaps} gaps" if losses.samples else f"{losses.gaps} times"
         remarks.append(f"lost {how_many}, first at {places}; close other programs and record again")
     remarks += source.warnings()
-    if stopped is None and seconds is None and frames * 4 * source.channels > wav.MAX_BYTES - (1 << 20):
+    if stopped is None and seconds is None and frames * 4 * source.channels > sound_files.MAX_BYTES - (1 << 20):
         remarks.append("the file is full at 4 GiB; record in parts")
     return Recorded(frames, frames / source.rate_hz, tuple(levels.peaks.tolist()), clipping, losses, tuple(remarks))
 

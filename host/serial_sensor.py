@@ -139,12 +139,14 @@ def read_line(text: str) -> tuple[Form, tuple[float, ...]] | None:
     """
     between, values, end = [], [], 0
     text = text.translate(_BRACKETS)
+    if "." not in text and all(field.count(",") < 2 for field in re.split(r"[;\t]", text)[1:]):
+        text = text.replace(",", ".")
     for match in _NUMBER.finditer(text):
         between.append(text[end : match.start()])
         values.append(float(match[0]))
         end = match.end()
     between.append(text[end:])
-    if not 0 < len(values) <= _MAX_NUMBERS:
+    if not 0 < len(values) <= _MAX_NUMBERS or re.search(r"\b(nan|inf)\b", text, re.IGNORECASE):
         return None
     names, units = [], []
     for place, each in enumerate(between):

@@ -16,7 +16,7 @@ import soundfile
 
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ, StreamError, StreamHeader
 from vibrocast.errors import InputError
-from vibrocast.textures import INPUT_UNITS, wav
+from vibrocast.textures import INPUT_UNITS, sound_files
 from vibrocast.textures.recording import MAX_CHANNELS, Signal
 
 _CHUNK_BYTES = 1 << 16
@@ -210,7 +210,7 @@ def _read_header(take: Callable[[int], bytes], put_back: Callable[[bytes], None]
     try:
         with soundfile.SoundFile(io.BytesIO(head)) as file:
             endian = file.endian if file.endian != "FILE" else "LITTLE" if kind == "WAV" else "BIG"
-            stated = wav.stated_by_comment(file.comment)
+            stated = sound_files.stated_by_comment(file.comment)
             header = _Header(kind, file.samplerate, file.channels, file.subtype, endian, stated, data_bytes)
     except soundfile.SoundFileError as error:
         raise InputError(f"the {kind} header on standard input cannot be read ({error}); send plain PCM") from error
@@ -243,7 +243,7 @@ def _wav_head(take: Callable[[int], bytes]) -> tuple[bytes, int | None]:
             (long_bytes,) = struct.unpack_from("<Q", body, 8)
         elif len(head) + len(body) < _MAX_HEADER_BYTES:
             head += start + body
-    if long_bytes is None and (size == 0 or wav.is_unknown_length(size)):
+    if long_bytes is None and (size == 0 or sound_files.is_unknown_length(size)):
         return head + b"data" + bytes(4), None
     return head + b"data" + bytes(4), long_bytes or size
 

@@ -36,6 +36,8 @@ _AXIS = re.compile(rf"((?:{_WORD})*)([xyz])((?:{_WORD})*)")
 _ANY_AXIS = re.compile(rf"{_AXIS.pattern}|(.*)\b([xyz])\b(.*)")
 _MAGNITUDE = re.compile(r"(?!.*\b[xyz]\b).*\b(?:absolute|abs|magnitude|mag|norm|total|resultant|vector sum)\b.*")
 _BRACKETED = re.compile(r"(.*?)[\s_]*[(\[]\s*(.*?)\s*[)\]]")
+_PER_SECOND = re.compile(r"(.+?)[_ ]([munkc]?m|rad|deg|degrees?|radians?|rev)[_ ]s", re.IGNORECASE)
+"""Names of speeds, which end like times: `gyro_x_rad_s`."""
 _CHANNEL = re.compile(r"(?:channel|ch|actuator|motor|sensor|left|right)[ \d]*[a-d]?(?: ?raw)?")
 
 
@@ -123,7 +125,7 @@ def signal_of(
         raise unusable(
             path,
             f"column {table.names[text[0]] or text[0] + 1!r} holds no numbers{example}",
-            "choose others with `columns`, or write numbers with a decimal point",
+            "choose others with `columns`, or write plain numbers, such as 1234.5",
             "columns",
         )
     units = {table.units[column] for column in channels}
@@ -271,6 +273,8 @@ def name_and_unit(field: str) -> tuple[str, str | None]:
         return bracketed[1], unit and (spelt(unit) or unit)
     if unit := spelt(field):
         return field, unit
+    if speed := _PER_SECOND.fullmatch(field):
+        return speed[1], f"{speed[2]}/s"
     for start in re.finditer(r"[_ ]", field):
         if start.start() and (unit := spelt(field[start.end() :])):
             return field[: start.start()], unit

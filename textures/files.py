@@ -2,7 +2,8 @@
 
 import csv
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 import soundfile
 from numpy.typing import ArrayLike
 
-from vibrocast.textures import apart, arguments, arrays, clips, hdf5, laboratory, mat, p1918, wav
+from vibrocast.textures import apart, arguments, arrays, clips, hdf5, laboratory, mat, p1918, sound_files
 from vibrocast.textures.axes import DFT321, REDUCTIONS, reduced
 from vibrocast.textures.columns import Table, select, signal_of, table_of_frame
 from vibrocast.textures.doubts import doubts_of
@@ -36,7 +37,7 @@ TEXT_SUFFIXES = (".csv", ".txt", ".tsv")
 READERS_APART = {".mat": "mat", ".h5": "hdf5", ".hdf5": "hdf5"} | dict.fromkeys(laboratory.SUFFIXES, "laboratory")
 """Modules that read by a parser of another project, by the suffix of a file."""
 KEYED_SUFFIXES = (".npz", *READERS_APART)
-SUFFIXES = (*wav.FORMATS, *TEXT_SUFFIXES, ".npy", *KEYED_SUFFIXES, *clips.SUFFIXES)
+SUFFIXES = (*sound_files.FORMATS, *TEXT_SUFFIXES, ".npy", *KEYED_SUFFIXES, *clips.SUFFIXES)
 SAVED_SUFFIXES = (".wav", ".csv", ".npy", ".mat", ".h5")
 POSITION_NAME = "position"
 MAX_SKIPPED_LINES = 1_000_000
@@ -93,31 +94,11 @@ def load(  # noqa: PLR0913 - each is a fact that a file may not state
     lines = arguments.whole_number("skip_lines", skip_lines, 0, MAX_SKIPPED_LINES)
     for name, text in (("unit", unit), ("reduce", reduce), ("key", key), ("sensitivity", sensitivity)):
         arguments.of_type(name, text, str, "text")
-    if reduce is not None and reduce not in REDUCTIONS:
-        raise TextureError(f"`reduce`={reduce}", f"not one of {', '.join(REDUCTIONS)}", parameter="reduce")
-    if key is not None and path.suffix.lower() not in KEYED_SUFFIXES and not laboratory.is_ros_folder(path):
-        raise unusable(
-            path, f"`key` chooses an array of a {', '.join(KEYED_SUFFIXES)} file", "leave it out here", "key"
-        )
-    try:
+    with _errors_of_system(path):
         contents = read_contents(path, rate_hz, chosen, reduce, key, lines, resample)
-    except OSError as error:
-        raise TextureError(
-            f"{path}: cannot be read: {error.strerror or error}; check the name and your permissions"
-        ) from error
-    except MemoryError as error:
-        raise TextureError(f"{path}: too large for the memory of this machine; cut it into parts") from error
     if isinstance(contents, Profile):
-        if hand_speed_mm_s is None:
-            raise unusable(
-                path, "a height profile", "give `hand_speed_mm_s`, the speed of the hand over it", "hand_speed_mm_s"
-            )
-        if any(option is not None for option in (rate_hz, unit, full_scale, columns, reduce)):
-            raise TextureError(
-                f"{path}: a height profile in um; it takes `hand_speed_mm_s` and no other option",
-                parameter="hand_speed_mm_s",
-            )
-        return contents.recording(hand_speed_mm_s)
+        given = any(option is not None for option in (rate_hz, unit, full_scale, columns, reduce))
+        return _under_a_hand(contents, hand_speed_mm_s, given, path)
     if hand_speed_mm_s is not None:
         raise unusable(
             path, "no height profile (columns position_um, height_um)", "leave out `hand_speed_mm_s`", "hand_speed_mm_s"
@@ -204,12 +185,8 @@ def load_profile(path: str | Path) -> Profile:
     path = arguments.file_path("path", path)
     if path.suffix.lower() not in TEXT_SUFFIXES:
         raise TextureError(f"{path}: a height profile is saved as {', '.join(TEXT_SUFFIXES)}")
-    try:
+    with _errors_of_system(path):
         return _profile_of(read_table(path), path)
-    except OSError as error:
-        raise TextureError(
-            f"{path}: cannot be read: {error.strerror or error}; check the name and your permissions"
-        ) from error
 
 
 def is_profile(path: Path) -> bool:
@@ -244,7 +221,7 @@ def save(path: str | Path, recording: Recording, sixteen_bit: bool = False, note
         raise unusable(path, "`sixteen_bit` is for a .wav file", "leave it out here", "sixteen_bit")
     try:
         if suffix == ".wav":
-            return wav.write(path, recording, sixteen_bit, note)
+            return sound_files.write(path, recording, sixteen_bit, note)
         if suffix == ".csv":
             write_table(path, recording)
         elif suffix == ".mat":
@@ -272,6 +249,12 @@ def read_contents(
 ) -> Contents | Profile:
     """Read the contents of a file, or of a P1918.1.1 recording; options as for `load`. Raises TextureError."""
     is_ros = laboratory.is_ros_folder(path)
+    if reduce is not None and reduce not in REDUCTIONS:
+        raise TextureError(f"`reduce`={reduce}", f"not one of {', '.join(REDUCTIONS)}", parameter="reduce")
+    if key is not None and path.suffix.lower() not in KEYED_SUFFIXES and not is_ros:
+        raise unusable(
+            path, f"`key` chooses an array of a {', '.join(KEYED_SUFFIXES)} file", "leave it out here", "key"
+        )
     if not is_ros and (path.is_dir() or not path.exists()):
         contents = p1918.read_folder(path, columns, rate_hz)
         return reduced(contents, reduce or (None if columns else DFT321), path)
@@ -312,8 +295,8 @@ def names_of(columns: str | int | Sequence[str | int] | None) -> list[str] | Non
 
 
 def _read_binary(path: Path, suffix: str, rate_hz: float | None, key: str | None) -> Contents | Table:
-    if suffix in wav.FORMATS:
-        return wav.read(path)
+    if suffix in sound_files.FORMATS:
+        return sound_files.read(path)
     if suffix in clips.SUFFIXES:
         return clips.read(path, rate_hz)
     if suffix in READERS_APART:
@@ -321,6 +304,19 @@ def _read_binary(path: Path, suffix: str, rate_hz: float | None, key: str | None
     if suffix in SUFFIXES:
         return arrays.read(path, key, rate_hz)
     raise TextureError(f"{path}: unknown kind of file; known are {', '.join(SUFFIXES)}")
+
+
+@contextmanager
+def _errors_of_system(path: Path) -> Iterator[None]:
+    """Turn an OSError and a MemoryError into a TextureError."""
+    try:
+        yield
+    except OSError as error:
+        raise TextureError(
+            f"{path}: cannot be read: {error.strerror or error}; check the name and your permissions"
+        ) from error
+    except MemoryError as error:
+        raise TextureError(f"{path}: too large for the memory of this machine; cut it into parts") from error
 
 
 def _scale(
@@ -350,7 +346,13 @@ def _scale(
         unit, factor = _of_sensor(chosen, path, sensitivity)
         return unit, factor if full_scale is None else factor * full_scale / (contents.full_scale or 1.0)
     if chosen is None:
-        raise unusable(path, "does not state its unit", f"give `unit`, one of {', '.join(FILE_UNITS)}", "unit")
+        raise unusable(
+            path,
+            "does not state its unit",
+            f"give `unit`, one of {', '.join(FILE_UNITS)}; for counts of a sensor, `sensitivity`, such as 256/g",
+            "unit",
+            "sensitivity",
+        )
     output_unit, factor = INPUT_UNITS[chosen]
     if output_unit == "full scale" and full_scale is not None:
         raise unusable(
@@ -378,6 +380,17 @@ def _of_sensor(unit: str | None, path: Path, sensitivity: str | None) -> tuple[s
             "unit",
         )
     return sensor.unit, VOLTS.get(unit or "", 1.0) / sensor.per_unit
+
+
+def _under_a_hand(profile: Profile, hand_speed_mm_s: float | None, others_given: bool, path: Path) -> Recording:
+    """Return the recording that a hand's speed makes of a profile. `others_given`: whether there are other options."""
+    if hand_speed_mm_s is None:
+        raise unusable(
+            path, "a height profile", "give `hand_speed_mm_s`, the speed of the hand over it", "hand_speed_mm_s"
+        )
+    if others_given:
+        raise unusable(path, "a height profile in um", "give `hand_speed_mm_s` and no other option", "hand_speed_mm_s")
+    return profile.recording(hand_speed_mm_s)
 
 
 def _profile_of(table: Table, path: Path) -> Profile:

@@ -44,10 +44,10 @@ class _Layout:
     kinds: str
 
     def holds(self, line: str) -> bool:
-        """Return whether a line has these fields. Where others have text, it may have anything."""
+        """Return whether a line has these fields; where others have text or nothing, it may have text."""
         found = _layout_of(line, self.delimiter).kinds
         return len(found) == len(self.kinds) and all(
-            own in (kind, _TEXT) for own, kind in zip(self.kinds, found, strict=True)
+            own in (kind, _TEXT) or (own, kind) == (_EMPTY, _TEXT) for own, kind in zip(self.kinds, found, strict=True)
         )
 
 
@@ -56,14 +56,14 @@ class _Head:
     """The lines above the numbers: how many, and what they state.
 
     `fields`: names with units, or none. `misfit`: the line above the numbers, where it names other columns, or "".
-    `first`: the fields of the first line of numbers.
+    `texts`: of each column of text, the first field that is no number, "" of others.
     """
 
     layout: _Layout
     lines: int
     fields: list[tuple[str, str | None]]
     misfit: str
-    first: list[str]
+    texts: list[str]
     statements: dict[str, str]
 
 
@@ -82,7 +82,9 @@ def read_table(path: Path, skip_lines: int = 0) -> Table:
         with path.open(encoding=ENCODING) as file:
             return _read(file, path, skip_lines)
     except UnicodeDecodeError as error:
-        raise TextureError(f"{path}: not UTF-8 text; save it as a UTF-8 CSV file") from error
+        raise TextureError(
+            f"{path}: no text in UTF-8; save it as a UTF-8 CSV file, or give it the suffix of its format"
+        ) from error
 
 
 def holds_numbers(path: Path) -> bool:
@@ -164,7 +166,7 @@ def _read(file: TextIO, path: Path, skip_lines: int) -> Table:
     except ValueError as error:
         raise TextureError(f"{path}: rate_hz {statements['rate_hz']!r} is not a number; correct it") from error
     values = values if len(kept) == len(layout.kinds) else values[:, kept]
-    texts = tuple(head.first[column] if layout.kinds[column] == _TEXT else "" for column in kept)
+    texts = tuple(head.texts[column] for column in kept)
     names = tuple(fields[column][0] for column in kept)
     return Table(values, names, tuple(units), unit, rate_hz, head.lines, texts, notes)
 
@@ -201,8 +203,12 @@ def _head(file: TextIO, path: Path, skip_lines: int) -> _Head:
     fields = _named(others, layout)
     misfit = others[-1] if others and not fields and not others[-1].lstrip().startswith("#") else ""
     several = (layout.delimiter or len(layout.kinds) == 1) and len(_names(misfit, layout)) > 1
-    first = _fields(_data(lines[start]), layout.delimiter)
-    return _Head(layout, start, fields, misfit if several else "", first, statements)
+    rows = [_fields(_data(line), layout.delimiter) for line, fit in zip(lines, fits, strict=True) if fit]
+    texts = [
+        next((row[column] for row in rows if _kind(row[column]) == _TEXT), "") if kind == _TEXT else ""
+        for column, kind in enumerate(layout.kinds)
+    ]
+    return _Head(layout, start, fields, misfit if several else "", texts, statements)
 
 
 def _named(above: Sequence[str], layout: _Layout) -> list[tuple[str, str | None]]:
@@ -347,7 +353,7 @@ def _values(lines: Callable[[], Iterable[str]], layout: _Layout) -> Signal:
 
 
 def _nothing(field: str) -> float:
-    if field.strip():
+    if _kind(field) not in (_EMPTY, _TEXT):
         raise ValueError("no number belongs here")
     return 0.0
 

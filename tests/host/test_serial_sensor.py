@@ -275,6 +275,17 @@ def test_usual_output_of_boards_is_read(form: str, options: dict[str, Any], unde
     assert_is_the_signal(samples)
 
 
+@pytest.mark.parametrize("separator", [";", "; ", "\t"])
+def test_decimal_commas_and_numbers_that_are_none(separator: str) -> None:
+    data = arduino(separator.join(("{us:.0f}", "{x:.4f}", "{y:.4f}", "{z:.4f}"))).replace(b".", b",")
+    lines = data.splitlines(keepends=True)
+    lines[2000:2000] = [separator.join(("7", "nan", "0,1", "0,2")).encode() + b"\r\n"]
+    sensor = opened(b"".join(lines), line_s=1 / 800)
+    assert sensor.axes == "xyz"
+    assert_is_the_signal(heard(sensor))
+    assert sensor.warnings() == ["1 line(s) without a sample"]
+
+
 @pytest.mark.parametrize("burst", [5, 25, 32])
 @pytest.mark.parametrize("form", ["{us:.0f},{x:.4f},{y:.4f},{z:.4f}", "{ms:.0f} {x:.4f} {y:.4f} {z:.4f}"])
 def test_a_memory_of_samples_that_is_read_at_once_has_the_rate_of_its_samples(burst: int, form: str) -> None:

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from vibrocast import textures
-from vibrocast.textures import Recording, TextureError, sidecar, wav
+from vibrocast.textures import Recording, TextureError, sidecar, sound_files
 
 SAMPLES = np.random.default_rng(1).standard_normal((500, 3)) * 5
 FACTS = {"unit": "m/s^2", "rate_hz": 1000, "channels": 3, "axes": "xyz"}
@@ -18,7 +18,7 @@ FACTS = {"unit": "m/s^2", "rate_hz": 1000, "channels": 3, "axes": "xyz"}
 
 def written(folder: Path, axes: str = "xyz", unit: str = "m/s^2") -> Path:
     path = folder / "out.wav"
-    writer = wav.Writer(path, 1000, SAMPLES.shape[1], unit, axes)
+    writer = sound_files.Writer(path, 1000, SAMPLES.shape[1], unit, axes)
     for start in range(0, len(SAMPLES), 64):
         writer.write(SAMPLES[start : start + 64])
     writer.close()
@@ -53,7 +53,7 @@ def test_a_file_written_in_pieces_states_unit_and_axes(tmp_path: Path) -> None:
 
 def test_a_file_can_be_read_at_any_time_while_it_is_written(tmp_path: Path) -> None:
     path = tmp_path / "out.wav"
-    writer = wav.Writer(path, 1000, 3, "m/s^2", "xyz")
+    writer = sound_files.Writer(path, 1000, 3, "m/s^2", "xyz")
     writer.write(SAMPLES[:100])
     assert len(textures.load(path).samples) == 100
     writer.write(SAMPLES[100:])

@@ -70,6 +70,7 @@ def lines(delimiter: str = ",", comma: bool = False, form: str = "{:.3f}") -> st
         '"time_s","z_g"\n' + lines('","', comma=True).replace("\n", '"\n"').join(('"', ""))[:-1],
         "sep=;\nZeit (s);z (g)\n".replace("Zeit", "Time") + lines(" ; ", comma=True, form="{:+.3e}"),
         "time_s,z_g,label\n" + lines().replace("\n", ",walk\n"),
+        "time_s,z_g,event\n" + lines().replace("\n", ",\n")[:-1] + "tap\n",
     ],
 )
 def test_layouts(tmp_path: Path, text: str) -> None:
@@ -211,7 +212,9 @@ def test_a_rate_that_is_no_whole_number(tmp_path: Path, rate_hz: float) -> None:
         ("time_s,x_g\n0,1\n1,2\n", {"sensitivity": "10mV/g"}, "is in g, and `sensitivity`=10mV/g in volts; correct"),
         ("time_s,x\n0,1\n1,2\n", {"sensitivity": "10mV/g"}, "unknown unit, .*; give `unit`, one of uV, mV, V"),
         ("time_s,x\n0,1\n1,2\n", {"sensitivity": "ten"}, "'ten' is no sensitivity; write one such as"),
-        ("t;x (g)\n0;1.234,5\n1;1.234,6\n", {}, "column 'x' holds no numbers: '1.234,5' is none; choose"),
+        ("time_s,speed_mm_s\n0,1\n1,2\n", {}, "column 'speed': unknown unit 'mm/s'"),
+        ("time_s,x\n0,1\n1,2\n", {}, "give `unit`, .*; for counts of a sensor, `sensitivity`"),
+        ("t;x (g)\n0;2,0\n1;1.234,5\n2;1.234,6\n", {}, "column 'x' holds no numbers: '1.234,5' is none; choose"),
         ("\0\0\0", {}, "not a text file"),
         ("7" * 200_000, {}, "not a text file"),
     ],
