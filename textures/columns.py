@@ -135,6 +135,8 @@ def signal_of(
     unit = units.pop()
     if unit is not None:
         unit = known_unit(unit, f"{path}: column {table.names[channels[0]]!r}", FILE_UNITS)
+    if table.unit not in (None, unit):
+        raise TextureError(f"{path}: a comment says {table.unit}, and the columns {unit}; correct one of them")
     axes = AXES if order_of_axes([table.words[column] for column in channels]) == [0, 1, 2] else ()
     samples = table.values if channels == list(range(len(table.names))) else table.values[:, channels]
     stated_hz, notes = table.rate_hz, table.notes

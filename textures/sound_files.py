@@ -26,8 +26,8 @@ FORMATS = {
 }
 """By suffix of a file: the formats of libsndfile that it may have."""
 
-# libsndfile's note, in bytes, if a header states more than the file holds: in the data, or in all of an RF64 file.
-_CUT_OFF = re.compile(r"(?:data|Riff size) : (\d+) \(should be (\d+)\)")
+# libsndfile's note, in bytes, if a header states more than the file holds: in the samples, or in all of an RF64 or W64.
+_CUT_OFF = re.compile(r"(?:data|Data Size|SSND|Riff size|riff) *: (\d+) \(should be (\d+)\)")
 # Programs that write into a pipe state about 2 or 4 GiB, because they cannot correct the header at the end.
 UNKNOWN_LENGTHS_BYTES = (2**31, 2**32)
 UNKNOWN_LENGTH_MARGIN_BYTES = 2**16
@@ -198,13 +198,13 @@ def _check_sidecar(
 
 
 def _reject_cut_off(notes: str, path: Path) -> None:
-    """Raise TextureError if libsndfile's notes on a WAV file say that its end is missing."""
+    """Raise TextureError if libsndfile's notes on a file say that its end is missing."""
     for stated, held in re.findall(_CUT_OFF, notes):
         missing = int(stated) - int(held)
         if missing > 0 and not is_unknown_length(int(stated)):
             raise TextureError(
                 f"{path}: cut off, the last {missing} of {stated} bytes are missing; get the whole file, or save what "
-                "is left as a new WAV file"
+                "is left as a new file"
             )
 
 

@@ -180,6 +180,15 @@ def test_a_wav_file_with_an_unfinished_header_is_rejected(tmp_path: Path, stated
         load(path, unit="drive")
 
 
+@pytest.mark.parametrize("suffix", ["aiff", "au", "caf", "flac", "w64"])
+def test_a_sound_file_is_rejected_if_it_is_cut_off(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a.{suffix}"
+    soundfile.write(path, NOISE, 8000)
+    path.write_bytes(path.read_bytes()[:-71])
+    with pytest.raises(TextureError, match=r"cut off|malformed|lost sync"):
+        load(path)
+
+
 @pytest.mark.parametrize("container", ["WAV", "WAVEX", "RF64"])
 @pytest.mark.parametrize(
     ("subtype", "tolerance"), [("PCM_16", 1e-4), ("PCM_24", 1e-6), ("FLOAT", 1e-7), ("ULAW", 0.03)]

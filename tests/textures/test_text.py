@@ -212,6 +212,7 @@ def test_a_rate_that_is_no_whole_number(tmp_path: Path, rate_hz: float) -> None:
         ("time_s,x_g\n0,1\n1,2\n", {"sensitivity": "10mV/g"}, "is in g, and `sensitivity`=10mV/g in volts; correct"),
         ("time_s,x\n0,1\n1,2\n", {"sensitivity": "10mV/g"}, "unknown unit, .*; give `unit`, one of uV, mV, V"),
         ("time_s,x\n0,1\n1,2\n", {"sensitivity": "ten"}, "'ten' is no sensitivity; write one such as"),
+        ("# unit: um\ntime_s,x_g\n0,1\n1,2\n", {}, "a comment says um, and the columns g; correct one of them"),
         ("time_s,speed_mm_s\n0,1\n1,2\n", {}, "column 'speed': unknown unit 'mm/s'"),
         ("time_s,x\n0,1\n1,2\n", {}, "give `unit`, .*; for counts of a sensor, `sensitivity`"),
         ("t;x (g)\n0;2,0\n1;1.234,5\n2;1.234,6\n", {}, "column 'x' holds no numbers: '1.234,5' is none; choose"),
