@@ -37,7 +37,6 @@ FIRST_PACKET_BLOCKS = 4
 """Length of packets with which the search for a setting of an option begins."""
 DEFAULT_BLOCK_SAMPLES = 32
 """Of codecs with one block length; their packets are rounded up to whole blocks of their own."""
-MAX_PACKET_S = LIVE_REFRESH_S
 MEASURED_SAMPLES = 1 << 14
 """Samples of all channels on which options are compared: those of most energy in a longer texture."""
 SPQI_RATE_HZ = 2800
@@ -128,7 +127,7 @@ class Evaluator:
         rate = self.subject.samples_per_second
         if self.scene.asked.delay_limit_ms is None and not self.subject.over_position:
             return live_framing(round(rate)).packet_samples
-        return MAX_PACKET_S * rate
+        return LIVE_REFRESH_S * rate
 
     def packet_blocks(self, option: CodingOption, *more: int) -> list[int]:
         """Return the packet lengths of an option, in blocks: the usual ones, and `more` that are not too long."""

@@ -165,10 +165,7 @@ class Forecast:
 def forecast(measured: Coding, subject: Subject, scene: Scene) -> Forecast:
     """Return what a coding costs and reaches on its controller."""
     controller = scene.controller(subject.texture.controller)
-    load = None
-    if controller.core is not None and controller.clock_hz is not None:
-        load = load_of(measured, subject, controller, controller.core)
-    instructions, flash_bytes, ram_bytes = load or (None, None, None)
+    instructions, flash_bytes, ram_bytes = load_of(measured, subject, controller) or (None, None, None)
     return Forecast(
         payload_bps=measured.payload_bps,
         wire_bps=measured.wire_bps,
@@ -184,12 +181,11 @@ def forecast(measured: Coding, subject: Subject, scene: Scene) -> Forecast:
     )
 
 
-def load_of(
-    measured: Coding, subject: Subject, controller: SceneController, core: str
-) -> tuple[float, int, int] | None:
+def load_of(measured: Coding, subject: Subject, controller: SceneController) -> tuple[float, int, int] | None:
     """Return instructions a second, and bytes of flash and RAM; None where decoding was not measured on the core."""
-    decoding = costs.decoder_cost(measured.option.decoder, core, measured.option.block)
-    if decoding is None:
+    core = controller.core
+    decoding = core and costs.decoder_cost(measured.option.decoder, core, measured.option.block)
+    if not core or not decoding:
         return None
     channels, rate_hz = subject.texture.channels, subject.samples_per_second
     unit = PROFILE_UNIT if subject.over_position else subject.whole.unit
@@ -213,7 +209,7 @@ def unbuffered_ms(measured: Coding, subject: Subject, scene: Scene) -> float:
     packet_s = 0.0
     if not subject.over_position:
         samples = measured.packet_samples + measured.delay_samples
-        packet_s = samples / subject.samples_per_second + measured.max_frame_bytes / scene.link.carried
+        packet_s = samples / subject.samples_per_second + measured.max_frame_bytes / scene.link.bytes_per_second
     return scene.link.delay_ms + 1e3 * (subject.drive_s + packet_s)
 
 

@@ -45,7 +45,6 @@ HAND_SPEEDS_MM_S = (1.0, 2000.0)
 """Hands explore surfaces at some 10 to 300 mm/s. The range is wider, but rejects metres given as millimetres."""
 
 MAX_DELAY_MS = 10_000.0
-"""Highest limit of a delay."""
 
 MAX_TRACKED_MM_S = 300.0
 """Highest hand speed at which controllers render profiles by position (vibrocast/profile.h)."""
@@ -75,15 +74,10 @@ class SceneController(BenchController, frozen=True, kw_only=True):
 
 @dataclass(frozen=True)
 class Link:
-    """The link that all controllers share. `bytes_per_second`: None = not limited. `delay_ms`: one way."""
+    """The link that all controllers share. `bytes_per_second`: infinite if not limited. `delay_ms`: one way."""
 
-    bytes_per_second: float | None
+    bytes_per_second: float
     delay_ms: float
-
-    @property
-    def carried(self) -> float:
-        """Bytes per second that it carries; infinite where they are not limited."""
-        return self.bytes_per_second or math.inf
 
 
 @dataclass(frozen=True)
@@ -278,7 +272,7 @@ class _Link(Table, frozen=True):
         simulated = {controller.address for controller in controllers} <= set(devices.SIMULATED)
         kind = self.kind or ("simulated" if simulated else "serial")
         delay_ms = LINK_DELAYS_MS[kind] if self.delay_ms is None else self.delay_ms
-        return Link(self.bytes_per_second or LINK_BYTES_PER_SECOND.get(kind), delay_ms)
+        return Link(self.bytes_per_second or LINK_BYTES_PER_SECOND.get(kind, math.inf), delay_ms)
 
 
 class _SceneFile(Table, frozen=True, kw_only=True):

@@ -1,5 +1,6 @@
 """Measures what planning saves at equal quality: `python -m studies.planning FOLDER... --out docs/benchmarks`."""
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -136,7 +137,7 @@ def _scene(trace: DatasetEntry, recording: Recording, snr_db: float, delay_limit
         textures=(SceneTexture(trace.name, "controller", recording),),
         controllers=(controller,),
         actuators=(BenchActuator(PIEZO_STACK, "controller", None),),
-        link=Link(None, 0.0),
+        link=Link(math.inf, 0.0),
         asked=Asked(snr_db=snr_db, waveform=True, delay_limit_ms=delay_limit_ms),
         weights=Weights(),
         threshold_path=DETECTION_THRESHOLD,

@@ -177,18 +177,16 @@ def live(
     1 % of the packets may be lost.
     """
     reject_contradictions(coding, delay)
-    rate_hz = samples.rate_hz or (streaming.LOW_DELAY_RATE_HZ if delay.low_delay else DEFAULT_STREAM_RATE_HZ)
     actuator = None if actuator_name is None else actuator_files.find(actuator_name)
     with (
-        opened_source(source, samples, rate_hz) as given,
+        opened_source(source, samples, delay.low_delay) as given,
         connect(bench, chosen, actuator) as session,
         progress.bar("streaming") as update,
     ):
         if coding.model is not None:
             uploader.provide(session.controller, session.address, coding.model.image)
-        signal_format = format_of(given)
-        how = live_coding(coding, delay, signal_format)
-        stream = streaming.LiveStream(session.controller, signal_format, coding=how, playout_delay_s=delay.seconds)
+        how = live_coding(coding, delay, format_of(given))
+        stream = streaming.LiveStream(session.controller, format_of(given), coding=how, playout_delay_s=delay.seconds)
         run = Provenance(None if bench is None else bench.sha256)
         playing = LivePlayback(session, stream, source, model=coding.model, provenance=run)
         report = played(playing, samples, given, update)
@@ -197,8 +195,9 @@ def live(
 
 
 @contextlib.contextmanager
-def opened_source(source: str, samples: SampleOptions, rate_hz: int) -> Iterator[Given]:
-    """Open a source, and say on stderr how it is read. `rate_hz`: where it has none of its own."""
+def opened_source(source: str, samples: SampleOptions, low_delay: bool) -> Iterator[Given]:
+    """Open a source, and say on stderr how it is read. `low_delay`: makes the rate higher where it has none."""
+    rate_hz = samples.rate_hz or (streaming.LOW_DELAY_RATE_HZ if low_delay else DEFAULT_STREAM_RATE_HZ)
     make = textures.GENERATORS.get(source)
     if make is not None:
         yield make(seconds=samples.seconds or TEXTURE_S, rate_hz=rate_hz)
