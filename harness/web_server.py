@@ -24,7 +24,6 @@ MAX_CONNECTIONS, MAX_OF_ADDRESS = 64, 16
 MAX_REQUEST_S, MAX_ANSWER_S = 5.0, 30.0
 """Within this time a request must have come, header and body, and an answer must have been taken."""
 
-_POLL_S = 0.05
 _HEADERS = {
     # The pages hold their own script and style, and load nothing else.
     "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
@@ -76,7 +75,7 @@ def web_server(
         server = _Server(answer, host, port, failed)
     except (OSError, OverflowError) as reason:
         raise InputError(f"cannot serve pages at {host}, port {port}: {reason}; give another host or port") from reason
-    threading.Thread(target=server.serve_forever, args=(_POLL_S,), name="web server", daemon=True).start()
+    threading.Thread(target=server.serve_forever, args=(0.05,), name="web server", daemon=True).start()
     try:
         yield server.server_address[1]
     finally:
@@ -200,11 +199,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 def _is_own(host: str) -> bool:
     """Return whether a Host header names this machine: by number, as DNS cannot do, or by its own name."""
-    try:
-        name = urlsplit(f"//{host}").hostname or ""
-        if name in ("localhost", own := socket.gethostname().lower(), f"{own}.local"):
-            return True
-        ipaddress.ip_address(name)
-    except ValueError:
-        return False
-    return True
+    with contextlib.suppress(ValueError):
+        name, own = urlsplit(f"//{host}").hostname or "", socket.gethostname().lower()
+        return name in ("localhost", own, f"{own}.local") or bool(ipaddress.ip_address(name))
+    return False

@@ -22,18 +22,14 @@ from vibrocast.host.controller import ControllerError
 from vibrocast.study.session import Session
 from vibrocast.study.trials import Break, Message, Paused, Question, Rejected, Screen, Trial
 
-DEFAULT_PORT = 8017
 NOISE_RATE_HZ = 48_000
 """Of the masking noise; the page knows it too."""
 CALL_THE_EXPERIMENTER = "Please call the experimenter."
 
 _PAGES = Path(__file__).with_name("page")
-_POLL_S = 0.04
-_MAX_WAIT_S = 15.0
-_END_S = 5.0
-"""For so long a request that is under way may go on at the end."""
-_LINGER_S = 2.0
-"""For so long the pages are served after the run has ended, so that they show its last screen."""
+_POLL_S, _MAX_WAIT_S = 0.04, 15.0
+_LINGER_S, _END_S = 2.0, 5.0
+"""How long after its end a run's pages show the last screen, and how long a request that is under way may go on."""
 
 _Identity = Annotated[str, Meta(max_length=500)]
 
@@ -111,12 +107,12 @@ class StudyPages:
         }
         controls = {"pause": self._pause, "resume": self._resume, "abort": run.abort}
         self._routes: dict[str, Callable[[Request], Page]] = {
-            "GET /": partial(_file, "participant.html"),
+            "GET /": lambda _request: Page((_PAGES / "participant.html").read_bytes()),
             "GET /api/screen": self._participant_screen,
             "GET /api/noise": self._noise,
             **{f"POST /api/{name}": partial(self._act, *act) for name, act in acts.items()},
             # Only behind the token; `answer` puts it in front.
-            "GET experimenter": partial(_file, "experimenter.html"),
+            "GET experimenter": lambda _request: Page((_PAGES / "experimenter.html").read_bytes()),
             "GET experimenter/state": self._experimenter_state,
             **{f"POST experimenter/{name}": partial(self._control, act) for name, act in controls.items()},
         }
@@ -220,7 +216,7 @@ class StudyPages:
 def serve(
     run: Session,
     host: str = "127.0.0.1",
-    port: int = DEFAULT_PORT,
+    port: int = 8017,
     aids: Aids = Aids(),
     say: Callable[[str], None] = print,
 ) -> None:
@@ -246,10 +242,6 @@ def serve(
                 pages.turn.release()
             with suppress(OSError):
                 run.stop_playing()
-
-
-def _file(name: str, _request: Request) -> Page:
-    return Page((_PAGES / name).read_bytes())
 
 
 def _addresses(host: str, port: int) -> list[str]:
