@@ -259,8 +259,8 @@ def _record(
         writer.shorten(frames)
         return error
     except OSError as error:
-        # Leaves room for the sidecar.
-        writer.shorten(max(1, frames - _SIDECAR_BYTES) if error.errno in _DISK_FULL else frames)
+        sidecar_frames = _SIDECAR_BYTES // (4 * source.channels)  # leaves room for it
+        writer.shorten(max(1, frames - sidecar_frames) if error.errno in _DISK_FULL else frames)
         return OSError(f"the disk: {error.strerror}; free some space, or write elsewhere")
     return None
 

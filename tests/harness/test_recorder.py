@@ -138,7 +138,7 @@ def test_a_full_disk_leaves_a_file_and_its_sidecar(tmp_path: Path) -> None:
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     recording = textures.load(path)
-    assert 3 < recording.seconds < 8
+    assert 7.0 < recording.seconds < 7.3  # of 7.28 s that fit, 64 kB make room for the sidecar
     assert facts(path)["samples"] == len(recording.samples)
 
 
