@@ -187,7 +187,7 @@ def _check_raw(samples: Signal, data: bytes) -> None:
     except StreamError:
         raise InputError(
             f"standard input holds no 32-bit floats: read as such, a sample is {wrong[0]:.3g}".replace("nan", "NaN"),
-            action="send float32, little-endian, instead of integers, or put a WAV header before the samples",
+            action="send float32, little-endian, and neither text nor integers, or put a WAV header before the samples",
         ) from None
     raise InputError("standard input is a coded stream; play it with `vibrocast play FILE`")
 

@@ -41,8 +41,8 @@ def write_figures(path: Path, part: str, redrawn: bool = False) -> None:
     """Write a part of a page of figures; its last line states from which program they are. Raises OSError.
 
     A part that begins with the heading of one of the page replaces it. Else `# ` begins the page anew, and `## ` comes
-    at its end. `redrawn`: the figures are those of the part that is there, and keep its last line. A file of
-    suffix .tex next to it gets the tables of the page.
+    at its end. `redrawn`: the figures are those of the part that is there, and keep its last line. A file
+    of suffix .tex next to it gets the tables of the page.
     """
     page = path.read_text(encoding="utf-8") if path.exists() else ""
     heading = re.escape(part.partition("\n")[0])
