@@ -9,10 +9,11 @@ from typing import Any
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.timing import cpu_name
 from vibrocast.harness import fidelity, latency, load, response
-from vibrocast.harness.sensors import Recorder, recorder
+from vibrocast.harness.sensors import Recorder, behind, recorder
 from vibrocast.host import bench_file, devices, player
 from vibrocast.host.bench_file import Bench, InputSensor
 from vibrocast.host.controller import Controller
+from vibrocast.host.figures import Noted
 from vibrocast.host.session import Session
 from vibrocast.host.track_player import PlayedList, TrackOptions, play_list
 from vibrocast.textures import Recording
@@ -49,9 +50,12 @@ class Together:
 def subject(bench: Bench, session: Session) -> Subject:
     """Return what a run measures on a session with the first controller of the bench. Raises InputError."""
     sensors = [each for each in bench.sensors if each.controller == bench.first.name and each.channel == 1]
+    record = recorder(sensors[0]) if sensors else None
+    if record is not None and sensors[0].kind == "loop-back":
+        record = behind(record, session.skin)
     return Subject(
         session,
-        recorder(sensors[0]) if sensors else None,
+        record,
         sensors[0].name if sensors else "",
         bool(sensors) and isinstance(sensors[0], InputSensor),
         bench.scene(),
@@ -135,7 +139,7 @@ def together(bench: Bench) -> tuple[Together, ...]:
     return tuple(measured)
 
 
-def misfits(bench: Bench, fitted: response.Response | None) -> list[str]:
+def misfits(bench: Bench, fitted: response.Response | None) -> list[Noted]:
     """Return how the actuator that a sensor measured differs from the bench's, in words.
 
     `fitted`: the measured response, None = not measured. Without a sensor, it is that of the model itself. Without a
@@ -145,7 +149,7 @@ def misfits(bench: Bench, fitted: response.Response | None) -> list[str]:
     if fitted is None or expected is None or bench.sha256 is None:
         return []
     differences = bench_file.actuator_differences(expected, fitted.actuator)
-    return [f"response: {difference}; check the actuator and its cable" for difference in differences]
+    return [Noted(f"response: {difference}; check the actuator and its cable") for difference in differences]
 
 
 def device_facts(bench: Bench, controller: Controller) -> dict[str, Any]:

@@ -31,6 +31,9 @@ _CURVE_POINTS_PER_OCTAVE = 12
 # Of the model's displacement, so that the images above the DAC's rate do not fold into the band.
 _OVERSAMPLING = 16
 _MIN_EXPLAINED = 0.05  # of the recorded power in the sweep's band
+MAX_UNEXPLAINED = 0.01
+"""Of that power. An actuator that hits a stop, or a recording with gaps, leaves more, and its parameters are wrong."""
+_MIN_SILENCE_S = 0.02
 _CONFIDENCE = 1.96  # standard errors of a 95 % interval
 
 
@@ -85,10 +88,19 @@ def measure_response(
     """Play a sweep without compensation and fit the actuator's parameters. `actuator`: the model, for DAC and limits.
 
     `recorder`: the sensor on the first channel; None = the model itself, which shows that all is in order. Raises
-    AlignmentError where the recording holds no sweep, SensorError, ControllerError and TransportError.
+    AlignmentError where the recording holds no whole sweep, or the fit does not explain it, SensorError,
+    ControllerError and TransportError.
     """
     sweep = play_sweep(controller, actuator, False, recorder, seconds, progress)
     fit = fit_actuator(sweep)
+    if recorder is not None:
+        _check_silence(sweep, fit)
+    if fit.unexplained > MAX_UNEXPLAINED:
+        raise AlignmentError(
+            f"the fit leaves {100 * fit.unexplained:.1f} % of the recorded sweep unexplained, at most "
+            f"{100 * MAX_UNEXPLAINED:g} % is credible; check that the actuator moves freely, and the sensor for noise "
+            "and gaps"
+        )
     return Response(
         sensor_name or "the model itself",
         curve(sweep, fit.delay_ms, fit.drift_ppm),
@@ -116,6 +128,18 @@ class Sweep:
     seconds: float
     highest_hz: float
     recording: Recording
+
+
+def _check_silence(sweep: Sweep, fit: Fit) -> None:
+    """Raise AlignmentError where the recording does not begin before the sweep, or does not end after it."""
+    before_s = fit.delay_ms / 1e3
+    after_s = sweep.recording.seconds - before_s - sweep.seconds
+    for silence_s, place, action in ((before_s, "before", "starts"), (after_s, "after", "ends")):
+        if silence_s < _MIN_SILENCE_S:
+            raise AlignmentError(
+                f"the recording holds no silence {place} the sweep ({1e3 * silence_s:.0f} ms), so a part may be "
+                f"missing; check when the sensor's program {action}, and that this machine is not busy"
+            )
 
 
 def play_sweep(

@@ -9,20 +9,29 @@ from typing import Any
 
 import msgspec
 
-from vibrocast.errors import InputError
+from vibrocast.errors import FAILED, REGRESSION, InputError
 from vibrocast.files import atomic_write
 from vibrocast.harness.fidelity import Fidelity
 from vibrocast.harness.latency import Latency, MinLatency
 from vibrocast.harness.load import Gap, Load, Throughput
-from vibrocast.harness.measurements import Together
+from vibrocast.harness.measurements import Together, misfits
 from vibrocast.harness.response import Response
-from vibrocast.host.figures import FIGURES, Value
+from vibrocast.host.bench_file import Bench
+from vibrocast.host.figures import FIGURES, Noted, Value
 from vibrocast.host.report import Provenance
+from vibrocast.host.verdict import Finding, findings, judged
 
 PAGE, JSON, ACTUATOR = "measured.html", "measured.json", "actuator.toml"
 FORMAT, SCHEMA = "vibrocast measurements", 3
 LINK = "link"
-"""The damaged frames of the whole run, beside the measurements."""
+"""What went wrong on the link in the whole run, beside the measurements."""
+LINK_COUNTERS = {
+    "bad_frames_at_host": "bad_frames",
+    "repeated_frames": "repeated_frames",
+    "reordered_frames": "reordered_frames",
+    "repeated_requests": "repeated_requests",
+}
+"""Counts of `Results.link` with the attributes of a Controller; `bad_frames_at_controller` is of its Status."""
 _MAX_BYTES = 1 << 26
 
 
@@ -42,14 +51,17 @@ class Measured:
 
 NAMES = tuple(each.name for each in fields(Measured))
 """The measurements, in the order of a run."""
+STABLE = tuple(name for name in NAMES if name not in ("smallest", "load", "gap"))
+"""Those that hardly differ from run to run; the others search for a limit of controller, link and computer together."""
 
 
 @dataclass
 class Results:
     """A run: the device, the host, and what was measured; `failed`: why others were not, by NAMES.
 
-    `asked`: the names that were to be measured. `link`: `bad_frames_at_controller` and `bad_frames_at_host`.
-    `missed`: the limits of the bench file that were missed, in words.
+    `asked`: the names that were to be measured. `link`: LINK_COUNTERS and `bad_frames_at_controller`.
+    `missed`: the limits of the bench file that were missed, in words. `doubts`: why this machine may have made the
+    figures of a measurement worse, by its name; one that kept its time has none.
     """
 
     device: dict[str, Any]
@@ -59,6 +71,7 @@ class Results:
     asked: tuple[str, ...] = NAMES
     link: dict[str, int] = field(default_factory=dict)
     missed: list[str] = field(default_factory=list)
+    doubts: dict[str, str] = field(default_factory=dict)
     run: Provenance = field(default_factory=Provenance)
 
     def document(self) -> dict[str, Any]:
@@ -80,10 +93,15 @@ class Results:
     def figures_of(self, measurement: str) -> Iterator[Value]:
         """Yield the figures of one measurement, or of LINK; None where the run took it and does not know the figure."""
         if measurement == LINK:
-            known = len(self.link) == 2  # a controller that was lost has no count
-            yield Value("bad_frames", LINK, sum(self.link.values()) if known else None)
+            there = self.link.get("bad_frames_at_controller")  # a controller that was lost has no count
+            bad_frames = None if there is None else there + self.link.get("bad_frames_at_host", 0)
+            yield Value("bad_frames", LINK, bad_frames)
+            yield Value("repeated_frames", LINK, self.link.get("repeated_frames", 0))
+            yield Value("reordered_frames", LINK, self.link.get("reordered_frames", 0))
         elif (taken := getattr(self.measured, measurement)) is not None:
-            yield from _FIGURES_OF[measurement](taken)
+            for value in _FIGURES_OF[measurement](taken):
+                doubt = self.doubts.get(measurement, "") if FIGURES[value.key].is_timed else ""
+                yield value._replace(doubt=value.doubt or doubt)
 
 
 def _of(part: object, *keys: str) -> list[Value]:
@@ -104,6 +122,7 @@ _FIGURES_OF: dict[str, Callable[[Any], Iterable[Value]]] = {
 _ALWAYS_KNOWN = ("smallest_latency_ms",)
 """Figures that every working device has; others need a sensor, a capture or an unequal copy."""
 _COUNTED = ("as_decoded", "as_computed", "underruns", "lost_percent", "bad_frames")
+_AT_SKIN = {"snr_db", "playing_snr_db", "st_sim", "gain", "lag_ms", "corner_hz", "stroke_um", "quality"}
 _WHAT_A_DEVICE_IS = ("hardware", "serial_number", "actuator")
 
 
@@ -111,7 +130,9 @@ _WHAT_A_DEVICE_IS = ("hardware", "serial_number", "actuator")
 class Change:
     """A figure of two runs; None where a run has not measured it. `problem`: in words, None = within its tolerance.
 
-    `counted`: the figure counts what was lost or differs, which another take does not undo.
+    `key`: of the figure, or what makes it another device.
+    `counted`: the figure counts what was lost or differs, which another take does not undo. `doubt`: why this machine
+    may have made it worse.
     """
 
     name: str
@@ -119,6 +140,8 @@ class Change:
     now: float | str | None
     problem: str | None = None
     counted: bool = False
+    doubt: str = ""
+    key: str = ""
 
 
 def read_results(path: Path) -> Results:
@@ -144,14 +167,45 @@ def _finite(text: str) -> float:
     return value
 
 
-def deviations(run: Results) -> Iterator[str]:
-    """Yield in words where the controller played something else than was sent, though it lost nothing."""
-    for value in (*run.figures_of("latency"), *run.figures_of("fidelity")):
-        if value.value is False:
-            yield value.name
-    for each in run.measured.together or ():
-        if each.as_computed is False and not each.underruns:
-            yield Value("as_computed", f"{each.name}, together", False).name
+def findings_in(run: Results, bench: Bench, changes: Iterable[Change] = (), earlier: object = "") -> list[Finding]:
+    """Return all that is wrong with a run on a bench: measurements that failed, figures, and limits missed.
+
+    `changes`: against the run in the file `earlier`, as of `compare`.
+    """
+    together = [
+        Value("as_computed", f"{each.name}, together", False)
+        for each in run.measured.together or ()
+        if each.as_computed is False and not each.underruns
+    ]
+    failed = [Noted(f"{name}: {why}", run.doubts.get(name, "")) for name, why in run.failed.items()]
+    worse = [Noted(f"{each.name} ({each.problem})", each.doubt) for each in changes if each.problem]
+    return [
+        *findings(FAILED, "not all could be measured", failed, "--only repeats some"),
+        *findings(REGRESSION, f"not as in {earlier}", worse, "compare both reports, then measure again"),
+        *judged([*run.figures(), *together], [*bench.missed(run.figures()), *misfits(bench, run.measured.response)]),
+    ]
+
+
+def likely_cause(run: Results, bench: Bench, changes: Iterable[Change] = ()) -> str:
+    """Return what has most likely made a run miss limits or be worse: "wire", "host", "device", or what is behind it.
+
+    Actuator and sensor cannot be told apart. Empty where nothing says so. `changes`: against an earlier run.
+    """
+    values = list(run.figures())
+    wrong = {each.key for each in changes if each.problem} | {each.key for each in values if bench.missed([each])}
+    is_late = any(FIGURES[key].is_timed for key in wrong if key in FIGURES) or "latency" in run.failed
+    at_skin = bool(wrong & _AT_SKIN) or bool({"fidelity", "response"} & run.failed.keys())
+    if wrong & set(_WHAT_A_DEVICE_IS) or any(each.value is False for each in values):
+        return "device"
+    if any(each.value for each in values if each.place == LINK):
+        return "wire"
+    if is_late and (run.doubts or any(each.doubt for each in values)):
+        return "host"
+    if "drift_ppm" in wrong or (is_late and at_skin):  # it plays the right codes at wrong times
+        return "device"
+    if at_skin:
+        return "actuator or sensor"
+    return "wire" if is_late else ""
 
 
 def warnings(run: Results) -> Iterator[str]:
@@ -169,7 +223,7 @@ def compare(before: Results, now: Results) -> list[Change]:
     Measurements that `now` left out are not compared. Another device is a problem, too.
     """
     changes = [
-        Change(key, str(before.device.get(key)), str(now.device.get(key)), "another device")
+        Change(key, str(before.device.get(key)), str(now.device.get(key)), "another device", key=key)
         for key in _WHAT_A_DEVICE_IS
         if _as_described(before.device.get(key)) != _as_described(now.device.get(key))
     ]
@@ -200,7 +254,8 @@ def _change(earlier: Value | None, later: Value | None) -> Change:
         problem = "not known in the earlier run" if before is None else "not known now"
     elif FIGURES[known.key].is_worse(before, now):
         problem = "worse"
-    return Change(known.name, before, now, problem, known.key in _COUNTED)
+    doubt = later.doubt if later else ""
+    return Change(known.name, before, now, problem, known.key in _COUNTED, doubt, known.key)
 
 
 def _plain(value: Any) -> Any:

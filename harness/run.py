@@ -13,14 +13,14 @@ from vibrocast.device_protocol.messages import MessageError
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.harness import measurements, page
 from vibrocast.harness.latency import Latency
-from vibrocast.harness.results import ACTUATOR, JSON, NAMES, PAGE, Measured, Results, compare
+from vibrocast.harness.results import ACTUATOR, JSON, LINK_COUNTERS, NAMES, PAGE, Measured, Results, compare
 from vibrocast.harness.sensors import SensorError
 from vibrocast.host import bench_file
 from vibrocast.host.bench_file import Bench
 from vibrocast.host.controller import ConnectionLost, Controller, ControllerError
-from vibrocast.host.figures import missed
 from vibrocast.host.report import Provenance
 from vibrocast.host.skin_quality import AlignmentError
+from vibrocast.host.verdict import doubt_of
 
 # Measured again where they have become worse: the computer may have been busy with something else.
 _TIMED = NAMES[:5]
@@ -89,6 +89,7 @@ def _measure(bench: Bench, names: Collection[str], results: Results) -> None:
             if name not in names:
                 continue
             with progress.bar(name) as update:
+                controller.watch_time()
                 try:
                     setattr(results.measured, name, measurement(subject, update))
                 except (ConnectionLost, TransportError):
@@ -100,6 +101,9 @@ def _measure(bench: Bench, names: Collection[str], results: Results) -> None:
                     with contextlib.suppress(ControllerError, TransportError):
                         controller.stop()
                     raise
+                finally:
+                    if doubt := doubt_of(controller):
+                        results.doubts[name] = doubt
     if "together" in _possible(bench, names):
         with progress.bar("together"):
             results.measured.together = measurements.together(bench)
@@ -107,12 +111,14 @@ def _measure(bench: Bench, names: Collection[str], results: Results) -> None:
 
 @contextlib.contextmanager
 def _counted(controller: Controller, results: Results) -> Iterator[None]:
-    """Count the frames that are damaged on the link during the block, as far as the controller can be asked."""
-    there, here = controller.request_status().bad_frames, controller.bad_frames
+    """Count what goes wrong on the link during the block; damage there as far as the controller can be asked."""
+    there = controller.request_status().bad_frames
+    before = {name: getattr(controller, counter) for name, counter in LINK_COUNTERS.items()}
     try:
         yield
     finally:
-        results.link["bad_frames_at_host"] = controller.bad_frames - here
+        for name, counter in LINK_COUNTERS.items():
+            results.link[name] = getattr(controller, counter) - before[name]
         with contextlib.suppress(ControllerError, TransportError):
             results.link["bad_frames_at_controller"] = controller.request_status().bad_frames - there
 
@@ -137,8 +143,8 @@ def _written(folder: Path, results: Results, earlier: Results | None, bench: Ben
             if response := results.measured.response:
                 table = bench_file.actuator_toml(response.actuator, bench.first.name)
                 (folder / ACTUATOR).write_text(table, encoding="utf-8")
-            results.missed[:] = missed(bench.limits, results.figures())
-            results.missed += measurements.misfits(bench, results.measured.response)
+            missed = [*bench.missed(results.figures()), *measurements.misfits(bench, results.measured.response)]
+            results.missed[:] = [f"{text} (undecided: {doubt})" if doubt else text for text, doubt in missed]
             results.write(folder / JSON)
             changes = [] if earlier is None else compare(earlier, results)
             page.write(folder / PAGE, results.document(), changes, table)

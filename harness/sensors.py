@@ -23,6 +23,7 @@ from vibrocast.harness.recorder import Levels, pieces
 from vibrocast.host.bench_file import InputSensor, ProgramSensor, Sensor
 from vibrocast.host.controller import Controller
 from vibrocast.host.sources import Source, open_source
+from vibrocast.output.actuator import Actuator, analog_response
 from vibrocast.textures import Recording
 from vibrocast.textures.recording import Signal
 from vibrocast.textures.sensitivity import parse
@@ -77,6 +78,26 @@ def recorder(sensor: Sensor) -> Recorder:
                 process.wait()
 
     return record
+
+
+def behind(record: Recorder, actuator: Actuator) -> Recorder:
+    """Return a recorder of the displacement, um, that an actuator's model makes of a recorded drive signal."""
+
+    @contextlib.contextmanager
+    def recorded_behind(seconds: float) -> Iterator[Callable[[], Recording]]:
+        with record(seconds) as finish:
+            yield lambda: moved_by(finish(), actuator)
+
+    return recorded_behind
+
+
+def moved_by(drive: Recording, actuator: Actuator) -> Recording:
+    """Return the displacement, um, that a drive signal in parts of full scale makes, at its rate."""
+    count = len(drive.samples)
+    frequencies_hz = np.asarray(np.fft.rfftfreq(count, 1 / drive.rate_hz), np.float64)
+    response = actuator.excursion_um * analog_response(frequencies_hz, actuator.corner_hz, actuator.quality)
+    moved_um = np.fft.irfft(np.fft.rfft(drive.samples, axis=0) * response[:, None], count, axis=0)
+    return Recording(moved_um, drive.rate_hz, "um", drive.name)
 
 
 @contextlib.contextmanager
@@ -230,7 +251,7 @@ def read_recording(sensor: ProgramSensor, file: Path) -> Recording:
 
 def _check_unit(sensor: Sensor, unit: str) -> None:
     """Raise SensorError for a recording that is not in the unit of this kind of sensor."""
-    required = {"accelerometer": "m/s^2", "laser": "um"}[sensor.kind]
+    required = {"accelerometer": "m/s^2", "laser": "um", "loop-back": "full scale"}[sensor.kind]
     if unit != required:
         raise SensorError(
             f"sensor {sensor.name}: a {sensor.kind} whose recording is in {unit}; give its unit and sensitivity in the "

@@ -4,19 +4,20 @@ import contextlib
 import hashlib
 import json
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 from msgspec import Meta, structs
+from msgspec import field as table_field
 
 from vibrocast import textures
 from vibrocast.device_protocol.transports import SERIAL_FORM, TransportError, serial_port
 from vibrocast.errors import InputError, located
 from vibrocast.host import devices, session
-from vibrocast.host.figures import BenchLimits
+from vibrocast.host.figures import BenchLimits, Noted, Value, missed
 from vibrocast.host.session import Session
 from vibrocast.output.actuator import Actuator
 from vibrocast.output.actuator_files import ActuatorTable
@@ -33,7 +34,7 @@ from vibrocast.toml_tables import (
     within,
 )
 
-SENSOR_KINDS = ("accelerometer", "laser")
+SENSOR_KINDS = ("accelerometer", "laser", "loop-back")
 _INPUT = f"audio:CARD:CHANNEL or {SERIAL_FORM}"
 SENSOR_PLACEHOLDERS = ("file", "seconds")
 SUFFIXES = (".wav", ".csv", ".txt", ".tsv", ".npy", ".npz")
@@ -129,6 +130,8 @@ class InputSensor(Sensor, frozen=True, kw_only=True):
     volts_full_scale: Annotated[float, within(1e-4, 1e4, "volts at digital full scale")] | None = None
 
     def __post_init__(self) -> None:
+        if self.kind == "loop-back":
+            raise ValueError("a loop-back records the drive signal, in no unit of a sensor; give command, not input")
         if self.input.startswith("serial:"):
             try:
                 serial_port(self.input)
@@ -172,6 +175,12 @@ _KEYS_OF_FILES = ("rate_hz", "full_scale", "unit", "columns", "reduce", "key")
 class _BenchTexture(TextureTable, frozen=True, kw_only=True):
     file: Text | None = None
     hand_speed_mm_s: Annotated[float, within(1e-3, 1e4, "speed of the hand in mm/s")] | None = None
+    limits: Mapping[str, Any] = table_field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """By which its limits are found: the generator's, or the file's without its suffix."""
+        return self.generate or Path(str(self.file)).stem
 
 
 class _BenchFile(Table, frozen=True, kw_only=True):
@@ -179,15 +188,15 @@ class _BenchFile(Table, frozen=True, kw_only=True):
     actuators: tuple[ActuatorTable, ...] = ()
     sensors: tuple[dict[str, Any], ...] = ()
     textures: tuple[_BenchTexture, ...] = ()
-    limits: BenchLimits = BenchLimits()
+    limits: Mapping[str, Any] = table_field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Bench:
     """The parts of a bench; `controllers` has at least one entry, and `first` is the one under test.
 
-    `texture_names`: of files and generators, in the order of `scene`. `limits`: of a run. `sha256`: of the bench file,
-    hexadecimal; None without one.
+    `texture_names`: of files and generators, in the order of `scene`. `limits`: of a run; `texture_limits`: of each
+    texture by its name. `sha256`: of the bench file, hexadecimal; None without one.
     """
 
     controllers: tuple[BenchController, ...]
@@ -196,6 +205,7 @@ class Bench:
     textures: tuple[Callable[[], Recording], ...] = field(default=(), repr=False)
     texture_names: tuple[str, ...] = (DEFAULT_TEXTURE,)
     limits: BenchLimits = field(default_factory=BenchLimits)
+    texture_limits: Mapping[str, BenchLimits] = field(default_factory=dict)
     sha256: str | None = None
 
     @property
@@ -213,6 +223,21 @@ class Bench:
         if not self.textures:
             return (textures.GENERATORS[DEFAULT_TEXTURE](),)
         return tuple(load() for load in self.textures)
+
+    def missed(self, values: Iterable[Value], texture: str = "", given: Mapping[str, Any] | None = None) -> list[Noted]:
+        """Return each limit that a value misses, in words: those of its texture, by name or file, or of the bench.
+
+        `texture`: the one that was played, where the place of a value does not name it. `given`: limits by their names
+        that hold in place of others, None = not judged. Raises InputError for wrong ones.
+        """
+        noted = []
+        for value in values:
+            limits = self.texture_limits.get(Path(texture or value.place).stem, self.limits)
+            if given:
+                with located("limits"):
+                    limits = convert({**structs.asdict(limits), **given}, BenchLimits)
+            noted += missed(limits, [value])
+        return noted
 
 
 def read_bench(path: Path, allow_programs: bool = False) -> Bench:
@@ -239,10 +264,32 @@ def read_bench(path: Path, allow_programs: bool = False) -> Bench:
             read_actuators(file.actuators, names),
             sensors,
             tuple(located_loaders),
-            tuple(each.generate or Path(str(each.file)).stem for each in file.textures) or (DEFAULT_TEXTURE,),
-            file.limits,
+            tuple(each.name for each in file.textures) or (DEFAULT_TEXTURE,),
+            _limits("[limits]", file.limits),
+            _texture_limits(file),
             hashlib.sha256(path.read_bytes()).hexdigest(),
         )
+
+
+def _limits(place: str, table: Mapping[str, Any]) -> BenchLimits:
+    """Return the limits of a table. Raises InputError."""
+    with located(place):
+        return convert(table, BenchLimits)
+
+
+def _texture_limits(file: _BenchFile) -> dict[str, BenchLimits]:
+    """Return the limits of each texture that has its own: these, and those of the bench for the rest.
+
+    Raises InputError, also for two textures of one name with other limits.
+    """
+    found: dict[str, BenchLimits] = {}
+    for number, each in enumerate(file.textures, 1):
+        if not each.limits:
+            continue
+        limits = _limits(f"[[textures]] {number}: [limits]", {**file.limits, **each.limits})
+        if found.setdefault(each.name, limits) != limits:
+            raise InputError(f"[[textures]] {number}: another {each.name} has other limits; give both the same")
+    return found
 
 
 def _sensor(names: list[str], table: dict[str, Any]) -> Sensor:

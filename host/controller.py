@@ -1,6 +1,7 @@
 """Client session with a controller: requests, retries, notifications."""
 
 import logging
+import math
 import random
 import time
 from collections.abc import Callable
@@ -57,6 +58,8 @@ MIN_WATCHDOG_MS = 50
 MAX_DAC_RATE_HZ = 1_000_000
 
 _RECONNECT_PAUSE_S = 0.1
+# A clock that goes further back is that of a controller that has restarted.
+_REORDERED_US = 100_000
 
 _Answer = TypeVar("_Answer", bound=Message)
 _Result = TypeVar("_Result")
@@ -95,8 +98,11 @@ class Controller(Closing):
     `description`: what it said in its last hello. `status`: the last Status that came, asked for or not. `may_pause`:
     whether this host has asked it to pause, and not yet to go on. `altered`: whether this host has paused it, stopped
     it or changed its gain since the last Configure, so that its output is no longer that of the stream alone.
-    `bytes_sent`, `bytes_received`: all that crossed the transport. Every wait is a read of the transport, measured by
-    `clock`, so that a simulated transport can run in simulated time.
+    `bytes_sent`, `bytes_received`: all that crossed the transport. `waited_s`: all the time that this host has waited
+    for the controller. `late_s`: the most by which it woke up late from a wait since `watch_time`. `repeated_requests`:
+    those that this host sent again. `repeated_frames`, `reordered_frames`: of the controller, that came twice, or after
+    a later one. Every wait is a read of the transport, measured by `clock`, so that a simulated transport can run in
+    simulated time.
     """
 
     description: HelloResponse
@@ -112,6 +118,11 @@ class Controller(Closing):
         self.may_pause = self.altered = False
         self.bytes_sent = 0
         self.bytes_received = 0
+        self.waited_s = 0.0
+        self.repeated_requests = self.repeated_frames = self.reordered_frames = 0
+        self._last_payload = b""
+        self._answers_due = 0
+        self.watch_time()
         self.clock = clock
         self.sleep = sleep
         self._transport = transport
@@ -122,6 +133,36 @@ class Controller(Closing):
         self._pending: _PendingRequest | None = None
         self.open_session()
         self._connected_s = clock()
+
+    def watch_time(self) -> None:
+        """Begin to note whether this machine wakes up in time, and whether the controller's clock keeps up."""
+        self.late_s = 0.0
+        self._times_s: list[tuple[float, float]] = []
+
+    @property
+    def watched_s(self) -> tuple[float, float]:
+        """The seconds between the first and the last watched Status: here, and by the controller's clock."""
+        if not self._times_s:
+            return 0.0, 0.0
+        (here_s, there_s), (now_s, device_s) = self._times_s[0], self._times_s[-1]
+        return now_s - here_s, device_s - there_s
+
+    def _note_time(self, status: Status) -> None:
+        """Keep the first and the last time of the controller, which a restart begins again."""
+        device_s = status.device_time_us / 1e6
+        if self._times_s and device_s < self._times_s[-1][1]:
+            self._times_s.clear()
+        self._times_s[1:] = [(self.clock(), device_s)]
+
+    def _timed(self, wait: Callable[[float], _Result], timeout_s: float) -> _Result:
+        """Wait for the controller for at most `timeout_s`, and note how late this machine woke up."""
+        began_s = self.clock()
+        try:
+            return wait(timeout_s)
+        finally:
+            took_s = self.clock() - began_s
+            self.waited_s += min(took_s, timeout_s)
+            self.late_s = max(self.late_s, took_s - timeout_s)
 
     def close(self) -> None:
         """Close the transport."""
@@ -159,7 +200,7 @@ class Controller(Closing):
 
     def read(self, timeout_s: float) -> bytes:
         """Return the bytes that came, waiting for them at most `timeout_s`. Raises TransportError."""
-        data = self._transport.read(timeout_s)
+        data = self._timed(self._transport.read, timeout_s)
         self.bytes_received += len(data)
         return data
 
@@ -176,7 +217,7 @@ class Controller(Closing):
                 step = steps.send
                 try:
                     if isinstance(wait, event_loop.Pause):
-                        self.sleep(wait)
+                        self._timed(self.sleep, wait)
                         given = b""
                     else:
                         given = self.read(wait)
@@ -256,8 +297,9 @@ class Controller(Closing):
             yield from self.poll_steps(ANSWER_TIMEOUT_S)
         frame = self._next_request(message)
         answer_timeout_s += len(frame) / SLOW_BYTES_PER_S
-        for _ in range(tries):
-            self._write(frame)
+        for number in range(tries):
+            self.repeated_requests += number > 0
+            self._write_request(frame)
             deadline_s = self.clock() + answer_timeout_s
             while self.clock() < deadline_s:
                 answer = self._take((yield answer_timeout_s))
@@ -308,7 +350,7 @@ class Controller(Closing):
         before = self.description
         while True:
             try:
-                self._transport.reopen()
+                self._timed(lambda _: self._transport.reopen(), math.inf)
                 self._bad_frames_before = self.bad_frames
                 self._reader = FrameReader()
                 yield from self.open_session_steps()
@@ -339,7 +381,7 @@ class Controller(Closing):
     def ask(self, message: Message, answer_timeout_s: float = ANSWER_TIMEOUT_S) -> None:
         """Send a request, which `poll` sends again until its answer comes; no other one may be under way."""
         frame = self._next_request(message)
-        self._write(frame)
+        self._write_request(frame)
         self._pending = _PendingRequest(frame, self.clock() + answer_timeout_s, answer_timeout_s, TRIES - 1)
 
     def ask_status(self) -> None:
@@ -352,7 +394,7 @@ class Controller(Closing):
 
     def ask_once(self, message: Message) -> None:
         """Send a request once; `poll` brings its answer, unless one of the two is lost. Raises TransportError."""
-        self._write(self._next_request(message))
+        self._write_request(self._next_request(message))
 
     def poll_steps(self, timeout_s: float) -> Steps[Message | None]:
         """Receive messages for at most `timeout_s`; return the answer to the request.
@@ -362,7 +404,8 @@ class Controller(Closing):
         if self._pending is not None and self.clock() >= self._pending.again_s:
             if not self._pending.tries_left:
                 raise _no_answer()
-            self._write(self._pending.frame)
+            self.repeated_requests += 1
+            self._write_request(self._pending.frame)
             self._pending.again_s = self.clock() + self._pending.answer_timeout_s
             self._pending.tries_left -= 1
         answer = self._take((yield timeout_s))
@@ -388,10 +431,27 @@ class Controller(Closing):
         if isinstance(message, (Pause, Gain, Stop, Configure)):
             self.altered = not isinstance(message, Configure)
         self._sequence = self._sequence % MAX_SEQUENCE + 1
+        self._answers_due = 0
         return write_frame(pack(message, self._sequence))
 
+    def _write_request(self, frame: bytes) -> None:
+        self._write(frame)
+        self._answers_due += 1
+
+    def _count(self, sequence: int, message: Message, payload: bytes) -> None:
+        """Count a frame that came twice, or after a later one."""
+        repeated = isinstance(message, Status) and sequence == NOTIFICATION and payload == self._last_payload
+        if sequence == self._sequence:
+            self._answers_due -= 1
+            repeated = self._answers_due < 0
+        self.repeated_frames += repeated
+        self._last_payload = payload
+        if isinstance(message, Status) and self.status is not None and not repeated:
+            early_us = self.status.device_time_us - message.device_time_us
+            self.reordered_frames += 0 < early_us < _REORDERED_US
+
     def _write(self, data: bytes) -> None:
-        self._transport.write(data)
+        self._timed(lambda _: self._transport.write(data), math.inf)  # one that is stuck waits for the link
         self.bytes_sent += len(data)
 
     def _take(self, data: bytes) -> Message | None:
@@ -402,8 +462,10 @@ class Controller(Closing):
                 sequence, message = unpack(payload)
             except MessageError:
                 continue  # a later minor version may send what this one does not know
+            self._count(sequence, message, payload)
             if isinstance(message, Status) and sequence in (NOTIFICATION, self._sequence):
                 self.status = message
+                self._note_time(message)
             if sequence == self._sequence:
                 answer = message
             elif sequence == NOTIFICATION and isinstance(message, Error):

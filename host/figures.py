@@ -19,6 +19,7 @@ class Figure:
         worse: 1 where a higher one is worse, -1 where a lower one is, 0 where any other is.
         absolute: By how much another run may be worse.
         relative: The same in parts of the earlier value; the larger of the two counts.
+        is_timed: Whether a busy machine makes it worse.
     """
 
     key: str
@@ -27,6 +28,7 @@ class Figure:
     worse: int = 1
     absolute: float = 0.0
     relative: float = 0.0
+    is_timed: bool = False
 
     @property
     def title(self) -> str:
@@ -53,25 +55,27 @@ class Figure:
 FIGURES = {
     figure.key: figure
     for figure in (
-        Figure("latency_ms", "latency", "ms", 1, 2.0, 0.1),
-        Figure("sensor_latency_ms", "latency to the sensor", "ms", 1, 5.0, 0.1),
-        Figure("smallest_latency_ms", "smallest stable latency", "ms", 1, 4.0, 0.2),
+        Figure("latency_ms", "latency", "ms", 1, 2.0, 0.1, is_timed=True),
+        Figure("sensor_latency_ms", "latency to the sensor", "ms", 1, 5.0, 0.1, is_timed=True),
+        Figure("smallest_latency_ms", "smallest stable latency", "ms", 1, 4.0, 0.2, is_timed=True),
         Figure("delay_ms", "delay", "ms", 1, math.inf, 0.0),
-        Figure("jitter_ms", "jitter", "ms", 1, 2.0, 0.5),
-        Figure("drift_ppm", "drift", "ppm", 0, 50.0),
+        Figure("jitter_ms", "jitter", "ms", 1, 2.0, 0.5, is_timed=True),
+        Figure("drift_ppm", "drift", "ppm", 0, 50.0, is_timed=True),
         Figure("lag_ms", "lag", "ms", 0, 50.0),
         Figure("as_decoded", "decoded as sent", worse=-1),
         Figure("as_computed", "DAC as computed", worse=-1),
         Figure("all_as_computed", "controllers that played as computed", worse=-1),
-        Figure("underruns", "underruns"),
+        Figure("underruns", "underruns", is_timed=True),
         Figure("lost_packets", "lost packets"),
-        Figure("lost_percent", "lost packets", "%"),
+        Figure("lost_percent", "lost packets", "%", is_timed=True),
         Figure("bad_frames", "damaged frames"),
-        Figure("to_controller_bytes_per_s", "throughput to the controller", "bytes/s", -1, 0.0, 0.3),
-        Figure("to_host_bytes_per_s", "throughput to the host", "bytes/s", -1, 0.0, 0.3),
-        Figure("load_samples_per_s", "largest load", "samples/s", -1, 0.0, 0.5),
-        Figure("gap_ms", "longest gap", "ms", -1, 20.0, 0.1),
-        Figure("full_gap_ms", "longest gap with a full buffer", "ms", -1, 20.0, 0.1),
+        Figure("repeated_frames", "repeated frames"),
+        Figure("reordered_frames", "reordered frames"),
+        Figure("to_controller_bytes_per_s", "throughput to the controller", "bytes/s", -1, 0.0, 0.3, is_timed=True),
+        Figure("to_host_bytes_per_s", "throughput to the host", "bytes/s", -1, 0.0, 0.3, is_timed=True),
+        Figure("load_samples_per_s", "largest load", "samples/s", -1, 0.0, 0.5, is_timed=True),
+        Figure("gap_ms", "longest gap", "ms", -1, 20.0, 0.1, is_timed=True),
+        Figure("full_gap_ms", "longest gap with a full buffer", "ms", -1, 20.0, 0.1, is_timed=True),
         Figure("payload_bps", "payload", "bit/s", 1, 0.0, 0.1),
         Figure("wire_bps", "on the wire", "bit/s", 1, 0.0, 0.1),
         Figure("instructions_per_second", "instructions", "1/s", 1, 0.0, 0.1),
@@ -99,12 +103,14 @@ FIGURES = {
 class Value(NamedTuple):
     """A figure's value in a run. `key`: in FIGURES. `place`: such as a texture's name, empty where there is one only.
 
-    `value`: None where the run does not know it, which misses a limit.
+    `value`: None where the run does not know it, which misses a limit. `doubt`: why this machine may have made it
+    worse; empty: it has not.
     """
 
     key: str
     place: str
     value: float | bool | None
+    doubt: str = ""
 
     @property
     def name(self) -> str:
@@ -117,6 +123,13 @@ class Value(NamedTuple):
         label = FIGURES[self.key].label
         where = f"{self.place}: " if self.place else ""
         return f"{where}{label}: {FIGURES[self.key].text(self.value)}"
+
+
+class Noted(NamedTuple):
+    """Something wrong in words. `doubt`: as of Value."""
+
+    text: str
+    doubt: str = ""
 
 
 Decibels = Annotated[float, within(-100, 200, "SNR in dB")]
@@ -135,7 +148,8 @@ class BenchLimits(Table, frozen=True, kw_only=True):
     """Figures that a run must keep; None = not judged.
 
     SNR, gain and ST-SIM: at the skin. `max_lost_percent`: of the packets of a live stream or a playback.
-    `max_latency_ms` ends at the DAC, `max_sensor_latency_ms` at a sensor's sample in this computer. `max_bad_frames`:
+    `max_latency_ms`: of a live stream, up to the DAC; `max_sensor_latency_ms`: up to a sensor's sample in this
+    computer. `max_bad_frames`:
     damaged on the wire, in both directions. `min_load_samples_per_s`: the largest load that is held. `max_drift_ppm`:
     of the controller's clock, in either direction.
     """
@@ -158,10 +172,10 @@ class BenchLimits(Table, frozen=True, kw_only=True):
             raise ValueError("min_gain is above max_gain; swap them")
 
 
-def missed(limits: BenchLimits, values: Iterable[Value]) -> list[str]:
-    """Return a line for each limit that a value misses."""
+def missed(limits: BenchLimits, values: Iterable[Value]) -> list[Noted]:
+    """Return each limit that a value misses, in words."""
     lines = []
-    for key, place, value in values:
+    for key, place, value, doubt in values:
         for bound, sign in (("min", 1), ("max", -1)):
             name = f"{bound}_{key}"
             limit = getattr(limits, name, None)
@@ -169,9 +183,9 @@ def missed(limits: BenchLimits, values: Iterable[Value]) -> list[str]:
                 continue
             size = abs(value) if value is not None and key == "drift_ppm" else value
             if size is None:
-                lines.append(f"{place}: {key} is not known, {name} = {limit:g}")
+                lines.append(Noted(f"{place}: {key} is not known, {name} = {limit:g}", doubt))
             elif not sign * size >= sign * limit:
-                lines.append(f"{place}: {key} = {size:.4g}, {name} = {limit:g}")
+                lines.append(Noted(f"{place}: {key} = {size:.4g}, {name} = {limit:g}", doubt))
     return lines
 
 

@@ -231,6 +231,7 @@ def play_and_compare(
     report. Raises as `play`, and CodecError.
     """
     sent = playable(stream)
+    session.controller.watch_time()
     played = play(session.controller, sent, movement, progress)
     heights_um, codes = computed(session, sent, played)
     traces = _traces(session, sent, texture, played, heights_um)

@@ -21,10 +21,15 @@ from vibrocast.host.report import LiveFigures, Minute, Provenance, Quality, Repo
 from vibrocast.host.session import Session
 from vibrocast.host.skin_quality import COMPARED_S
 from vibrocast.host.stream_session import read_capture
+from vibrocast.host.verdict import doubt_of
 from vibrocast.output.rendering import render
 from vibrocast.textures import Recording
 
 _MIN_S = 0.5
+_HOSTS_SHARE = 0.5
+"""Where the host has handled more late packets than this part of the losses, it has caused them."""
+_LATE_SHARE = 0.05
+"""Without a loss, delay and jitter are the host's where it has handled more packets than this part too late."""
 _READ_BACK_S = 5.0
 """How long reading the captures back may take."""
 _MAX_VALUES = 1 << 23
@@ -163,11 +168,13 @@ class LivePlayback:
         self._blocks: list[Signal] = []
         self._packets: list[bytes] = []
         self._keeps = True
+        self._late_packets = 0
         stream.on_packets = self._keep
         self._before = self._counts()
         self.minutes = [Minute(0.0)]
         self.sent: list[Sent] = []
         self.clock = DeviceClock(stream.controller)
+        stream.controller.watch_time()
         self._late_ms: list[float] = []
         self._ask_s = self._coded_s = 0.0
 
@@ -190,12 +197,17 @@ class LivePlayback:
 
     def paced(self, samples: Signal) -> Iterator[Signal]:
         """Yield blocks of samples (n, channels) when each is due; note when each was sent, and where the device is."""
-        stream = self.stream
+        stream, controller = self.stream, self.stream.controller
+        held_s = 0.0  # by how much later it is because the controller was waited for
         for due_s, block in live.paced(stream, samples, self.clock.sleep):
-            awake_s, packets = stream.controller.clock(), stream.packets_sent
-            self._late_ms.append(1e3 * (awake_s - due_s))
+            awake_s, packets, waited_s = controller.clock(), stream.packets_sent, controller.waited_s
+            held_s = min(held_s, max(0.0, awake_s - due_s))
+            late_s = awake_s - due_s - held_s
+            self._late_ms.append(1e3 * late_s)
             yield block
-            sent_s = stream.controller.clock()
+            held_s += controller.waited_s - waited_s
+            sent_s = controller.clock()
+            self._count_late(late_s, packets)
             if stream.packets_sent > packets and sent_s >= self._ask_s:
                 last_s = due_s - (stream.packet_samples - stream.left_samples) / stream.format.rate_hz
                 samples_sent = stream.packets_sent * stream.packet_samples
@@ -206,14 +218,23 @@ class LivePlayback:
     def heard(self, read: Callable[[float], Signal | None]) -> Iterator[Signal]:
         """Yield what a source gives, as `live.heard` does; note by how much each read overran its time."""
         clock = self.stream.controller.clock
+        late_s, packets = 0.0, self.stream.packets_sent
 
         def timed(timeout_s: float) -> Signal | None:
-            until_s = clock() + timeout_s
+            nonlocal late_s, packets
+            self._count_late(late_s, packets)
+            until_s, packets = clock() + timeout_s, self.stream.packets_sent
             samples = read(timeout_s)
-            self._late_ms.append(1e3 * max(0.0, clock() - until_s))
+            late_s = max(0.0, clock() - until_s)
+            self._late_ms.append(1e3 * late_s)
             return samples
 
         return live.heard(self.stream, timed)
+
+    def _count_late(self, late_s: float, packets_before: int) -> None:
+        """Count the packets that were sent since then, where the host was too late for them."""
+        if late_s > self.stream.playout_delay_s / 2:
+            self._late_packets += max(0, self.stream.packets_sent - packets_before)
 
     def _kept(self, blocks: Iterable[Signal]) -> Iterator[Signal]:
         seconds = 0.0
@@ -326,7 +347,15 @@ class LivePlayback:
                 left_out_packets=result.left_out_packets,
                 minutes=tuple(self.minutes),
             ),
+            doubt=self._doubt(result),
         )
+
+    def _doubt(self, result: live.LiveResult) -> str:
+        """Return why losses, or else the delay, may be this machine's doing; empty where they are not."""
+        late, losses = self._late_packets, result.lost_packets + result.underruns
+        if late > (_HOSTS_SHARE * losses if losses else _LATE_SHARE * result.packets):
+            return f"this machine handled {late} packets too late"
+        return doubt_of(self.stream.controller, math.inf)
 
     def latency_s(self) -> float | None:
         """Return the time from when a sample was taken until the skin moves by it; None where nothing is known of it.
@@ -380,6 +409,7 @@ class LivePlayback:
             "bad_frames": result.bad_frames,
             "bad_frames_back": result.bad_frames_back,
             "output_gaps": sum(status.output_gaps for status in (*self.stream.earlier, self.stream.status)),
+            "late_packets": self._late_packets,
         }
 
     def _note(self, status: Status) -> None:
@@ -402,7 +432,7 @@ class LivePlayback:
             self._late_ms.clear()
         for name, count in now.items():
             setattr(minute, name, max(0, count - self._before[name]))
-        minute.cause = cause(minute, 1e3 * self.stream.playout_delay_s)
+        minute.cause = cause(minute)
         self._before = now
 
 
@@ -432,7 +462,7 @@ def play_live(
     return playing.play(playing.paced(source.samples), tell)
 
 
-def cause(minute: Minute, playout_delay_ms: float) -> str | None:
+def cause(minute: Minute) -> str | None:
     """Return what made a minute lose something: "host", "wire", "device" or "source"; None where it lost nothing."""
     if not (minute.underruns or minute.lost_packets or minute.restarts or minute.output_gaps):
         return None
@@ -441,6 +471,6 @@ def cause(minute: Minute, playout_delay_ms: float) -> str | None:
     if minute.bad_frames or minute.bad_frames_back:
         return "wire"
     # A host that is late takes what waits for it at once, which looks like a pause of the source.
-    if minute.host_late_ms is not None and minute.host_late_ms > playout_delay_ms / 2:
+    if minute.late_packets > _HOSTS_SHARE * (minute.underruns + minute.lost_packets):
         return "host"
     return "source" if minute.pauses else "wire"

@@ -1,7 +1,7 @@
 """Plays coded streams on controllers, reads back what they did, compares with the same computed here, and reports."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -16,11 +16,13 @@ from vibrocast.device_protocol.messages import Status
 from vibrocast.errors import InputError
 from vibrocast.host import devices, player, uploader
 from vibrocast.host.controller import ControllerError
+from vibrocast.host.figures import Value
 from vibrocast.host.limits import fitted
 from vibrocast.host.picture import Trace
 from vibrocast.host.report import ActuatorUse, DeviceDescription, Provenance, Quality, Report, Timing, Touch, Wire
 from vibrocast.host.session import Session
 from vibrocast.host.skin_quality import SkinQuality, compare_channels, limit_note
+from vibrocast.host.verdict import doubt_of
 from vibrocast.output.actuator import SKIN_OVERSAMPLING, Actuator, Codes, followed_band_hz, octave_gains_db
 from vibrocast.output.rendering import Drive, LimitCounts, displacement_filter, render
 from vibrocast.output.sound_card import CardUse
@@ -49,6 +51,10 @@ class Playback:
     caption: str
     traces: tuple[Trace, ...]
     given_samples: int = 0
+
+    def figures(self) -> Iterator[Value]:
+        """Yield the figures of the report."""
+        return self.report.figures()
 
 
 class Captured(NamedTuple):
@@ -87,6 +93,7 @@ def play(
     if stream.image is not None:
         uploader.provide(controller, session.address, stream.image)
     underruns_before = controller.sound_card.underruns if controller.sound_card else 0
+    controller.watch_time()
     settings = player.PlaybackSettings(
         loops=loops, capture=_unread_reason(session, sent, loops) is None, progress=progress
     )
@@ -171,6 +178,7 @@ def compared(
         decoded_equals_offline=_equal(result, result.decoded, offline, loops) if comparable else None,
         dac_equals_offline=_equal(result, result.dac_codes, codes) if comparable and session.is_known else None,
         comparison_note=_comparison_note(session, stream, loops, result),
+        doubt=doubt_of(session.controller, player.BUFFER_S),
     )
     return Playback(session, stream, report, caption(session, READ_BACK if read_back else COMPUTED), traces)
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from vibrocast.codec.threshold import FeltError
 from vibrocast.files import atomic_write
-from vibrocast.host.figures import Value, lost_percent
+from vibrocast.host.figures import FIGURES, Value, lost_percent
 from vibrocast.host.skin_quality import SkinQuality
 from vibrocast.output.sound_card import CardUse
 
@@ -134,8 +134,9 @@ class DeviceDescription:
 class Minute:
     """A minute of a live stream, from `from_s` on. Counts are of this minute.
 
-    `host_late_ms`: by how much the host handled a block too late, at most; `host_jitter_ms`: between the 5 % and the
-    95 % of these times; None before the first block.
+    `host_late_ms`: by how much the host handled a block too late, at most, without its waits for the controller;
+    `host_jitter_ms`: between the 5 % and the 95 % of these times; None before the first block.
+    `late_packets`: those that it handled later than half the playout delay.
     `margin_ms`: the least time that packets lay ready at the controller; None where it never played.
     """
 
@@ -149,6 +150,7 @@ class Minute:
     bad_frames: int = 0
     bad_frames_back: int = 0
     output_gaps: int = 0
+    late_packets: int = 0
     host_late_ms: float | None = None
     host_jitter_ms: float | None = None
     margin_ms: float | None = None
@@ -216,6 +218,7 @@ class Report:
     comparison_note: str | None = None
     live: LiveFigures | None = None
     position: PositionFigures | None = None
+    doubt: str = ""
 
     def figures(self) -> Iterator[Value]:
         """Yield the figures that limits of a bench file judge, and that a run is compared by.
@@ -223,13 +226,21 @@ class Report:
         Those at the skin of a live stream are computed, so they are known only where the controller has played what
         was computed. Nobody counts lost positions of a hand: none was lost where the output is as all of them make it.
         """
+        return (self._doubted(value) for value in self._figures())
+
+    def _doubted(self, value: Value) -> Value:
+        """Return a figure with the doubt of the report, where a busy machine can have made it worse."""
+        bits_differ = value.key in ("as_decoded", "as_computed") and value.value is False
+        is_open = (self.lost_anything or FIGURES[value.key].is_timed) and not bits_differ
+        return value._replace(doubt=self.doubt) if is_open and value.key != "bad_frames" else value
+
+    def _figures(self) -> Iterator[Value]:
         place = self.file if self.live is None else "live"
         lost: float | None = lost_percent(self.lost_packets, self.packets)
         if self.position is not None:
             lost = 0.0 if self.dac_equals_offline else None
-        else:
+        if self.live is not None:  # a file waits in the controller's buffer, on purpose
             yield Value("latency_ms", place, self.timing.end_to_end_ms)
-        if self.live is not None:
             yield Value("jitter_ms", place, self.timing.jitter_ms)
             yield Value("drift_ppm", place, self.timing.drift_ppm)
         yield Value("as_decoded", place, self.decoded_equals_offline)

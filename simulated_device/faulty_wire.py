@@ -1,5 +1,6 @@
 """The one wire with faults, in front of any controller: loss, damage, delay, capacity and cut cables, by a schedule."""
 
+import contextlib
 import math
 import random
 import time
@@ -8,13 +9,18 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
+from msgspec.structs import replace
+
 from vibrocast.device_protocol.frames import DELIMITER
-from vibrocast.device_protocol.transports import Closing, Transport, TransportError
+from vibrocast.device_protocol.transports import Closing, DeviceGone, Transport, TransportError
 from vibrocast.errors import located
 from vibrocast.simulated_device.device import Device
 from vibrocast.toml_tables import Table, convert, one_of, read_toml, within
 
 DIRECTIONS = ("to_controller", "to_host", "both")
+_REOPEN_S = 0.2
+# While bytes are on a slow way, it is looked at so often.
+_CARRIED_S = 0.001
 Probability = Annotated[float, within(0, 1, "probability for each frame")]
 Milliseconds = Annotated[float, within(0, 10_000, "time in ms")]
 
@@ -105,6 +111,11 @@ class _Direction:
         """Have other faults from now on."""
         chosen = [each for each in faults if each.direction in (self._name, "both")]
         self._faults = [(each, FrameDamage(each, self._seed + 2 * number)) for number, each in enumerate(chosen)]
+
+    @property
+    def is_carrying(self) -> bool:
+        """Whether bytes are on their way."""
+        return bool(self._waiting or self._under_way)
 
     def put(self, data: bytes, since_us: int) -> None:
         """Take bytes that are sent. `since_us`: the time of the schedule."""
@@ -220,10 +231,16 @@ class FaultyWire(Device):
 
 
 class RemoteDevice(Device):
-    """A controller behind a transport, such as one on a serial port. `failure`: why the transport broke, if it did."""
+    """A controller behind a transport, such as one on a serial port. `failure`: why the transport broke for good.
 
-    def __init__(self, transport: Transport) -> None:
+    `on_cut`: called with whether the controller is gone, such as for a power cycle; None = the transport then fails.
+    """
+
+    def __init__(self, transport: Transport, on_cut: Callable[[bool], None] | None = None) -> None:
         self._transport = transport
+        self._on_cut = on_cut
+        self._is_gone = False
+        self._again_s = 0.0
         self.failure: TransportError | None = None
 
     def receive(self, data: bytes, now_us: int) -> None:
@@ -231,7 +248,14 @@ class RemoteDevice(Device):
         self._tried(lambda: self._transport.write(data))
 
     def advance(self, now_us: int) -> None:
-        """Do nothing: the controller has a clock of its own."""
+        """Open the way to a controller that is gone again; one that is there has a clock of its own."""
+        if self._on_cut is None or not self._is_gone or time.monotonic() < self._again_s:
+            return
+        self._again_s = time.monotonic() + _REOPEN_S
+        with contextlib.suppress(TransportError):
+            self._transport.reopen()
+            self._is_gone = False
+            self._on_cut(False)
 
     def transmit(self) -> bytes:
         """Return the bytes that have come from the controller. Raises TransportError."""
@@ -240,11 +264,17 @@ class RemoteDevice(Device):
         return bytes(read)
 
     def _tried(self, action: Callable[[], None]) -> None:
+        """Do what needs the controller; nothing while it is gone. Raises TransportError."""
+        if self._is_gone:
+            return
         try:
             action()
         except TransportError as error:
-            self.failure = error
-            raise
+            if self._on_cut is None or isinstance(error, DeviceGone):
+                self.failure = error
+                raise
+            self._is_gone = True
+            self._on_cut(True)
 
 
 class FaultyTransport(Closing):
@@ -258,23 +288,25 @@ class FaultyTransport(Closing):
         self.clock = clock
         self.to_controller: FrameDamage | None = None
         self.to_host: FrameDamage | None = None
+        self._there, self._back = _Direction("to_controller", 0), _Direction("to_host", 1)
         self._transport = transport
-        self._out_until_s = 0.0
+        self._out_from_s = self._out_until_s = 0.0
 
-    def damage(
-        self, *, lost: float = 0.0, flipped: float = 0.0, doubled: float = 0.0, direction: str = "both", seed: int = 0
-    ) -> None:
-        """From now on, lose, damage or double frames with these probabilities; without arguments, none.
+    def damage(self, *, seed: int = 0, **faults: Any) -> None:
+        """From now on, have these faults of a Fault, such as `lost` or `delay_ms`; without arguments, none.
 
-        `direction`: "to_controller", "to_host" or "both". The same seed gives the same faults for the same frames.
+        The same seed gives the same faults for the same frames. Raises InputError for wrong ones.
         """
-        fault = Fault(lost=lost, flipped=flipped, doubled=doubled)
-        self.to_controller = None if direction == "to_host" else FrameDamage(fault, seed)
-        self.to_host = None if direction == "to_controller" else FrameDamage(fault, seed + 1)
+        fault = convert(faults, Fault)
+        self.to_controller = None if fault.direction == "to_host" else FrameDamage(fault, seed)
+        self.to_host = None if fault.direction == "to_controller" else FrameDamage(fault, seed + 1)
+        for way in (self._there, self._back):
+            way.change([replace(fault, lost=0.0, flipped=0.0, doubled=0.0, swapped=0.0)])
 
-    def pull_cable(self, seconds: float) -> None:
-        """Pull the cable, and plug it in again after a time."""
-        self._out_until_s = self.clock() + seconds
+    def pull_cable(self, seconds: float, after_s: float = 0.0) -> None:
+        """Pull the cable after a time, and plug it in again `seconds` later."""
+        self._out_from_s = self.clock() + after_s
+        self._out_until_s = self._out_from_s + seconds
 
     def __getattr__(self, name: str) -> Any:
         """Return what else the transport has, such as its file."""
@@ -283,13 +315,30 @@ class FaultyTransport(Closing):
     def write(self, data: bytes) -> None:
         """Send all of `data`. Raises TransportError."""
         self._need_cable()
-        self._transport.write(data if self.to_controller is None else self.to_controller.carry(data))
+        self._there.put(data if self.to_controller is None else self.to_controller.carry(data), 0)
+        self._hand_on()
 
     def read(self, timeout_s: float) -> bytes:
         """Return the available bytes, waiting for them at most `timeout_s`. Raises TransportError."""
-        self._need_cable()
-        data = self._transport.read(timeout_s)
-        return data if self.to_host is None else self.to_host.carry(data)
+        until_s = self.clock() + timeout_s
+        while True:
+            self._need_cable()
+            self._hand_on()
+            left_s = max(0.0, until_s - self.clock())
+            carries = self._there.is_carrying or self._back.is_carrying
+            data = self._transport.read(min(left_s, _CARRIED_S) if carries else left_s)
+            self._back.put(data if self.to_host is None else self.to_host.carry(data), 0)
+            arrived = self._back.take(self._now_us(), 0)
+            if arrived or self.clock() >= until_s:
+                return arrived
+
+    def _hand_on(self) -> None:
+        """Hand the bytes on that have reached the controller. Raises TransportError."""
+        if arrived := self._there.take(self._now_us(), 0):
+            self._transport.write(arrived)
+
+    def _now_us(self) -> int:
+        return round(1e6 * self.clock())
 
     def reopen(self) -> None:
         """Close the port or device, and open it again. Raises TransportError while it is absent."""
@@ -301,5 +350,5 @@ class FaultyTransport(Closing):
         self._transport.close()
 
     def _need_cable(self) -> None:
-        if self.clock() < self._out_until_s:
+        if self._out_from_s <= self.clock() < self._out_until_s:
             raise TransportError("the test has pulled the cable")

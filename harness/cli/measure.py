@@ -9,31 +9,29 @@ from typing import Any
 
 import click
 
-from vibrocast.errors import REGRESSION
 from vibrocast.harness.results import (
     ACTUATOR,
     JSON,
     NAMES,
     PAGE,
+    STABLE,
     compare,
-    deviations,
+    findings_in,
+    likely_cause,
     read_results,
     warnings,
 )
 from vibrocast.host.cli.answers import add, figures_so_far, tell
-from vibrocast.host.cli.errors import CommandError
 from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import FOLDER, INPUT
-from vibrocast.host.cli.options import allow_programs_option, fail_where_missed, given_once
+from vibrocast.host.cli.options import allow_programs_option, fail, given_once
 
 TRACE = "trace.pcapng"
-MAX_SHOWN = 6
-"""Figures that are named where a run is not as the earlier one."""
 
 
 def chosen_names(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[str, ...]:
-    """Return the measurements that commas separate, all if not given, or raise click.BadParameter."""
-    names = tuple(name.strip() for name in value.split(",")) if value else NAMES
+    """Return the measurements that commas separate, STABLE if not given, or raise click.BadParameter."""
+    names = tuple(name.strip() for name in value.split(",")) if value else STABLE
     for name in names:
         if name not in NAMES:
             raise click.BadParameter(f"{name!r} is no measurement; give some of {', '.join(NAMES)}", ctx, param)
@@ -82,7 +80,7 @@ def written_since(path: Path, began_ns: int) -> dict[str, Any] | None:
     "names",
     callback=chosen_names,
     metavar="NAME,...",
-    help=f"Choose among {', '.join(NAMES)}. Default: all.",
+    help=f"Choose among {', '.join(NAMES)}. Default: all but {', '.join(sorted(set(NAMES) - set(STABLE)))}.",
 )
 def measure(
     device: str | None,
@@ -96,8 +94,9 @@ def measure(
 
     If you interrupt the command, it writes the results so far.
 
-    The exit code is 5 if the run is worse than the earlier one, or cannot be compared with it. It is 1 if a measurement
-    failed, or the controller played something else than was sent, and 4 if a limit of the bench file was missed.
+    The exit code is 1 if a measurement failed, or the controller played something else than was sent. It is 5 if the
+    run is worse than the earlier one, or cannot be compared with it, and 4 if a limit of the bench file was missed. If
+    several hold, it is the first of these. It is 6 if this machine may have caused all that is wrong.
     """
     from vibrocast.harness.run import measure_bench
     from vibrocast.host.bench_file import choose_controller, read_bench
@@ -109,8 +108,6 @@ def measure(
     figures_so_far(partial(written_since, out / JSON, time.time_ns()))
     results = measure_bench(bench, out, names, before)
     changes = [] if before is None else compare(before, results)
-    for name, why in results.failed.items():
-        click.echo(f"not measured: {name}: {why}", err=True)
     add(results.document() | {"changes": [asdict(change) for change in changes]})
     for value in results.figures():
         if value.value is not None:
@@ -118,19 +115,8 @@ def measure(
     for warning in warnings(results):
         click.echo(f"warning: {warning}", err=True)
     tell(f"{out / PAGE}", page=str(out / PAGE))
-    if results.failed:
-        raise click.ClickException(
-            f"not all could be measured: {', '.join(results.failed)}; the lines above say why, and --only repeats some"
-        )
-    if worse := [f"{change.name} ({change.problem})" for change in changes if change.problem]:
-        more = f"; and {len(worse) - MAX_SHOWN} more" if len(worse) > MAX_SHOWN else ""
-        raise CommandError(
-            f"not as in {earlier}: {'; '.join(worse[:MAX_SHOWN])}{more}; compare both reports, then measure again",
-            REGRESSION,
-        )
-    if wrong := list(deviations(results)):
-        raise click.ClickException(
-            f"the controller played something else than was sent, though it lost nothing: not {', '.join(wrong)}; "
-            "flash the firmware again, and check the bench's actuators"
-        )
-    fail_where_missed(results.missed)
+    found = findings_in(results, bench, changes, earlier)
+    if found and (cause := likely_cause(results, bench, changes)):
+        click.echo(f"likely cause: {cause}", err=True)
+        add({"cause": cause})
+    fail(found)

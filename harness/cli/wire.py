@@ -18,6 +18,7 @@ from vibrocast.device_protocol.transports import Transport, TransportError
 from vibrocast.errors import InputError
 from vibrocast.files import plain
 from vibrocast.harness.frame_lines import line
+from vibrocast.harness.trace_summary import summarise
 from vibrocast.host import devices
 from vibrocast.host.cli.answers import tell, wants_json
 from vibrocast.host.cli.option_types import INPUT, Number, OutputFile
@@ -115,12 +116,12 @@ def serve(address: str, link: Path | None, faults: "Sequence[Fault]", see: "See 
             "a cut cable needs pseudo-terminals, which this system lacks", action="leave out `cut`", parameter="cut"
         )
     with devices.reach(address) as transport:
-        remote = RemoteDevice(transport)
 
         def pull(is_out: bool) -> None:
             # Not in the thread of the port, which this waits for.
             threading.Thread(target=getattr(port, "unplug" if is_out else "plug"), daemon=True).start()
 
+        remote = RemoteDevice(transport, pull if has_pseudo_terminals() else None)
         port = serial_port(FaultyWire(remote, faults, 0, pull), link)
         try:
             with port:
@@ -154,8 +155,9 @@ def serve(address: str, link: Path | None, faults: "Sequence[Fault]", see: "See 
     multiple=True,
     help="Send the frames from the host to this controller, at their times.",
 )
-def replay(trace: Path, out: Path | None, address: str | None) -> None:
-    """Show the frames of a trace, decode them, or send them again.
+@click.option("--summary", is_flag=True, help="Sum up losses, silences and damage, and name the likely cause.")
+def replay(trace: Path, out: Path | None, address: str | None, summary: bool) -> None:
+    """Show the frames of a trace, decode them, sum them up, or send them again.
 
     Without an option, the command shows the frames of TRACE, a .pcapng or .jsonl file of `vibrocast --trace`. With it,
     the frames from the host go to the controller at the times of the trace, and the command shows both directions.
@@ -163,6 +165,10 @@ def replay(trace: Path, out: Path | None, address: str | None) -> None:
     screen, frames = Screen(), list(read_trace(trace))
     if out is not None:
         decode_last(frames, trace, out)
+        return
+    if summary:
+        summed = summarise(frames)
+        tell("\n".join(summed.lines()), **summed.document())
         return
     if address is None:
         screen.show(frames)

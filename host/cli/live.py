@@ -174,7 +174,7 @@ def live(
     A rate counts packets and their frames. If the link becomes slower, the stream lowers its rate.
 
     With --bench, --device may be a name in the file. The exit code is 4 if a limit is missed; without --bench, at most
-    1 % of the packets may be lost.
+    1 % of the packets may be lost. It is 6 if this machine was too busy to decide.
     """
     reject_contradictions(coding, delay)
     actuator = None if actuator_name is None else actuator_files.find(actuator_name)
@@ -191,7 +191,7 @@ def live(
         playing = LivePlayback(session, stream, source, model=coding.model, provenance=run)
         report = played(playing, samples, given, update)
     tell_report(report)
-    judge(bench, report.figures())
+    judge(bench, list(report.figures()), source)
 
 
 @contextlib.contextmanager

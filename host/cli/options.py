@@ -4,7 +4,7 @@ import functools
 import json
 import shlex
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -17,13 +17,13 @@ from vibrocast.codec.encoding import DEFAULT_SNR_DB, DEFAULT_STREAM_RATE_HZ
 from vibrocast.codec.rate_control import RateTarget
 from vibrocast.codec.stream import MAX_GAIN_DB
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
-from vibrocast.errors import LIMIT_MISSED
 from vibrocast.host import devices
 from vibrocast.host.bench_file import Bench, BenchController, read_bench
 from vibrocast.host.cli.answers import wants_json
 from vibrocast.host.cli.errors import CommandError
 from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, positive
 from vibrocast.host.figures import BenchLimits, Value, missed
+from vibrocast.host.verdict import Finding, exit_code_of, judged
 from vibrocast.output import actuator_constants, actuator_files
 from vibrocast.output.actuator import Actuator
 
@@ -35,19 +35,22 @@ def command_run() -> str:
     return shlex.join(["vibrocast", *sys.argv[1:]]).encode(errors="backslashreplace").decode()
 
 
-def fail_where_missed(lines: Sequence[str], where: str = "see [limits] in the bench file") -> None:
-    """Raise CommandError with the lines of `figures.missed`, if there are any. `where`: the limits stand."""
-    if lines:
-        raise CommandError(f"limits missed: {'; '.join(lines)}; {where}", LIMIT_MISSED)
+def fail(found: Sequence[Finding]) -> None:
+    """Raise CommandError with all that was found, a line for each, and the exit code of the worst; nothing: none."""
+    if found:
+        raise CommandError("\nerror: ".join(map(str, found)), exit_code_of(found))
 
 
-def judge(bench: Bench | None, figures: Iterable[Value]) -> None:
-    """Raise CommandError where a figure misses a limit of the bench; without one, a known figure the default limits."""
+def judge(bench: Bench | None, figures: Sequence[Value], texture: str = "") -> None:
+    """Raise CommandError with all that is wrong with figures: bits that differ, and limits of the bench that they miss.
+
+    Without a bench, known figures are judged by the default limits. `texture`: as of `Bench.missed`.
+    """
     if bench is not None:
-        fail_where_missed(missed(bench.limits, figures))
+        fail(judged(figures, bench.missed(figures, texture)))
     else:
-        known = [figure for figure in figures if figure.value is not None]
-        fail_where_missed(missed(BenchLimits(), known), "state others under [limits] in a bench file, for --bench")
+        misses = missed(BenchLimits(), [figure for figure in figures if figure.value is not None])
+        fail(judged(figures, misses, "state others under [limits] in a bench file, for --bench"))
 
 
 def chosen_model(ctx: click.Context, param: click.Parameter, value: str | None) -> models.Model | None:

@@ -369,7 +369,7 @@ def report(run: Run, played: Mapping[str, Playback | Exception | None]) -> None:
 def report_one(run: Run, played: Playback | Exception) -> None:
     """Print what one controller played, and draw it.
 
-    Raises the error that it met, and ControllerError if it played something else than was sent.
+    Raises the error that it met.
     """
     if isinstance(played, Exception):
         raise played

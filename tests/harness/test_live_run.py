@@ -35,7 +35,7 @@ def played(device: Device, seconds: float = 1.0) -> Report:
 
 def figures_of(report: Report) -> dict[str, float | None]:
     """Return the figures that limits judge."""
-    return {key: value for key, _, value in report.figures()}
+    return {each.key: each.value for each in report.figures()}
 
 
 def flipped(message: Message) -> Message:
@@ -99,7 +99,7 @@ def test_what_the_actuator_misses_while_the_cable_is_out_counts_as_lost(cut_s: f
 def test_limits_judge_the_times_of_a_stream() -> None:
     report = played(SimulatedController(Settings(drift_ppm=1000)), 2.0)
     limits = BenchLimits(max_latency_ms=1, max_jitter_ms=1e-4, max_drift_ppm=500)
-    assert [line.split(" = ")[0] for line in missed(limits, report.figures())] == [
+    assert [each.text.split(" = ")[0] for each in missed(limits, report.figures())] == [
         "live: latency_ms",
         "live: jitter_ms",
         "live: drift_ppm",

@@ -9,6 +9,7 @@ import pytest
 
 from tests.conftest import linked
 from vibrocast.harness import response
+from vibrocast.harness.response import Samples
 from vibrocast.harness.sensors import Recorder
 from vibrocast.host.controller import Controller
 from vibrocast.host.skin_quality import AlignmentError
@@ -88,6 +89,34 @@ def test_a_missing_sensor_is_reported() -> None:
 
     with pytest.raises(AlignmentError, match="check the sensor"):
         response.measure_response(controller, PIEZO_STACK, recorder=silent, seconds=SWEEP_S)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda samples, rate_hz: samples[round(0.38 * rate_hz) :], "no silence before the sweep"),
+        (lambda samples, rate_hz: samples[: -round(0.36 * rate_hz)], "no silence after the sweep"),
+        (lambda samples, rate_hz: np.clip(samples, -2.0, 2.0), "% of the recorded sweep unexplained"),
+    ],
+    ids=["begins late", "ends early", "hits a stop"],
+)
+def test_a_recording_that_does_not_show_the_actuator_is_rejected(
+    spoil: Callable[[Samples, float], Samples], message: str
+) -> None:
+    controller, recorder = bench(PIEZO_STACK, PIEZO_STACK, "um")
+
+    @contextmanager
+    def spoiled(seconds: float) -> Iterator[Callable[[], Recording]]:
+        with recorder(seconds) as finish:
+
+            def finish_spoiled() -> Recording:
+                whole = finish()
+                return replace(whole, samples=spoil(whole.samples, whole.rate_hz))
+
+            yield finish_spoiled
+
+    with pytest.raises(AlignmentError, match=message):
+        response.measure_response(controller, PIEZO_STACK, recorder=spoiled, seconds=SWEEP_S)
 
 
 def test_without_a_sensor_the_model_is_found_again() -> None:

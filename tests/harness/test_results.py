@@ -11,10 +11,12 @@ import pytest
 
 from tests.harness import runs
 from tests.harness.runs import RUN
-from vibrocast.errors import InputError
+from vibrocast.errors import FAILED, HOST_BUSY, REGRESSION, InputError
 from vibrocast.harness import page, results
 from vibrocast.harness.results import Results
+from vibrocast.host.bench_file import Bench, BenchController
 from vibrocast.host.figures import FIGURES, BenchLimits, missed
+from vibrocast.host.verdict import exit_code_of
 from vibrocast.planner.forecast import Forecast
 
 
@@ -41,6 +43,8 @@ def changed(*path: Any, value: object) -> Results:
     return msgspec.convert(document, Results)
 
 
+BENCH = Bench((BenchController("it", "sim"),), limits=BenchLimits(min_snr_db=99))
+NO_LIMITS = replace(BENCH, limits=BenchLimits())
 REPORT = ("measured", "fidelity", 0, "report")
 LATENCY = ("measured", "latency")
 
@@ -105,7 +109,30 @@ def test_a_figure_that_every_device_has_is_a_problem_where_neither_run_knows_it(
     ],
 )
 def test_what_a_controller_plays_otherwise_is_named(path: tuple[str | int, ...], found: list[str]) -> None:
-    assert list(results.deviations(changed(*path, value=False))) == found
+    (finding,) = results.findings_in(replace(changed(*path, value=False), failed={}), NO_LIMITS)
+    assert finding.exit_code == FAILED and f"though nothing was lost: not {found[0]};" in finding.text
+
+
+def test_all_that_is_wrong_is_named_and_the_worst_gives_the_exit_code() -> None:
+    run = changed(*REPORT, "quality", "skin", "gain", value=-1.0)
+    found = results.findings_in(run, BENCH, results.compare(RUN, run), "earlier.json")
+    assert [each.text.partition(":")[0] for each in found] == [
+        "not all could be measured",
+        "not as in earlier.json",
+        "limits missed",
+    ]
+    assert exit_code_of(found) == FAILED
+    busy = replace(run, doubts={"gap": "this machine woke up 80 ms late"})
+    found = results.findings_in(busy, BENCH, results.compare(RUN, busy), "earlier.json")
+    assert str(found[0]).startswith("undecided, because this machine woke up 80 ms late: not all could be measured")
+    assert exit_code_of(found) == REGRESSION  # another gain at the skin is none of this machine's
+
+
+def test_a_busy_machine_leaves_times_undecided_and_nothing_else() -> None:
+    late = replace(changed("measured", "throughput", "to_host_bytes_per_s", value=5e4), failed={})
+    busy = replace(late, doubts={"throughput": "this machine woke up 80 ms late"})
+    codes = [exit_code_of(results.findings_in(run, NO_LIMITS, results.compare(RUN, run))) for run in (RUN, late, busy)]
+    assert codes == [FAILED, REGRESSION, HOST_BUSY]
 
 
 def test_limits_name_the_figures_that_miss_them() -> None:
@@ -113,14 +140,15 @@ def test_limits_name_the_figures_that_miss_them() -> None:
     run = changed("link", "bad_frames_at_host", value=1)
     latency = runs.LATENCY
     run.measured.latency = replace(latency, report=replace(latency.report, lost_packets=8, packets=700))
-    assert missed(limits, run.figures()) == [
+    assert [each.text for each in missed(limits, run.figures())] == [
         "live: lost_percent = 1.143, max_lost_percent = 1",
         "rough: snr_db = 13.73, min_snr_db = 99",
         "rough: gain = 1, max_gain = 0.5",
         "link: bad_frames = 1, max_bad_frames = 0",
     ]
     unknown = changed(*REPORT, "quality", "skin", "gain", value=None)
-    assert missed(BenchLimits(min_gain=0.9), unknown.figures()) == ["rough: gain is not known, min_gain = 0.9"]
+    (unmet,) = missed(BenchLimits(min_gain=0.9), unknown.figures())
+    assert unmet.text == "rough: gain is not known, min_gain = 0.9"
     assert missed(BenchLimits(), RUN.figures()) == []
 
 

@@ -19,7 +19,7 @@ from vibrocast.harness import response, sensors
 from vibrocast.harness.sensors import SensorError, recorder
 from vibrocast.host.bench_file import InputSensor, ProgramSensor
 from vibrocast.output import sound_card
-from vibrocast.output.actuator import VOICE_COIL, Actuator, Codes
+from vibrocast.output.actuator import PIEZO_STACK, VOICE_COIL, Actuator, Codes
 from vibrocast.simulated_device.controller import Settings
 from vibrocast.textures import Recording
 
@@ -150,3 +150,15 @@ def test_an_accelerometer_on_a_sound_card_finds_corner_quality_and_stroke(
 def test_a_clipped_recording_is_no_measurement(measured: Callable[[float], response.Fit]) -> None:
     with pytest.raises(SensorError, match="its recording is clipped; lower the gain"):
         measured(1e-3)
+
+
+@pytest.mark.parametrize("actuator", [VOICE_COIL, PIEZO_STACK], ids=["resonance", "low-pass"])
+def test_a_recorded_drive_signal_moves_the_model_as_the_codes_do(actuator: Actuator) -> None:
+    oversampling, rng = 16, np.random.default_rng(5)
+    codes = np.zeros((8000, 1), np.int16)
+    codes[1000:3000, 0] = np.round(0.1 * actuator.full_scale * rng.standard_normal(2000))
+    drive = np.repeat(codes / actuator.full_scale, oversampling, axis=0)
+    moved = sensors.moved_by(Recording(drive, oversampling * actuator.dac_rate_hz, "full scale", "adc"), actuator)
+    expected_um = actuator.displacement_um(codes, oversampling)
+    assert moved.unit == "um"
+    assert np.max(np.abs(moved.samples - expected_um)) < 0.05 * np.max(np.abs(expected_um))  # half a DAC sample of hold

@@ -5,8 +5,10 @@ from pathlib import Path
 import pytest
 
 from tests.simulated_device.bench import Echo
+from vibrocast.device_protocol.transports import Closing, TransportError
 from vibrocast.errors import InputError
-from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire, read_faults
+from vibrocast.simulated_device import faulty_wire
+from vibrocast.simulated_device.faulty_wire import Fault, FaultyWire, RemoteDevice, read_faults
 
 FRAMES = [bytes([number, 1, 2, 3, 0]) for number in range(1, 201)]
 
@@ -89,3 +91,48 @@ def test_a_schedule_is_read_and_its_mistakes_are_named(tmp_path: Path) -> None:
         path.write_text(text)
         with pytest.raises(InputError, match=message):
             read_faults(path)
+
+
+class Rebooting(Closing):
+    """A transport whose device loses its power, and comes back at the second attempt to open it."""
+
+    def __init__(self) -> None:
+        self.written: list[bytes] = []
+        self.has_power = True
+        self._attempts = 0
+
+    def write(self, data: bytes) -> None:
+        if not self.has_power:
+            raise TransportError("it broke off")
+        self.written.append(data)
+
+    def read(self, timeout_s: float) -> bytes:
+        if not self.has_power:
+            raise TransportError("it broke off")
+        return b""
+
+    def reopen(self) -> None:
+        self._attempts += 1
+        if self._attempts < 2:
+            raise TransportError("it is absent")
+        self.has_power = True
+
+    def close(self) -> None: ...
+
+
+def test_a_remote_controller_may_lose_its_power_and_come_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(faulty_wire, "_REOPEN_S", 0.0)
+    board = Rebooting()
+    seen: list[bool] = []
+    remote = RemoteDevice(board, seen.append)
+    board.has_power = False
+    remote.receive(b"a", 0)
+    remote.receive(b"b", 0)
+    assert seen == [True] and remote.transmit() == b""
+    remote.advance(0)
+    remote.advance(0)
+    remote.receive(b"c", 0)
+    assert seen == [True, False] and board.written == [b"c"]
+    board.has_power = False
+    with pytest.raises(TransportError):
+        RemoteDevice(board).receive(b"d", 0)
