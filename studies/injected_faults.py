@@ -28,6 +28,7 @@ ALARMS = {
     errors.NO_DEVICE: "no device",
     errors.LIMIT_MISSED: "limit missed",
     errors.REGRESSION: "regression",
+    errors.HOST_BUSY: "undecided",
 }
 LIMITS = """\
 min_snr_db = 8
@@ -73,11 +74,12 @@ def names(place: str) -> str:
 
 
 def reason(said: str) -> str:
-    """Return why a command failed, from its first error: all that it names, without what to do."""
-    errors = [line.partition(": ")[2] for line in said.splitlines() if line.startswith(("error: ", "not measured: "))]
-    text = next((each for each in errors if not each.startswith("not all could be measured")), "")
-    problem = text.rpartition("measured.json: ")[2]
-    return re.sub(r"(?<!\w)/\S*/", "", problem.rpartition("; ")[0] or problem)
+    """Return why a command failed, from its first error: all that it names, and the likely cause, not what to do."""
+    lines = [line.partition(": ") for line in said.splitlines()]
+    text = next((rest for head, _, rest in lines if head == "error"), "")
+    problem = re.sub(r"^.*?(measured\.json|not all could be measured): ", "", text)
+    cause = "".join(f" (likely cause: {rest})" for head, _, rest in lines if head == "likely cause")
+    return re.sub(r"(?<!\w)/\S*/", "", problem.rpartition("; ")[0] or problem) + cause
 
 
 def measured(bench: Path, out: Path, only: str, earlier: Path | None, injected: Injected = SOUND) -> tuple[str, str]:
