@@ -20,7 +20,7 @@ COMMANDS = (
         "replay",
         "See and break the wire",
         f"{CLI}.wire:replay",
-        "Show the frames of a trace, decode them, or send them again.",
+        "Show, sum up, decode or send again the frames of a trace.",
     ),
     Subcommand(
         "proxy",

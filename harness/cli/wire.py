@@ -157,7 +157,7 @@ def serve(address: str, link: Path | None, faults: "Sequence[Fault]", see: "See 
 )
 @click.option("--summary", is_flag=True, help="Sum up losses, silences and damage, and name the likely cause.")
 def replay(trace: Path, out: Path | None, address: str | None, summary: bool) -> None:
-    """Show the frames of a trace, decode them, sum them up, or send them again.
+    """Show, sum up, decode or send again the frames of a trace.
 
     Without an option, the command shows the frames of TRACE, a .pcapng or .jsonl file of `vibrocast --trace`. With it,
     the frames from the host go to the controller at the times of the trace, and the command shows both directions.
