@@ -179,11 +179,12 @@ def outputs() -> list[bytes]:
             setting = little((actuator + compensation, 1), (unit, 1), (1, 1), (rate_hz, 3), (full, 2), (full, 2))
             setting += little((unity, 4), (20, 2))
             inputs.append(b"".join(map(record, [setting, *doings])))
-    limits = ((400, 0, 0, 1, 1000), (7000, 14, 30000, 65535, 2**29), (900, 8, 99, 9, 9))
+    lowest = bytes([wave]) + little((9999, 2), (-32768, 2))
+    limits = ((400, 0, 0, 1, 1000), (400, 0, 0, 1, 53_020_244), (7000, 14, 30000, 65535, 2**29), (900, 8, 99, 9, 9))
     for rate_hz, bits, limit, step, power in limits:
         setting = little((4, 1), (0, 1), (0, 1), (2800, 3), (full, 2), (unity, 4), (20, 2))
         setting += little((rate_hz, 3), (bits, 1), (limit, 2), (step, 2), (power, 4), (128, 1))
-        inputs.append(b"".join(map(record, [setting, *doings])))
+        inputs.append(b"".join(map(record, [setting, lowest, *doings])))
     return inputs
 
 

@@ -64,6 +64,12 @@ static uint64_t gain_of(uint32_t float_bits)
                              : 0;
 }
 
+/* The lowest code: at full DAC scale it is one farther from rest than the highest. */
+static int32_t lowest_code(const vc_dac *dac, int32_t highest)
+{
+    return -highest - (highest == (1 << (dac->actuator->dac_bits - 1)) - 1);
+}
+
 /* The factor of the power limit follows the drive by a block, and the slew limit holds back the way to rest. The mean
  * stays below limit - knee nevertheless if a code lasts two and a half blocks, and then the way, in less than a knee.
  * So the highest code is limited: for a low limit on power, or a slow one on slew. */
@@ -76,8 +82,9 @@ static int32_t highest_code(const vc_dac *dac)
         const uint64_t code = highest | bit;
         const uint64_t samples =
             (5 * (uint64_t)dac->block_samples + 1) / 2 + code / (uint32_t)actuator->code_step_limit;
+        const int64_t lowest = lowest_code(dac, (int32_t)code);
         if (code <= (uint32_t)actuator->code_limit &&
-            (code * code * samples) << bits <= dac->knee * actuator->dac_rate_hz)
+            ((uint64_t)(lowest * lowest) * samples) << bits <= dac->knee * actuator->dac_rate_hz)
             highest = (uint32_t)code;
     }
     return (int32_t)highest;
@@ -198,9 +205,7 @@ static vc_scale next_level(vc_dac *dac)
 /* The code of a drive sample within the limit on voltage. */
 static int32_t within_voltage(vc_dac *dac, int32_t drive, vc_scale scale, vc_scale level)
 {
-    const int32_t highest = dac->highest;
-    /* At full DAC scale the lowest code is one farther from rest than the highest. */
-    const int32_t lowest = -highest - (highest == (1 << (dac->actuator->dac_bits - 1)) - 1);
+    const int32_t highest = dac->highest, lowest = lowest_code(dac, highest);
     const int64_t product = drive * (int64_t)(((uint64_t)scale.mantissa * level.mantissa) >> 31);
     /* Within 62 bits. Beyond these shifts, a drive exceeds every limit or is below every code. */
     const int32_t shift = -31 - scale.exponent - level.exponent;
