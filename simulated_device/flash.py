@@ -17,15 +17,17 @@ class PowerCut(Exception):
 
 
 class FlashMemory:
-    """NOR flash: erasing a sector sets its bytes to 0xFF, programming only clears bits.
+    """Flash: erasing a sector sets its bytes to 0xFF; then each piece of `write_bytes` may be programmed once.
 
     Kept in the file `path`, or only in memory without one. `cut_after_bytes`: raise PowerCut after this many bytes more
-    have been erased or programmed, with the next one half done; None = never. Raises OSError if the file cannot be
-    used, ValueError if it has another size.
+    have been erased or programmed, with the next one half done; None = never. The piece of a cut takes nothing more,
+    even if it looks blank. Raises OSError if the file cannot be used, ValueError if it has another size.
     """
 
-    def __init__(self, size_bytes: int, sector_bytes: int = 4096, path: Path | None = None) -> None:
-        self.sector_bytes = sector_bytes
+    def __init__(
+        self, size_bytes: int, sector_bytes: int = 4096, path: Path | None = None, write_bytes: int = 1
+    ) -> None:
+        self.sector_bytes, self.write_bytes = sector_bytes, write_bytes
         self.cut_after_bytes: int | None = None
         self._path = path
         self._data = bytearray([ERASED]) * size_bytes
@@ -35,6 +37,7 @@ class FlashMemory:
             self._data = bytearray(path.read_bytes())
         elif path is not None:
             path.write_bytes(self._data)
+        self._programmed = np.any(np.frombuffer(self._data, np.uint8).reshape(-1, write_bytes) != ERASED, axis=1)
 
     def __len__(self) -> int:
         return len(self._data)
@@ -51,12 +54,18 @@ class FlashMemory:
     def erase(self, address: int, count: int) -> None:
         """Erase whole sectors: `address` and `count` are multiples of the sector size."""
         self._change(address, bytes([ERASED]) * count, lambda byte, _: byte | 0xF0)
+        self._programmed[address // self.write_bytes : (address + count) // self.write_bytes] = False
 
     def program(self, address: int, data: bytes) -> None:
-        """Clear the bits that are 0 in `data`."""
-        old = self.read(address, len(data))
-        after = (np.frombuffer(old, np.uint8) & np.frombuffer(data, np.uint8)).tobytes()
-        self._change(address, after, lambda byte, after: byte & (after | 0x0F))
+        """Write whole pieces. Raises ValueError if they are not, OSError if one has been programmed before."""
+        if address % self.write_bytes or len(data) % self.write_bytes:
+            raise ValueError(f"{len(data)} bytes at {address}: not in whole writes of {self.write_bytes}")
+        first, count = address // self.write_bytes, len(data) // self.write_bytes
+        if self._programmed[first : first + count].any():
+            raise OSError(f"{len(data)} bytes at {address}: programmed twice")
+        begun = count if self.cut_after_bytes is None else min(count, self.cut_after_bytes // self.write_bytes + 1)
+        self._programmed[first : first + begun] = True
+        self._change(address, data, lambda byte, after: byte & (after | 0x0F))
 
     def _change(self, address: int, after: bytes, half_done: Callable[[int, int], int]) -> None:
         """Change bytes, up to a cut; `half_done` returns a byte's value half-way, from before and after."""
@@ -114,6 +123,7 @@ class FlashPort:
                 "record_bytes": sector_bytes,
                 "slot": [2 * sector_bytes, 2 * sector_bytes + slot_bytes],
                 "slot_bytes": slot_bytes,
+                "write_bytes": flash.write_bytes,
                 "erase": erase_callback,
                 "program": program_callback,
             },

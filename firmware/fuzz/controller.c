@@ -183,7 +183,7 @@ void vc_fuzz_controller(const uint8_t *data, size_t length)
 {
     bench *test = calloc(1, sizeof *test);
     vc_flash flash = {
-        test->flash, {0, RECORD_BYTES}, RECORD_BYTES, {2 * RECORD_BYTES, 2 * RECORD_BYTES + SLOT_BYTES}, SLOT_BYTES,
+        test->flash, {0, RECORD_BYTES}, RECORD_BYTES, {2 * RECORD_BYTES, 2 * RECORD_BYTES + SLOT_BYTES}, SLOT_BYTES, 1,
         erase,       program,           test};
     const vc_dac_port dac = {.play = take_codes, .context = test};
     vc_controller_settings settings = {.build = "fuzzed", .hardware = "board", .watchdog_ms = WATCHDOG_MS};

@@ -7,7 +7,7 @@
 #include "../src/controller/vc_image_store.h"
 #include "targets.h"
 
-enum { PIECE_BYTES = 256, SLOT_BYTES = 2048, FLASH_BYTES = 2 * PIECE_BYTES + 2 * SLOT_BYTES };
+enum { WRITE_BYTES = 8, PIECE_BYTES = 256, SLOT_BYTES = 2048, FLASH_BYTES = 2 * PIECE_BYTES + 2 * SLOT_BYTES };
 enum { ENTRY_BYTES = VC_SLOT_ENTRY_BYTES - 4 /* a CRC-32 */ };
 enum { BEGIN, WRITE, VERIFY, ACTIVATE, CONFIRM, ERASE, READ, RESTART, REQUESTS };
 
@@ -37,6 +37,7 @@ static int program(void *context, uint32_t offset, const uint8_t *data, uint32_t
     flash_memory *memory = context;
     uint32_t i;
     vc_fuzz_check(offset <= FLASH_BYTES && length <= FLASH_BYTES - offset, "programming beyond the flash");
+    vc_fuzz_check(offset % WRITE_BYTES == 0 && length % WRITE_BYTES == 0, "programming a part of a write");
     if (!takes(memory))
         return 1;
     for (i = 0; i < length; i++)
@@ -127,9 +128,9 @@ static void dispatch(vc_image_store *store, const vc_flash *flash, const uint8_t
 void vc_fuzz_flash(const uint8_t *data, size_t length)
 {
     flash_memory *memory = malloc(sizeof *memory);
-    vc_flash flash = {
-        memory->bytes, {0, PIECE_BYTES}, PIECE_BYTES, {2 * PIECE_BYTES, 2 * PIECE_BYTES + SLOT_BYTES}, SLOT_BYTES,
-        erase,         program,          memory};
+    vc_flash flash = {memory->bytes, {0, PIECE_BYTES}, PIECE_BYTES, {2 * PIECE_BYTES, 2 * PIECE_BYTES + SLOT_BYTES},
+                      SLOT_BYTES,    WRITE_BYTES,      erase,       program,
+                      memory};
     static const struct {
         uint32_t offset, room;
     } parts[] = {{0, ENTRY_BYTES},

@@ -81,8 +81,8 @@ def begin(probe: Probe, slot: int, data: bytes, hardware: str = "", digest: byte
 
 
 def write(probe: Probe, slot: int, data: bytes, first: int = 0, last: int | None = None) -> None:
-    """Write an image from one byte up to another."""
-    room = probe.description.limits.max_payload_bytes - len(pack(FlashData(slot, 0, b"")))
+    """Write an image from one byte up to another, in whole writes of any flash: `first`, `last` are multiples of 32."""
+    room = (probe.description.limits.max_payload_bytes - len(pack(FlashData(slot, 0, b"")))) // 32 * 32
     last = len(data) if last is None else last
     while first < last:
         piece = data[first : min(last, first + room)]
@@ -158,10 +158,10 @@ def test_data_at_another_offset_is_not_written(probe: Probe, slot: int) -> None:
     """The controller writes no FlashData at an offset other than next_offset, and answers with next_offset."""
     data = bytes(range(200))
     begin(probe, slot, data)
-    write(probe, slot, data, last=50)
-    for offset in (0, 49, 51, 100, 0xFFFFFFFF):
-        status = probe.expect(FlashData(slot, offset, data[50:60]), FlashStatus)
-        assert status.next_offset == 50, f"data at {offset}: expected next_offset 50, came {describe(status)}"
+    write(probe, slot, data, last=64)
+    for offset in (0, 63, 65, 128, 0xFFFFFFFF):
+        status = probe.expect(FlashData(slot, offset, data[64:96]), FlashStatus)
+        assert status.next_offset == 64, f"data at {offset}: expected next_offset 64, came {describe(status)}"
 
 
 @section("Model upload: FlashData")
@@ -169,9 +169,9 @@ def test_data_beyond_the_image_is_rejected(probe: Probe, slot: int) -> None:
     """The controller answers BAD_VALUE to FlashData beyond the announced size, and does not write them."""
     data = bytes(range(100))
     begin(probe, slot, data)
-    write(probe, slot, data, last=90)
-    probe.expect_rejection(FlashData(slot, 90, bytes(11)), ErrorCode.BAD_VALUE)
-    write(probe, slot, data, first=90)
+    write(probe, slot, data, last=64)
+    probe.expect_rejection(FlashData(slot, 64, bytes(37)), ErrorCode.BAD_VALUE)
+    write(probe, slot, data, first=64)
 
 
 @section("Model upload")
@@ -190,7 +190,7 @@ def test_slot_in_the_wrong_state(probe: Probe, slot: int, image: ModelImage) -> 
 def test_cut_session_is_resumed(probe: Probe, slot: int, image: ModelImage) -> None:
     """The controller resumes a cut transfer of the same image at next_offset, and begins another image at byte 0."""
     data = new_image(probe, image)
-    half = len(data) // 2
+    half = len(data) // 64 * 32
     begin(probe, slot, data)
     write(probe, slot, data, last=half)
     probe.link.cut()

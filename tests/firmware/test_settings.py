@@ -14,7 +14,7 @@ SECTION = ACTUATOR["compensation"]
 USABLE: dict[str, Any] = {"build": b"a", "hardware": b"b", "watchdog_ms": 50}
 
 
-def status(changed: dict[str, Any]) -> int:
+def status(changed: dict[str, Any], flash: Any = ffi.NULL) -> int:
     """Return what vc_controller_init says of settings that differ so from usable ones."""
     given = {**USABLE, **changed}
     texts: dict[str, Any] = {
@@ -25,7 +25,7 @@ def status(changed: dict[str, Any]) -> int:
     settings = ffi.new("vc_controller_settings *", fields)
     memory = ffi.new("int64_t[]", library().vc_controller_size() // 8)
     dac = ffi.new("vc_dac_port *")
-    told = library().vc_controller_init(ffi.cast("vc_controller *", memory), settings, ffi.NULL, dac, 0)
+    told = library().vc_controller_init(ffi.cast("vc_controller *", memory), settings, flash, dac, 0)
     assert any(memory) == (told == 0)
     return int(told)
 
@@ -62,3 +62,26 @@ def test_usable_settings_are_taken() -> None:
 )
 def test_settings_that_no_controller_can_have_are_rejected(changed: dict[str, Any]) -> None:
     assert status(changed) == library().VC_BAD_SETTINGS
+
+
+@pytest.mark.parametrize(
+    ("changed", "is_usable"),
+    [
+        ({}, True),
+        ({"write_bytes": 32}, True),
+        ({"write_bytes": 0}, False),
+        ({"write_bytes": 3}, False),
+        ({"write_bytes": 64}, False),
+        ({"record_bytes": 64}, False),
+        ({"write_bytes": 8, "slot_bytes": 4}, False),
+        ({"slot": [128, 128]}, False),
+    ],
+)
+def test_flash_is_in_whole_writes_of_a_size_that_there_is(changed: dict[str, Any], is_usable: bool) -> None:
+    memory = ffi.new("uint8_t[]", b"\xff" * 512)
+    change = ffi.callback("int(void *, uint32_t, uint32_t)", lambda *_: 0)
+    program = ffi.callback("int(void *, uint32_t, const uint8_t *, uint32_t)", lambda *_: 0)
+    places = {"record": [0, 128], "record_bytes": 128, "slot": [256, 384], "slot_bytes": 128, "write_bytes": 1}
+    fields = {"base": memory, "erase": change, "program": program, **places, **changed}
+    told = status({}, ffi.new("vc_flash *", fields))
+    assert told == (library().VC_OK if is_usable else library().VC_BAD_SETTINGS)

@@ -124,7 +124,7 @@ def test_image_that_is_not_kept_is_reported() -> None:
 @pytest.mark.parametrize(
     ("wrong", "reason"),
     [
-        (FlashStatus(1, SlotState.WRITING, 3), "up to byte 3"),
+        (FlashStatus(1, SlotState.WRITING, 3), "goes on at byte 3"),
         (Error(ErrorCode.FLASH_FAILED, "worn out"), "worn out"),
     ],
 )

@@ -1,8 +1,10 @@
-"""Model images in flash: power cuts at every byte, broken images and flash, signatures, wear.
+"""Model images in flash: power cuts at every write, writes of every size, broken images and flash, signatures, wear.
 
 The conformance suite states the requests, their answers and their errors.
 """
 
+import copy
+import itertools
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -36,9 +38,9 @@ PRIVATE_KEY = bytes(range(32))
 KEY = public_key(PRIVATE_KEY)
 
 
-def blank_flash(path: Path | None = None, sector_bytes: int = 128) -> FlashMemory:
+def blank_flash(path: Path | None = None, sector_bytes: int = 128, write_bytes: int = 1) -> FlashMemory:
     # Sectors small enough that every byte of a session can be a place to cut.
-    return FlashMemory(2 * sector_bytes + 2 * 768, sector_bytes, path=path)
+    return FlashMemory(2 * sector_bytes + 2 * 768, sector_bytes, path, write_bytes)
 
 
 def boot(flash: FlashMemory, key: bytes = b"") -> CImageStore:
@@ -75,22 +77,25 @@ def activated() -> tuple[FlashMemory, CImageStore]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("entries_before", range(6))
-@pytest.mark.parametrize("sector_bytes", [128, 256])
-def test_power_cut_at_every_byte_of_a_flash_session_leaves_an_image_that_runs(
-    sector_bytes: int, entries_before: int
+@pytest.mark.parametrize(
+    ("sector_bytes", "entries_before", "write_bytes"),
+    [*itertools.product([128, 256], range(6), [1]), *itertools.product([256], range(4), [2, 4, 8, 16, 32])],
+)
+def test_power_cut_at_every_write_of_a_flash_session_leaves_an_image_that_runs(
+    sector_bytes: int, entries_before: int, write_bytes: int
 ) -> None:
-    """The session begins at each place of the record, and so crosses from one sector into the other everywhere."""
-    installed = blank_flash(sector_bytes=sector_bytes)
+    """The session begins at each place of the record, and so crosses from one sector into the other everywhere.
+
+    A cut falls between two writes or into the middle of one. The flash fails where a place is programmed twice.
+    """
+    installed = blank_flash(sector_bytes=sector_bytes, write_bytes=write_bytes)
     install(installed, 0, OLD)
     for number in range(entries_before):
         boot(installed).begin(1, 100, bytes([number] * 32))
-    contents = installed.read(0, len(installed))
     cut_after_bytes = 0
     names = set()
     while True:
-        flash = blank_flash(sector_bytes=sector_bytes)
-        flash.program(0, contents)
+        flash = copy.deepcopy(installed)
         flash.cut_after_bytes = cut_after_bytes
         try:
             install(flash, 1, NEW)
@@ -107,7 +112,7 @@ def test_power_cut_at_every_byte_of_a_flash_session_leaves_an_image_that_runs(
         if not confirmed:
             assert install(flash, 1, NEW).running == "new"
         names.add(store.running)
-        cut_after_bytes += 1
+        cut_after_bytes += max(1, write_bytes // 2)
     assert cut_after_bytes > 768 + len(NEW)
     assert names == {"old", "new"}
 
@@ -115,9 +120,8 @@ def test_power_cut_at_every_byte_of_a_flash_session_leaves_an_image_that_runs(
 def flip_bit(flash: FlashMemory, slot: int) -> None:
     """Let a bit of the image in a slot go wrong."""
     address = 2 * 128 + slot * 768 + 61
-    value = flash.read(address, 1)[0]
-    flash.program(address, bytes([value & (value - 1)]))
-    assert flash.read(address, 1)[0] != value
+    assert flash.contents[address] > 0
+    flash.contents[address] &= flash.contents[address] - 1
 
 
 def test_image_that_breaks_before_its_trial_is_never_confirmed() -> None:
@@ -170,8 +174,7 @@ class FailingFlash(FlashMemory):
     """Flash that takes nothing more after `changes` erasures and writes."""
 
     def __init__(self, before: FlashMemory, changes: int) -> None:
-        super().__init__(len(before), before.sector_bytes)
-        super().program(0, before.read(0, len(before)))
+        self.__dict__.update(copy.deepcopy(before.__dict__))
         self.changes = changes
 
     def erase(self, address: int, count: int) -> None:
@@ -211,16 +214,35 @@ def test_flash_that_fails_at_a_boot_runs_what_is_confirmed(changes: int) -> None
     assert boot(failing).running == "new"
 
 
-def test_an_interrupted_session_resumes_where_it_was() -> None:
-    flash = blank_flash()
+@pytest.mark.parametrize("write_bytes", [1, 2, 4, 8, 16, 32])
+def test_flash_takes_data_in_whole_writes_and_the_last_one_filled_up(write_bytes: int) -> None:
+    flash = blank_flash(write_bytes=write_bytes)
     store = boot(flash)
     store.begin(0, len(NEW), sha256(NEW))
-    flash.cut_after_bytes = 500
-    with pytest.raises(PowerCut):
-        store.write(0, 0, NEW)
-    flash.cut_after_bytes = None
+    assert store.write(0, 0, NEW[:50]) == (SlotState.WRITING, 50 // write_bytes * write_bytes)
+    assert store.begin(0, len(NEW), sha256(NEW))[1] == 50 // write_bytes * write_bytes
+    write_image(store, 0, NEW)
+    assert store.read(0, 0, len(NEW)) == (len(NEW), NEW)
+
+
+@pytest.mark.parametrize("is_cut", [True, False])
+def test_a_slot_whose_writing_failed_is_erased_before_it_takes_data_again(is_cut: bool) -> None:
+    """Otherwise a place that is half written would be written twice."""
+    flash = FailingFlash(blank_flash(write_bytes=8), 4)
     store = boot(flash)
-    assert 0 < store.begin(0, len(NEW), sha256(NEW))[1] <= 500
+    store.begin(0, len(NEW), sha256(NEW))
+    assert store.write(0, 0, NEW[:400])[1] == 400
+    flash.cut_after_bytes, flash.changes = (100, 9) if is_cut else (None, 0)
+    with pytest.raises(PowerCut if is_cut else RequestError):
+        store.write(0, 400, NEW[400:])
+    flash.cut_after_bytes, flash.changes = None, 99
+    if is_cut:
+        store = boot(flash)
+    with pytest.raises(RequestError, match="begin with FlashBegin") as rejected:
+        store.write(0, 400, NEW[400:])
+    assert rejected.value.code == ErrorCode.WRONG_STATE
+    with pytest.raises(RequestError, match="begin with FlashBegin"):
+        store.verify(0)
     write_image(store, 0, NEW)
     assert store.states[0] == SlotState.VERIFIED
 

@@ -14,7 +14,8 @@
 #define VC_TEXT_BYTES 63
 #define VC_SERIAL_NUMBER_BYTES 31
 #define VC_LEAST_WATCHDOG_MS 50
-#define VC_LEAST_RECORD_BYTES 92
+#define VC_LEAST_RECORD_BYTES 96
+#define VC_MOST_WRITE_BYTES 32
 
 #ifdef __cplusplus
 extern "C" {
@@ -27,15 +28,20 @@ struct vc_decoder_callbacks;
 /* Flash memory for model images: NOR flash in the address space, read in place. A board may do without: NULL.
  *
  * `record`, `slot`: offsets from `base` of two pieces of record_bytes and of two pieces of slot_bytes. Each piece is a
- * whole number of sectors; record_bytes is 92 or more.
- * `erase` sets bytes to 0xFF; it gets one of these pieces, or several sectors of it. `program` only clears bits; it
- * gets any bytes, at any offset and of any length, from RAM. Both return 0, or another number if the flash failed. They
- * return when they are done, which may take as long as the hardware needs: vc_controller_init and
- * vc_controller_receive call them, and no stream is armed, playing or paused then. */
+ * whole number of sectors; record_bytes is 96 or more.
+ * `write_bytes`: 1, 2, 4, 8, 16 or 32, the smallest write of the flash; with ECC, the bytes that share a checksum. All
+ * offsets and sizes here are multiples of it.
+ * `erase` sets bytes to 0xFF; it gets one of these pieces, or several sectors of it. `program` gets bytes in RAM; its
+ * offset and length are multiples of write_bytes, and it gets no place twice between two erasures. Both return 0, or
+ * another number if the flash failed. They return when they are done, which may take as long as the hardware needs:
+ * vc_controller_init and vc_controller_receive call them, and no stream is armed, playing or paused then.
+ * The controller also reads places that a power failure left half written or half erased. Any bytes will do, but where
+ * the hardware raises a fault for them, the port must handle it. */
 typedef struct {
     const uint8_t *base;
     uint32_t record[2], record_bytes;
     uint32_t slot[2], slot_bytes;
+    uint32_t write_bytes;
     int (*erase)(void *context, uint32_t offset, uint32_t length);
     int (*program)(void *context, uint32_t offset, const uint8_t *data, uint32_t length);
     void *context;

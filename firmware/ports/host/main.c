@@ -184,6 +184,7 @@ int main(int count, char **arguments)
                       .record_bytes = RECORD_BYTES,
                       .slot = {2 * RECORD_BYTES, 2 * RECORD_BYTES + SLOT_BYTES},
                       .slot_bytes = SLOT_BYTES,
+                      .write_bytes = 1,
                       .erase = erase,
                       .program = program};
     static const vc_dac_port dac = {.play = play};

@@ -28,6 +28,7 @@ const vc_flash vc_board_flash = {
     .record_bytes = VC_RECORD_BYTES,
     .slot = {2 * VC_RECORD_BYTES, 2 * VC_RECORD_BYTES + VC_SLOT_BYTES},
     .slot_bytes = VC_SLOT_BYTES,
+    .write_bytes = 1,
     .erase = erase,
     .program = program,
 };

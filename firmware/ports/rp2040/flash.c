@@ -127,6 +127,7 @@ const vc_flash vc_board_flash = {
     .record_bytes = 0x4000,
     .slot = {0x100000, 0x180000},
     .slot_bytes = 0x80000,
+    .write_bytes = 1,
     .erase = erase,
     .program = program,
 };

@@ -114,6 +114,7 @@ const vc_flash vc_board_flash = {
     .record_bytes = 0x4000,
     .slot = {0x80000, 0xC0000},
     .slot_bytes = 0x40000,
+    .write_bytes = 1,
     .erase = erase,
     .program = program,
 };

@@ -66,7 +66,7 @@ static int flash_erase(void *context, uint32_t offset, uint32_t length)
     return -1;
 }
 
-/* Step 5. Clears the bits that are 0 in `data`; returns as flash_erase does. */
+/* Step 5. Writes whole pieces of write_bytes, each once after an erasure; returns as flash_erase does. */
 static int flash_program(void *context, uint32_t offset, const uint8_t *data, uint32_t length)
 {
     VC_MISSING(flash_program);
@@ -88,14 +88,15 @@ static void dac_play(void *context, const int16_t *codes, uint32_t samples, unsi
     (void)due_us;
 }
 
-/* Step 5. The places of records and slots, whole sectors of your flash, from `base` on. A board without model images
- * needs none of step 5: give NULL to vc_loop_start. */
+/* Step 5. The places of records and slots, whole sectors of your flash, from `base` on, and its smallest write. A board
+ * without model images needs none of step 5: give NULL to vc_loop_start. */
 static const vc_flash flash = {
     .base = (const uint8_t *)0x08000000,
     .record = {0x40000, 0x44000},
     .record_bytes = 0x4000,
     .slot = {0x80000, 0xC0000},
     .slot_bytes = 0x40000,
+    .write_bytes = 8,
     .erase = flash_erase,
     .program = flash_program,
 };

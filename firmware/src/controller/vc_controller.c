@@ -561,6 +561,18 @@ static int fits(const char *text, size_t most_bytes)
     return length <= most_bytes;
 }
 
+/* Whether the flash is as settings.h says, as far as that can be seen. */
+static int is_usable_flash(const vc_flash *flash)
+{
+    const uint32_t unit = flash->write_bytes;
+    const uint32_t places =
+        flash->record[0] | flash->record[1] | flash->record_bytes | flash->slot[0] | flash->slot[1] | flash->slot_bytes;
+    return flash->base != NULL && flash->erase != NULL && flash->program != NULL && unit > 0 &&
+           unit <= VC_MOST_WRITE_BYTES && (unit & (unit - 1)) == 0 && places % unit == 0 &&
+           flash->record_bytes >= VC_LEAST_RECORD_BYTES && flash->record[0] != flash->record[1] &&
+           flash->slot_bytes > 0 && flash->slot[0] != flash->slot[1];
+}
+
 /* Whether the settings and the flash are as settings.h says, as far as that can be seen. */
 static int are_usable(const vc_controller_settings *settings, const vc_flash *flash)
 {
@@ -568,10 +580,7 @@ static int are_usable(const vc_controller_settings *settings, const vc_flash *fl
            fits(settings->hardware, VC_TEXT_BYTES) &&
            (settings->serial_number == NULL || fits(settings->serial_number, VC_SERIAL_NUMBER_BYTES)) &&
            settings->watchdog_ms >= VC_LEAST_WATCHDOG_MS && settings->actuator != NULL &&
-           vc_actuator_is_usable(settings->actuator) &&
-           (flash == NULL || (flash->base != NULL && flash->erase != NULL && flash->program != NULL &&
-                              flash->record_bytes >= VC_LEAST_RECORD_BYTES && flash->record[0] != flash->record[1] &&
-                              flash->slot_bytes > 0 && flash->slot[0] != flash->slot[1]));
+           vc_actuator_is_usable(settings->actuator) && (flash == NULL || is_usable_flash(flash));
 }
 
 int vc_controller_init(vc_controller *controller, const vc_controller_settings *settings, const vc_flash *flash,

@@ -8,9 +8,6 @@
 #include "../core/vc_common.h"
 #include "../core/vc_crc.h"
 
-#define ERASED 0xFFu
-/* After a cut, programming resumes at a multiple of this, over bytes that may be half done. */
-#define PAGE_BYTES 256u
 #define NO_SLOT (-1)
 
 static const vc_slot empty_slot = {VC_SLOT_EMPTY, 0, 0, {0}};
@@ -119,16 +116,6 @@ static int whole_slot(const vc_image_store *store, uint8_t state)
     return NO_SLOT;
 }
 
-/* The offset at which an upload resumes after a boot: the start of the last page that is not blank. */
-static uint32_t programmed_bytes(const vc_image_store *store, unsigned number)
-{
-    const uint8_t *data = slot_data(store, number);
-    uint32_t length = slot_of(store, number)->size_bytes;
-    while (length > 0 && data[length - 1] == ERASED)
-        length--;
-    return length > 0 ? (length - 1) / PAGE_BYTES * PAGE_BYTES : 0;
-}
-
 void vc_image_store_init(vc_image_store *store, const vc_flash *flash, const vc_controller_settings *settings,
                          vc_payload_check check, const void *check_context)
 {
@@ -152,9 +139,9 @@ void vc_image_store_boot(vc_image_store *store)
     vc_slot_record_open(&store->record, store->record.flash);
     for (i = 0; i < VC_SLOTS; i++) {
         store->whole[i] = store->erased[i] = 0;
+        store->written[i] = 0;
         if (slot_of(store, i)->state > VC_SLOT_WRITING)
             look_at_image(store, i, &unused);
-        store->written[i] = programmed_bytes(store, i);
     }
     /* Notes broken images. Ends a trial that was not confirmed; notes the first start of a new one. */
     entry = store->record.entry;
@@ -301,9 +288,11 @@ static int wrong_hardware(const vc_image_store *store, vc_piece wanted, enum vc_
     return vc_rejection_add_piece(rejection, wanted);
 }
 
-static uint32_t next_offset(const vc_image_store *store, unsigned number)
+/* Whether a slot takes data of its image. Not after a boot or a failed write: a place may then be half written, and
+ * the slot must be erased first. */
+static int is_taking(const vc_image_store *store, unsigned number)
 {
-    return slot_of(store, number)->state == VC_SLOT_WRITING ? store->written[number] : 0;
+    return slot_of(store, number)->state == VC_SLOT_WRITING && (store->erased[number] || store->written[number] > 0);
 }
 
 static int tell(const vc_image_store *store, unsigned number, vc_flash_status *report)
@@ -311,7 +300,7 @@ static int tell(const vc_image_store *store, unsigned number, vc_flash_status *r
     const vc_slot *slot = slot_of(store, number);
     report->slot = (uint8_t)number;
     report->state = slot->state;
-    report->next_offset = next_offset(store, number);
+    report->next_offset = is_taking(store, number) ? store->written[number] : 0;
     report->sha256 = slot->state > VC_SLOT_WRITING ? slot->sha256 : NULL;
     return 0;
 }
@@ -360,7 +349,7 @@ int vc_image_store_begin(vc_image_store *store, const vc_flash_begin *begin, vc_
         return vc_reject_numbers(rejection, VC_BEYOND_LIMITS, "an image of # bytes; a slot holds 1 to #",
                                  begin->size_bytes, flash->slot_bytes);
     memcpy(wanted.sha256, begin->sha256, VC_SHA256_BYTES);
-    if (slot->state != VC_SLOT_WRITING || slot->size_bytes != wanted.size_bytes ||
+    if (!is_taking(store, number) || slot->size_bytes != wanted.size_bytes ||
         !vc_same_bytes(slot->sha256, wanted.sha256, VC_SHA256_BYTES)) {
         rejected = reject_wear(store, rejection);
         if (!rejected && !store->erased[number])
@@ -373,23 +362,57 @@ int vc_image_store_begin(vc_image_store *store, const vc_flash_begin *begin, vc_
     return tell(store, number, report);
 }
 
+/* Rejects what only a slot that takes an image does. */
+static int reject_unless_taking(const vc_image_store *store, unsigned number, const char *hint, vc_rejection *rejection)
+{
+    int rejected = not_in_state(store, number, VC_SLOT_WRITING, hint, rejection);
+    return rejected || is_taking(store, number)
+               ? rejected
+               : vc_reject_numbers(rejection, VC_WRONG_STATE,
+                                   "slot # was not written to its end: begin with FlashBegin", number, 0);
+}
+
+/* Programs whole writes of the flash. Returns whether it took them; if not, the slot must be erased. */
+static int program_whole(vc_image_store *store, unsigned number, uint32_t offset, const uint8_t *data, uint32_t length)
+{
+    const vc_flash *flash = store->record.flash;
+    const int taken = flash->program(flash->context, flash->slot[number] + offset, data, length) == 0;
+    store->erased[number] = 0;
+    store->written[number] = taken ? offset + length : 0;
+    return taken;
+}
+
+/* Programs data in whole writes of the flash. What is left over waits for the next data; at the end of an image it is
+ * filled up. Returns whether the flash took them. */
+static int program(vc_image_store *store, const vc_flash_data *data)
+{
+    const uint32_t write_bytes = store->record.flash->write_bytes;
+    const uint32_t length = (uint32_t)data->data.length, rest = length % write_bytes, end = data->offset + length;
+    uint8_t last[VC_MOST_WRITE_BYTES];
+    int taken = 1;
+    if (length > rest)
+        taken = program_whole(store, data->slot, data->offset, data->data.bytes, length - rest);
+    if (taken && rest > 0 && end == slot_of(store, data->slot)->size_bytes) {
+        memset(last, 0xFF, sizeof last);
+        memcpy(last, data->data.bytes + length - rest, rest);
+        taken = program_whole(store, data->slot, end - rest, last, write_bytes);
+    }
+    return taken;
+}
+
 int vc_image_store_write(vc_image_store *store, const vc_flash_data *data, vc_flash_status *report,
                          vc_rejection *rejection)
 {
-    const vc_flash *flash = store->record.flash;
-    int rejected = not_in_state(store, data->slot, VC_SLOT_WRITING, ": begin with FlashBegin", rejection);
+    int rejected = reject_unless_taking(store, data->slot, ": begin with FlashBegin", rejection);
     if (rejected)
         return rejected;
-    if (data->offset == next_offset(store, data->slot)) {
+    if (data->offset == store->written[data->slot]) {
         uint32_t size_bytes = slot_of(store, data->slot)->size_bytes;
         if (data->data.length > size_bytes - data->offset)
             return vc_reject_numbers(rejection, VC_BAD_VALUE, "data up to byte # of an image of # bytes",
                                      data->offset + (uint64_t)data->data.length, size_bytes);
-        store->erased[data->slot] = 0;
-        if (flash->program(flash->context, flash->slot[data->slot] + data->offset, data->data.bytes,
-                           (uint32_t)data->data.length) != 0)
+        if (!program(store, data))
             return flash_failed(rejection);
-        store->written[data->slot] = data->offset + (uint32_t)data->data.length;
     }
     return tell(store, data->slot, report);
 }
@@ -414,7 +437,7 @@ static int check_image(vc_image_store *store, unsigned number, vc_rejection *rej
 int vc_image_store_verify(vc_image_store *store, unsigned number, vc_flash_status *report, vc_rejection *rejection)
 {
     vc_slot verified;
-    int rejected = not_in_state(store, number, VC_SLOT_WRITING, ": there is nothing new to verify", rejection);
+    int rejected = reject_unless_taking(store, number, ": there is nothing new to verify", rejection);
     if (rejected)
         return rejected;
     rejected = check_image(store, number, rejection);

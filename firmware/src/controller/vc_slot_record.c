@@ -12,9 +12,20 @@ enum { MAGIC_BYTES = 4, CRC_BYTES = 4, CHECKED_BYTES = VC_SLOT_ENTRY_BYTES - CRC
 
 static const uint8_t magic[MAGIC_BYTES] = {'V', 'C', 'S', 'R'};
 
+/* From one entry to the next: whole writes of the flash. */
+static uint32_t place_bytes(const vc_flash *flash)
+{
+    return (VC_SLOT_ENTRY_BYTES + flash->write_bytes - 1) / flash->write_bytes * flash->write_bytes;
+}
+
 static uint32_t places(const vc_flash *flash)
 {
-    return flash->record_bytes / VC_SLOT_ENTRY_BYTES;
+    return flash->record_bytes / place_bytes(flash);
+}
+
+static uint32_t place_offset(const vc_flash *flash, unsigned piece, uint32_t place)
+{
+    return flash->record[piece] + place * place_bytes(flash);
 }
 
 static int is_blank(const uint8_t *bytes, size_t length)
@@ -61,23 +72,21 @@ void vc_slot_record_open(vc_slot_record *record, const vc_flash *flash)
     record->flash = flash;
     for (piece = 0; piece < 2; piece++)
         for (place = 0; place < places(flash); place++)
-            if (read_entry(record, flash->base + flash->record[piece] + place * VC_SLOT_ENTRY_BYTES))
+            if (read_entry(record, flash->base + place_offset(flash, piece, place)))
                 record->newest = piece;
     record->piece = record->newest;
     /* A cut may have left part of an entry behind the newest one. Without any entry, the flash holds what it will. */
     record->place = places(flash);
     while (record->counter > 0 && record->place > 0 &&
-           is_blank(flash->base + flash->record[record->piece] + (record->place - 1) * VC_SLOT_ENTRY_BYTES,
-                    VC_SLOT_ENTRY_BYTES))
+           is_blank(flash->base + place_offset(flash, record->piece, record->place - 1), place_bytes(flash)))
         record->place--;
 }
 
-int vc_slot_record_append(vc_slot_record *record, const vc_slot_entry *entry)
+/* Writes bytes, filled up to whole writes, to the next place. A place is used once, whether or not the flash takes it.
+ * Returns whether it did. */
+static int put(vc_slot_record *record, const uint8_t *bytes)
 {
     const vc_flash *flash = record->flash;
-    uint8_t bytes[VC_SLOT_ENTRY_BYTES], *at = bytes + MAGIC_BYTES;
-    unsigned i;
-    uint32_t address;
     if (record->place == places(flash)) {
         const unsigned other = !record->newest;
         if (flash->erase(flash->context, flash->record[other], flash->record_bytes) != 0)
@@ -85,8 +94,15 @@ int vc_slot_record_append(vc_slot_record *record, const vc_slot_entry *entry)
         record->piece = other;
         record->place = 0;
     }
-    /* A place and a counter are used once, whether or not the flash takes them. */
-    address = flash->record[record->piece] + record->place++ * VC_SLOT_ENTRY_BYTES;
+    return flash->program(flash->context, place_offset(flash, record->piece, record->place++), bytes,
+                          place_bytes(flash)) == 0;
+}
+
+int vc_slot_record_append(vc_slot_record *record, const vc_slot_entry *entry)
+{
+    uint8_t bytes[VC_LEAST_RECORD_BYTES], *at = bytes + MAGIC_BYTES;
+    unsigned i;
+    memset(bytes, 0xFF, sizeof bytes);
     memcpy(bytes, magic, MAGIC_BYTES);
     vc_number_bytes(at, ++record->counter, 4);
     vc_number_bytes(at + 4, entry->lowest_number, 4);
@@ -99,7 +115,8 @@ int vc_slot_record_append(vc_slot_record *record, const vc_slot_entry *entry)
         memcpy(at + 6, slot->sha256, VC_SHA256_BYTES);
     }
     vc_number_bytes(at, vc_crc32(bytes, CHECKED_BYTES, 0), CRC_BYTES);
-    if (flash->program(flash->context, address, bytes, sizeof bytes) != 0)
+    /* A place that a cut left half written may look blank and take nothing: the next one does. */
+    if (!put(record, bytes) && !put(record, bytes))
         return 0;
     record->newest = record->piece;
     record->entry = *entry;

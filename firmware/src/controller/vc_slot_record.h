@@ -10,7 +10,7 @@
 #include "../core/vc_sha256.h"
 
 #define VC_SLOTS 2
-/* Bytes of an entry: a record piece holds at least one. */
+/* Bytes of an entry, which takes whole writes of the flash: a record piece holds at least one. */
 #define VC_SLOT_ENTRY_BYTES 92
 
 /* cffi: begin */
