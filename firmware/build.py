@@ -239,6 +239,7 @@ TARGETS: Mapping[str, Target] = {
     "stm32f405-qemu": _stm32f405("the same for QEMU, which lacks a memory", "qemu.ld"),
     "rp2040": _rp2040("board with an RP2040, such as a Raspberry Pi Pico; output by PWM", "pwm", 2),
     "rp2040-drv260x": _rp2040("the same with a haptic driver DRV260x on I2C", "haptic", 1, "ports/drv260x"),
+    "rp2040-i2s": _rp2040("the same with an amplifier on I2S, such as a MAX98357", "i2s", 2),
 }
 
 

@@ -3,6 +3,8 @@
 from collections import defaultdict, deque
 from collections.abc import Callable
 
+import numpy as np
+
 from vibrocast.firmware.build import build
 from vibrocast.firmware.elf import Elf
 from vibrocast.harness.boards.board import FIRST_LINE, NEVER, Board
@@ -18,7 +20,7 @@ UNIQUE_NUMBER = b"emulated"
 
 _FLASH, _ROM, _RAM = 0x1000_0000, 0, 0x2000_0000
 _ROM_BYTES, _RAM_BYTES = 16 << 10, 264 << 10
-_PERIPHERALS, _PERIPHERALS_BYTES = 0x4000_0000, 0x7_0000
+_PERIPHERALS, _PERIPHERALS_BYTES = 0x4000_0000, 0x1030_0000
 _SSI, _SSI_SR, _SSI_DR0 = 0x1800_0000, 0x28, 0x60
 _CHIP_SELECT, _SELECTED, _READ_UNIQUE = 0x1_800C, 2 << 8, 0x4B
 # Time is counted in cycles of the processor, 120 MHz.
@@ -35,12 +37,24 @@ _PWM_CC, _PWM_TOP, _PWM_EN, _PWM_INTR, _PWM_INTE = 0x5_0020, 0x5_0010, 0x5_00A0,
 _TIMER_HIGH, _TIMER_LOW = 0x5_4024, 0x5_4028
 _WATCHDOG_LOAD = 0x5_8004
 _I2C_DATA_CMD, _I2C_TXFLR, _I2C_STOP = 0x4_4010, 0x4_4074, 1 << 9
+_DMA_CHANNELS, _DMA_CONTROL, _DMA_INTE, _DMA_INTS = 0x1000_0000, 0x1000_0010, 0x1000_0404, 0x1000_040C
+_PIO_MEMORY, _PIO_CLKDIV, _PIO_FRAME_CYCLES = 0x1020_0048, 0x1020_00C8, 64
 # Bit of each subsystem in _RESETS, by its first register.
-_RESET_BITS = {0x1_4000: 5, 0x1_C000: 8, 0x2_8000: 12, 0x3_4000: 22, 0x4_4000: 3, 0x5_0000: 14, 0x5_4000: 21}
+_RESET_BITS = {
+    0x1000_0000: 2,
+    0x1020_0000: 10,
+    0x1_4000: 5,
+    0x1_C000: 8,
+    0x2_8000: 12,
+    0x3_4000: 22,
+    0x4_4000: 3,
+    0x5_0000: 14,
+    0x5_4000: 21,
+}
 _ALL_RESETS = 0x1FF_FFFF
 _REST = 2500  # of PWM: half of its steps
 
-_PWM, _UART = FIRST_LINE + 4, FIRST_LINE + 20
+_PWM, _DMA, _UART = FIRST_LINE + 4, FIRST_LINE + 11, FIRST_LINE + 20
 _BYTE_TICKS = 1302  # ten bits of 921 600 baud
 _TIMEOUT_TICKS = 32 * _BYTE_TICKS // 10
 _I2C_BYTE_TICKS = 9 * 300  # nine bits of 400 kHz
@@ -56,16 +70,17 @@ _RETURN = b"\x70\x47"  # bx lr
 class Rp2040(Board):
     """A controller (simulated_device.device.Device): the firmware built for `rp2040` on an emulated board.
 
-    `image`: `rp2040`, or `rp2040-drv260x`, which has a haptic driver instead of PWM.
+    `image`: `rp2040`; instead of PWM, `rp2040-drv260x` has a haptic driver, and `rp2040-i2s` an amplifier.
 
     `flash`: FLASH_BYTES bytes, in which images outlive this object; None = a blank one. A file behind it is not
-    written. `on_dac`: called with each run of the PWM's levels, int16 (n, 2), 0 = half of its steps. `drift_ppm`: how
-    much faster than true time its clock runs.
+    written. `on_dac`: called with each run of the PWM's levels, int16 (n, 2), 0 = half of its steps, or of the frames
+    of I2S. `drift_ppm`: how much faster than true time its clock runs.
 
     It emulates processor, memory, interrupts, the serial port with the time that each byte takes, PWM, timer, watchdog,
-    the boot ROM's functions for flash, subsystems in reset, and clocks that are ready at once. While flash is being
-    changed, it cannot be read. All other registers keep the values written to them. Cycles are those of a Cortex-M4,
-    without the waits of a real board for its flash. Raises as CortexM does.
+    the boot ROM's functions for flash, subsystems in reset, and clocks that are ready at once. DMA sends two buffers in
+    turn to the PIO, whose program does not run. While flash is being changed, it cannot be read. All other registers
+    keep the values written to them. Cycles are those of a Cortex-M4, without the waits of a real board for its flash.
+    Raises as CortexM does.
     """
 
     def __init__(
@@ -91,6 +106,7 @@ class Rp2040(Board):
         self._registers = defaultdict(int, {_RESETS: _ALL_RESETS})
         self._failure = ""
         self._next_wrap, self._wrapped_at = NEVER, 0
+        self._buffer, self._next_buffer = 0, NEVER  # the DMA channel that runs, and when it ends
         self.latest_level_ticks = 0
         """The longest time from the sample clock's tick to the level that it asked for."""
         self.haptic_writes: list[tuple[int, ...]] = []
@@ -122,6 +138,9 @@ class Rp2040(Board):
         if self._next_wrap <= self._now:
             self._wrapped_at, self._next_wrap = self._next_wrap, self._next_wrap + self._registers[_PWM_TOP] + 1
             return _PWM if self._registers[_PWM_INTE] & 1 else None
+        if self._next_buffer <= self._now:
+            self._end_buffer()
+            return _DMA if self._registers[_DMA_INTS] & self._registers[_DMA_INTE] else None
         self._take_arrived()
         mask = self._registers[_UART_IMSC]
         if mask & _RX and len(self._arrived) >= _RX_LEVEL:
@@ -131,7 +150,7 @@ class Rp2040(Board):
         return _UART if mask & _TX and self._half_sent_at <= self._now else None
 
     def _next_event(self) -> int:
-        times = [self._next_wrap, self._half_sent_at]
+        times = [self._next_wrap, self._next_buffer, self._half_sent_at]
         missing = _RX_LEVEL - len(self._arrived)
         if len(self._incoming) >= missing:
             times.append(self._next_arrival + (missing - 1) * _BYTE_TICKS)
@@ -140,6 +159,21 @@ class Rp2040(Board):
         elif self._arrived:
             times.append(self._times_out_at())
         return min(times)
+
+    def _end_buffer(self) -> None:
+        """End a DMA channel: its frames are played, and the channel that it chains to begins."""
+        address, _, count, control = (
+            self._registers[_DMA_CHANNELS + 0x40 * self._buffer + 4 * n] for n in (0, 1, 2, 4)
+        )
+        frames = np.frombuffer(self.processor.unicorn.mem_read(address, 4 * count), np.dtype("<i2")).reshape(-1, 2)
+        self._codes += [(left, right) for right, left in frames.tolist()]
+        self._registers[_DMA_INTS] |= 1 << self._buffer
+        self._buffer = control >> 11 & 15
+        self._begin_buffer(self._next_buffer)
+
+    def _begin_buffer(self, now: int) -> None:
+        count = self._registers[_DMA_CHANNELS + 0x40 * self._buffer + 8]
+        self._next_buffer = now + count * _PIO_FRAME_CYCLES * self._registers[_PIO_CLKDIV] // (1 << 16)
 
     def _times_out_at(self) -> int:
         """Return when the bytes that have arrived are too few for too long."""
@@ -207,6 +241,12 @@ class Rp2040(Board):
                 self._i2c_bytes = ()
         elif offset == _WATCHDOG_LOAD:
             self._feed_watchdog()
+        elif offset == _DMA_INTS:
+            self._registers[_DMA_INTS] &= ~value
+        elif offset == _DMA_CHANNELS + 0xC:  # CTRL_TRIG of channel 0: it starts
+            self._registers[_DMA_CONTROL] = value
+            self._buffer = 0
+            self._begin_buffer(self._time())
         else:
             self._registers[offset] = value
             if offset == _CHIP_SELECT:

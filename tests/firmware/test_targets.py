@@ -103,7 +103,7 @@ CALLED_BY_POINTER = {
 }
 INTERRUPTS = {
     *("SysTick_Handler", "TIM6_DAC_IRQHandler", "USART3_IRQHandler", "take_received", "go_on_sending"),
-    *("PWM_IRQ_WRAP_Handler", "UART0_IRQ_Handler"),
+    *("vc_output_interrupt", "UART0_IRQ_Handler"),
 }
 
 

@@ -1,7 +1,8 @@
 /* A board with an RP2040, a 12 MHz crystal and 2 MB of flash, such as a Raspberry Pi Pico; the parts of its port.
  *
  * Pins: GPIO0 (TX) and GPIO1 (RX) are the serial port, 921 600 baud, 8 data bits, no parity, 1 stop bit. The output is
- * a PWM signal of 24 kHz on GPIO2 and GPIO3, or a haptic driver of the DRV260x family at GPIO4 (SDA) and GPIO5 (SCL).
+ * a PWM signal of 24 kHz on GPIO2 and GPIO3, a haptic driver of the DRV260x family at GPIO4 (SDA) and GPIO5 (SCL), or
+ * an amplifier with I2S at GPIO6 to GPIO8.
  *
  * Program and constants lie in flash; at the start, the program is copied to RAM, where it runs. So flash can be
  * erased meanwhile, and no instruction waits for it.
@@ -29,7 +30,7 @@ void vc_watchdog_feed(void);
 /* Enables an interrupt line of the NVIC, at priority 0 (most urgent) to 3. */
 void vc_board_enable_interrupt(unsigned line, unsigned priority);
 
-/* Starts a sample clock by PWM slice 0, whose interrupt calls PWM_IRQ_WRAP_Handler. Slices in `others` start with it,
+/* Starts a sample clock by PWM slice 0, whose interrupt is VC_PWM_LINE. Slices in `others` start with it,
  * at the same cycle: bit 1 is slice 1. */
 void vc_sample_clock_start(uint32_t rate_hz, uint32_t others);
 static inline void vc_sample_clock_clear(void)
@@ -37,10 +38,12 @@ static inline void vc_sample_clock_clear(void)
     VC_PWM_INTR = 1;
 }
 
-/* The output: pwm/output.c or haptic/output.c. Start brings it to rest; then it plays the samples of vc_paced_dac. */
+/* The output: pwm/, haptic/ or i2s/output.c. Start brings it to rest; then it plays the samples of vc_paced_dac, by the
+ * interrupt of its line. */
 extern const vc_actuator *const vc_output_actuator;
+extern const unsigned vc_output_line;
 void vc_output_start(void);
-void PWM_IRQ_WRAP_Handler(void);
+void vc_output_interrupt(void);
 
 /* For a fault: brings the output to rest, without interrupts. Does not return; the watchdog resets the board. */
 void vc_output_rest(void);

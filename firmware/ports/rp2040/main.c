@@ -44,7 +44,7 @@ int main(void)
     vectors.core = boot_vectors;
     for (line = 0; line < VC_LINES; line++)
         vectors.lines[line] = vc_output_rest;
-    vectors.lines[VC_PWM_LINE] = PWM_IRQ_WRAP_Handler;
+    vectors.lines[vc_output_line] = vc_output_interrupt;
     vectors.lines[VC_UART0_LINE] = UART0_IRQ_Handler;
     VC_VECTOR_TABLE = (uint32_t)(uintptr_t)&vectors;
     vc_clocks_start();

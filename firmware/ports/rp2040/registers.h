@@ -8,9 +8,11 @@
 #define VC_RESETS_RESET VC_REGISTER(0x4000C000u)
 #define VC_RESETS_DONE VC_REGISTER(0x4000C008u)
 enum {
+    VC_RESET_DMA = 1 << 2,
     VC_RESET_I2C0 = 1 << 3,
     VC_RESET_IO_BANK0 = 1 << 5,
     VC_RESET_PADS_BANK0 = 1 << 8,
+    VC_RESET_PIO0 = 1 << 10,
     VC_RESET_PLL_SYS = 1 << 12,
     VC_RESET_PWM = 1 << 14,
     VC_RESET_TIMER = 1 << 21,
@@ -54,6 +56,7 @@ enum {
     VC_GPIO_UART = 2,
     VC_GPIO_I2C = 3,
     VC_GPIO_PWM = 4,
+    VC_GPIO_PIO0 = 6,
     VC_PAD_SCHMITT = 1 << 1,
     VC_PAD_PULL_UP = 1 << 3,
     VC_PAD_4_MA = 1 << 4,
@@ -113,6 +116,46 @@ enum {
 #define VC_PWM_INTR VC_REGISTER(VC_PWM + 0xA4)
 #define VC_PWM_INTE VC_REGISTER(VC_PWM + 0xA8)
 
+/* DMA, 2.5.7: channels 0 and 1, both at interrupt 0 */
+#define VC_DMA 0x50000000u
+#define VC_DMA_READ(channel) VC_REGISTER(VC_DMA + 0x40 * (channel) + 0x00)
+#define VC_DMA_WRITE(channel) VC_REGISTER(VC_DMA + 0x40 * (channel) + 0x04)
+#define VC_DMA_COUNT(channel) VC_REGISTER(VC_DMA + 0x40 * (channel) + 0x08)
+#define VC_DMA_START(channel) VC_REGISTER(VC_DMA + 0x40 * (channel) + 0x0C)   /* CTRL_TRIG */
+#define VC_DMA_CONTROL(channel) VC_REGISTER(VC_DMA + 0x40 * (channel) + 0x10) /* AL1_CTRL: the same, without a start   \
+                                                                               */
+#define VC_DMA_INTE0 VC_REGISTER(VC_DMA + 0x404)
+#define VC_DMA_INTS0 VC_REGISTER(VC_DMA + 0x40C)
+enum {
+    VC_DMA_ENABLE = 1 << 0,
+    VC_DMA_WORDS = 2 << 2,
+    VC_DMA_READ_ON = 1 << 4, /* INCR_READ */
+    VC_DMA_RING_SIZE = 6,    /* the place of the bits of read addresses that change */
+    VC_DMA_CHAIN_TO = 11,    /* the place of the channel that starts at the end */
+    VC_DMA_PIO0_QUEUE = 0    /* TREQ_SEL: room in the queue of state machine 0 */
+};
+
+/* State machine 0 of PIO0, 3.7 */
+#define VC_PIO0 0x50200000u
+#define VC_PIO_CTRL VC_REGISTER(VC_PIO0 + 0x00)
+#define VC_PIO_QUEUE (VC_PIO0 + 0x10u) /* address of TXF0 */
+#define VC_PIO_MEMORY(place) VC_REGISTER(VC_PIO0 + 0x48 + 4 * (place))
+#define VC_PIO_CLKDIV VC_REGISTER(VC_PIO0 + 0xC8)
+#define VC_PIO_EXECCTRL VC_REGISTER(VC_PIO0 + 0xCC)
+#define VC_PIO_SHIFTCTRL VC_REGISTER(VC_PIO0 + 0xD0)
+#define VC_PIO_INSTRUCTION VC_REGISTER(VC_PIO0 + 0xD8) /* runs at once */
+#define VC_PIO_PINCTRL VC_REGISTER(VC_PIO0 + 0xDC)
+enum {
+    VC_PIO_WRAP_TOP = 12, /* of EXECCTRL: the place of the last instruction's number */
+    VC_PIO_AUTOPULL = 1 << 17,
+    VC_PIO_OUT_BASE = 0, /* of PINCTRL: places of pins and their counts */
+    VC_PIO_SET_BASE = 5,
+    VC_PIO_SIDE_BASE = 10,
+    VC_PIO_OUT_COUNT = 20,
+    VC_PIO_SET_COUNT = 26,
+    VC_PIO_SIDE_COUNT = 29
+};
+
 /* Timer, 4.6.5 */
 #define VC_TIMER_RAW_HIGH VC_REGISTER(0x40054024u)
 #define VC_TIMER_RAW_LOW VC_REGISTER(0x40054028u)
@@ -142,6 +185,6 @@ enum {
 };
 
 /* Lines of the interrupt controller, 2.3.2 */
-enum { VC_PWM_LINE = 4, VC_UART0_LINE = 20, VC_LINES = 26 };
+enum { VC_PWM_LINE = 4, VC_DMA_LINE = 11, VC_UART0_LINE = 20, VC_LINES = 26 };
 
 #endif

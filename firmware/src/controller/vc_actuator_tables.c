@@ -15,14 +15,13 @@ const vc_actuator vc_piezo_stack = {
     .code_limit = 32767,
     .code_step_limit = 43690,
     .power_limit = 697932185,
-    .compensation =
-        {
-            .tangent = 478060661,
-            .damping = 136548215,
-            .gain = 381864805,
-            .weight = {0, 19649233, 16777216, 19649233},
-            .shift = 0,
-        },
+    .compensation = {
+        .tangent = 478060661,
+        .damping = 136548215,
+        .gain = 381864805,
+        .weight = {0, 19649233, 16777216, 19649233},
+        .shift = 0,
+    },
 };
 
 const vc_actuator vc_piezo_stack_12_bits = {
@@ -39,14 +38,13 @@ const vc_actuator vc_piezo_stack_12_bits = {
     .code_limit = 2047,
     .code_step_limit = 2730,
     .power_limit = 697932185,
-    .compensation =
-        {
-            .tangent = 478060661,
-            .damping = 136548215,
-            .gain = 381864805,
-            .weight = {0, 19649233, 16777216, 19649233},
-            .shift = 0,
-        },
+    .compensation = {
+        .tangent = 478060661,
+        .damping = 136548215,
+        .gain = 381864805,
+        .weight = {0, 19649233, 16777216, 19649233},
+        .shift = 0,
+    },
 };
 
 const vc_actuator vc_lra = {
@@ -63,14 +61,13 @@ const vc_actuator vc_lra = {
     .code_limit = 32767,
     .code_step_limit = 25735,
     .power_limit = 214748364,
-    .compensation =
-        {
-            .tangent = 36953217,
-            .damping = 40410546,
-            .gain = 1031009182,
-            .weight = {134217728, 8947849, 134217728, 0},
-            .shift = 0,
-        },
+    .compensation = {
+        .tangent = 36953217,
+        .damping = 40410546,
+        .gain = 1031009182,
+        .weight = {134217728, 8947849, 134217728, 0},
+        .shift = 0,
+    },
 };
 
 const vc_actuator vc_voice_coil = {
@@ -87,12 +84,11 @@ const vc_actuator vc_voice_coil = {
     .code_limit = 32767,
     .code_step_limit = 25735,
     .power_limit = 214748364,
-    .compensation =
-        {
-            .tangent = 18982489,
-            .damping = 181329782,
-            .gain = 980105303,
-            .weight = {134217728, 44739243, 134217728, 0},
-            .shift = 0,
-        },
+    .compensation = {
+        .tangent = 18982489,
+        .damping = 181329782,
+        .gain = 980105303,
+        .weight = {134217728, 44739243, 134217728, 0},
+        .shift = 0,
+    },
 };

@@ -152,8 +152,7 @@ int vc_message_read(vc_message *message, const uint8_t *payload, size_t length, 
     if (value != NULL)
         value->bytes = NULL;
     if (!read_tags(&fields, tag, value))
-        return vc_reject_numbers(rejection, VC_MALFORMED,
-                                 "message of type #: a field or tag is cut, or bytes are left over", message->type, 0);
+        return vc_reject_numbers(rejection, VC_MALFORMED, "message of type #: a field or tag is cut, or bytes are left over", message->type, 0);
     if (value != NULL && value->bytes == NULL)
         return vc_reject_numbers(rejection, VC_MALFORMED, "message of type #: tag # is missing", message->type, tag);
     switch (message->type) {
@@ -171,8 +170,7 @@ int vc_message_read(vc_message *message, const uint8_t *payload, size_t length, 
         break;
     case VC_CAPTURE_READ:
         if (message->body.capture_read.tap > 1)
-            return vc_reject_numbers(rejection, VC_BAD_VALUE, "CaptureRead: tap # is none of 0 to #",
-                                     message->body.capture_read.tap, 1);
+            return vc_reject_numbers(rejection, VC_BAD_VALUE, "CaptureRead: tap # is none of 0 to #", message->body.capture_read.tap, 1);
         break;
     case VC_FLASH_BEGIN:
         if (!vc_is_utf8(message->body.flash_begin.hardware))

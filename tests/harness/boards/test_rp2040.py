@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from unicorn import UC_HOOK_CODE, arm_const
 
-from tests.firmware.boards import LEARNED, coded, play_as_computed, session
+from tests.firmware.boards import LEARNED, between_rests, coded, play_as_computed, session
 from tests.firmware.test_targets import functions
 from vibrocast import models
 from vibrocast.firmware.build import build
@@ -38,6 +38,46 @@ def test_the_board_states_its_unique_number_and_a_haptic_driver_gets_the_upper_b
     assert len(changes) > 100 and 0 <= len(changes) - len(written) < 10
     assert set(written) <= set(changes) and written[-1] == 0
     assert len(device.haptic_writes) - len(values) >= 4
+
+
+def i2s_bits(program: list[int], frames: list[int]) -> list[tuple[int, int]]:
+    """Run the PIO's program (RP2040 datasheet, 3.4); return word select and data at each rise of the bit clock."""
+    found = []
+    place, x, data, clock, frame_bits = 0, 14, 0, 0, [word >> bit & 1 for word in frames for bit in range(31, -1, -1)]
+    while frame_bits or clock == 0:
+        instruction = program[place]
+        select, rising = instruction >> 12 & 1, instruction >> 11 & 1 > clock
+        clock = instruction >> 11 & 1
+        place = (place + 1) % len(program)
+        match instruction & 0xE7E0, instruction & 0x1F:
+            case 0x6000, 1:
+                data = frame_bits.pop(0)
+            case 0x0040, target:
+                place, x = (target if x > 0 else place), (x - 1) % 2**32
+            case 0xE020, value:
+                x = value
+            case other:
+                raise AssertionError(other)
+        if rising:
+            found.append((select, data))
+    return found
+
+
+def test_an_amplifier_on_i2s_gets_each_sample_at_8000_hz() -> None:
+    codes: list[Codes] = []
+    device = Rp2040(on_dac=codes.append, image="rp2040-i2s")
+    link, host = session(device)
+    expected = play_as_computed(link, host, coded("mdct"), LRA)
+    played = np.concatenate(codes)
+    assert len(played) == pytest.approx(link.now_us * 8000 / 1e6, abs=32)  # the boot, which takes no time, comes first
+    np.testing.assert_array_equal(between_rests(played), between_rests(expected))
+    # 120 MHz / (8000 Hz x 64 cycles a frame), in 16 bits and a fraction of 8.
+    assert device._registers[0x1020_00C8] == 234.375 * 65536
+    program = [device._registers[0x1020_0048 + 4 * place] for place in range(8)]
+    bits = i2s_bits(program, [0x8001_7FFE, 0x5555_0F0F])
+    # I2S: low is the left channel; the highest bit comes one bit clock after word select has changed.
+    assert [select for select, _ in bits] == ([0] * 15 + [1] * 16 + [0]) * 2
+    assert int("".join(str(data) for _, data in bits), 2) == 0x8001_7FFE_5555_0F0F
 
 
 def test_images_outlive_a_restart_and_a_stream_of_bytes_goes_on_meanwhile() -> None:
@@ -98,7 +138,7 @@ def test_what_runs_while_flash_is_changed_reads_nothing_in_flash() -> None:
     image = Elf(build("rp2040"))
     found = functions(image)
     names = {image.functions[start]: start for start in found}
-    todo = [names[name] for name in ("PWM_IRQ_WRAP_Handler", "UART0_IRQ_Handler", "program", "erase")]
+    todo = [names[name] for name in ("vc_output_interrupt", "UART0_IRQ_Handler", "program", "erase")]
     reached: set[int] = set()
     while todo:
         start = todo.pop()

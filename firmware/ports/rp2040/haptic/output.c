@@ -12,6 +12,7 @@
 #define FIFO_ENTRIES 16u
 
 const vc_actuator *const vc_output_actuator = &VC_ACTUATOR(vc_lra);
+const unsigned vc_output_line = VC_PWM_LINE;
 
 /* Sends a register of the driver. Refuses where bytes of earlier ones still wait, because the driver holds the bus, and
  * where it has not acknowledged: the port throws bytes away until that is cleared (4.3.17). */
@@ -68,7 +69,7 @@ void vc_output_start(void)
     vc_sample_clock_start(vc_output_actuator->dac_rate_hz, 0);
 }
 
-void PWM_IRQ_WRAP_Handler(void)
+void vc_output_interrupt(void)
 {
     vc_sample_clock_clear();
     vc_drv260x_sample(vc_paced_next()[0]);

@@ -14,6 +14,7 @@
 #define FIRST_PIN 2u
 
 const vc_actuator *const vc_output_actuator = &VC_ACTUATOR(vc_piezo_stack_12_bits);
+const unsigned vc_output_line = VC_PWM_LINE;
 
 static inline void write_levels(const int32_t *level)
 {
@@ -37,7 +38,7 @@ void vc_output_start(void)
     }
 }
 
-void PWM_IRQ_WRAP_Handler(void)
+void vc_output_interrupt(void)
 {
     vc_sample_clock_clear();
     write_levels(vc_paced_next());
