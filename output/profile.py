@@ -46,7 +46,9 @@ class Profile:
         """Take the next decoded samples, int16 (n, channels)."""
         decoded = np.ascontiguousarray(decoded)
         pointer = ffi.cast("int16_t *", decoded.ctypes.data)
-        library().vc_profile_load(self._profile.pointer, pointer, len(decoded))
+        samples = len(decoded)
+        while library().vc_profile_load(self._profile.pointer, pointer, samples):
+            samples = 0
 
     def position(self, time_us: int, position_nm: int) -> bool:
         """Take the position of the hand at a time. It is dropped unless later than the last one and within 2^40 nm.

@@ -43,7 +43,9 @@ static void load(surface *surface, uint32_t samples, const uint8_t *record, size
     for (loaded = 0; loaded < samples; loaded += piece) {
         for (i = 0; i < (size_t)piece * surface->channels; i++, at += 2)
             decoded[i] = length > 1 ? (int16_t)(record[at % length] | record[(at + 1) % length] << 8) : 0;
-        vc_profile_load(surface->profile, decoded, piece);
+        (void)vc_profile_load(surface->profile, decoded, piece);
+    }
+    while (vc_profile_load(surface->profile, NULL, 0)) {
     }
     free(decoded);
 }

@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Callable
+from pathlib import Path
 
 from vibrocast.firmware.build import build
 from vibrocast.firmware.elf import Elf
@@ -55,6 +56,7 @@ _TOGETHER_TICKS = _TOGETHER_BYTES * 1000 * _TICKS_PER_MS * 10 // 921_600
 class Stm32F405(Board):
     """A controller (simulated_device.device.Device): the firmware built for `stm32f405` on an emulated board.
 
+    `actuator`: a C source with the actuator, as firmware.build takes it; None = the port's.
     `flash`: FLASH_BYTES bytes, in which images outlive this object; None = a blank one. A file behind it is not
     written. `on_dac`: called with each run of the DAC's output, int16 (n, 2), 0 = the middle of its range. `drift_ppm`:
     how much faster than true time its clock runs.
@@ -69,10 +71,11 @@ class Stm32F405(Board):
         flash: FlashMemory | None = None,
         on_dac: Callable[[Codes], None] | None = None,
         drift_ppm: int = 0,
+        actuator: Path | None = None,
     ) -> None:
         self._flash = flash or FlashMemory(FLASH_BYTES, sector_bytes=1 << 14)
         processor = Processor(
-            Elf(build("stm32f405")),
+            Elf(build("stm32f405", actuator=actuator)),
             "M4",
             _MEMORIES,
             (_FLASH, self._flash),

@@ -19,6 +19,7 @@ from tests import lint
 from vibrocast import codec, pages, textures
 from vibrocast.evaluation import cost, points
 from vibrocast.harness.latency import MinLatency
+from vibrocast.output.actuator import VOICE_COIL
 from vibrocast.simulated_device.serial_port import has_pseudo_terminals
 
 ROOT = Path(__file__).parents[2]
@@ -107,6 +108,7 @@ CASES = (
         ),
         marks=needs_terminals,
     ),
+    Case("board_latency", {"board_latency": 7}, constants={"ACTUATORS": (VOICE_COIL,)}, page="latency"),
 )
 
 

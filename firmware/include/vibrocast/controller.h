@@ -6,7 +6,9 @@
  * - Call a controller from one thread: the main loop or a task, which interrupts reach through rings (ring.h). Two
  *   controllers share nothing.
  * - It calls the functions of settings.h before it returns. They must not call it.
- * - A call takes as long as decoding a block, or as a command of the flash.
+ * - A call takes as long as decoding a block. Only at rest may it take longer: as long as erasing flash, or as
+ *   hashing and checking a model image, some 0.4 ms for each kB on a Cortex-M4 at 168 MHz. A Stop then waits, and
+ *   there is nothing to stop.
  * - Stack: 5.6 kB hold a controller of one codec and one channel on a Cortex-M4F (docs/benchmarks/firmware.md). More
  *   channels take more.
  */

@@ -64,9 +64,10 @@ size_t vc_profile_size(uint32_t samples, uint32_t channels);
 void vc_profile_init(vc_profile *profile, uint32_t samples_per_metre, uint32_t samples, uint32_t channels,
                      uint32_t dac_rate_hz);
 
-/* Takes the next decoded samples; any beyond `samples` are ignored. After the last it makes the octaves, which takes
- * about 60 multiplications for each sample. */
-void vc_profile_load(vc_profile *profile, const int16_t *decoded, uint32_t samples);
+/* Takes the next decoded samples; any beyond `samples` are ignored. With the last it begins to make the octaves, 256
+ * heights a call, of about 60 multiplications each. Returns nonzero as long as it is making them: call it again, with
+ * no samples. */
+int vc_profile_load(vc_profile *profile, const int16_t *decoded, uint32_t samples);
 
 /* States that the output is at rest: rendering fades in at the place where the hand then is. */
 void vc_profile_begin(vc_profile *profile);
@@ -77,7 +78,7 @@ void vc_profile_begin(vc_profile *profile);
 int vc_profile_position(vc_profile *profile, uint64_t time_us, int64_t position_nm);
 
 /* Writes one sample of each channel: the heights under the smoothed hand at this time, a DAC sample after the last one.
- * Without a position they are 0. All samples must have been loaded. */
+ * Without a position they are 0. All samples must have been loaded, and the octaves made. */
 void vc_profile_render(vc_profile *profile, uint64_t time_us, int16_t *heights);
 /* cffi: end */
 

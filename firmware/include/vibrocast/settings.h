@@ -105,6 +105,8 @@ typedef struct {
  * dac_bits. `samples`: 1 to 32. `channels`: those of the stream. `codes` belong to the controller and are valid during
  * the call. `due_us`: the controller's time at which the first of them was due; a port that plays them some time later
  * never runs out of codes while the next ones are being decoded.
+ * `begin` states the length of the packets of the stream that comes next, in microseconds: a controller that keeps up
+ * never leaves the port without codes for longer. NULL: no need to know.
  * `drop` throws away the codes that wait to be played, at a Stop: those that follow begin at another level, to which
  * the port fades from that of its output. NULL: none ever wait.
  * `count` fills in the counts, which begin at 0. NULL: they stay 0.
@@ -113,6 +115,7 @@ typedef struct {
  * vc_controller_advance while a stream plays. NULL: it never fails. */
 typedef struct {
     void (*play)(void *context, const int16_t *codes, uint32_t samples, unsigned channels, uint64_t due_us);
+    void (*begin)(void *context, uint32_t packet_us);
     void (*drop)(void *context);
     void (*count)(void *context, vc_output_counts *counts);
     int (*has_failed)(void *context);

@@ -4,11 +4,12 @@
 #include "vibrocast/port.h"
 
 #define CHANNELS VC_PACED_CHANNELS
-#define LEAST_LAG_MS 4
-#define CAPACITY 4096u /* samples; a power of two */
-#define SPARE 64u      /* samples beyond the lag: the ramp to rest comes at once, in one piece */
-#define FADE_MS 20     /* to rest, and back, where samples are missing or dropped: a Stop is at rest in 30 ms */
-#define ONE 32768      /* of the parts of a fade: the difference of two samples of 16 bits, times this, fits */
+#define SHORTEST_LAG_US 1000
+#define LONGEST_LAG_US 4000 /* before any sample came late */
+#define CAPACITY 4096u      /* samples; a power of two */
+#define SPARE 64u           /* samples beyond the lag: the ramp to rest comes at once, in one piece */
+#define FADE_MS 20          /* to rest, and back, where samples are missing or dropped: a Stop is at rest in 30 ms */
+#define ONE 32768           /* of the parts of a fade: the difference of two samples of 16 bits, times this, fits */
 
 /* Written by the loop. */
 static int16_t ring[CAPACITY][CHANNELS] VC_CORE_MEMORY;
@@ -38,7 +39,7 @@ void vc_paced_start(uint32_t sample_rate_hz, int bits_less)
 {
     shift = bits_less;
     rate_hz = sample_rate_hz;
-    lag_samples = least_lag_samples = samples_in(LEAST_LAG_MS * 1000);
+    lag_samples = least_lag_samples = samples_in(LONGEST_LAG_US);
     fade_samples = (int32_t)samples_in(FADE_MS * 1000) + 1;
     fade_part = ONE / fade_samples;
 }
@@ -131,6 +132,15 @@ static void play(void *context, const int16_t *codes, uint32_t samples, unsigned
     keep_lag();
 }
 
+static void begin(void *context, uint32_t packet_us)
+{
+    const uint32_t lag_us = packet_us < SHORTEST_LAG_US ? SHORTEST_LAG_US : packet_us;
+    (void)context;
+    least_lag_samples = samples_in(lag_us < LONGEST_LAG_US ? lag_us : LONGEST_LAG_US);
+    if (put == taken)
+        lag_samples = least_lag_samples;
+}
+
 /* The output goes to rest from the next interrupt on. */
 static void drop(void *context)
 {
@@ -156,7 +166,7 @@ static void count(void *context, vc_output_counts *filled)
     __asm volatile("cpsie i" ::: "memory");
 }
 
-const vc_dac_port vc_paced_dac = {.play = play, .drop = drop, .count = count};
+const vc_dac_port vc_paced_dac = {.play = play, .begin = begin, .drop = drop, .count = count};
 
 const int32_t *vc_paced_rest(void)
 {

@@ -1,9 +1,9 @@
 /* Samples that wait for the interrupt of a board's sample clock, on two channels.
  *
- * The loop hands on no sample while it decodes a block. So the output lags the controller's clock: by 4 ms plus twice
- * the time by which the stream's first sample came late, as far as there is room. If samples come later than that, the
- * output goes to rest, fades back into the stream, and sets the lag again. A Stop drops the samples that wait, so the
- * lag does not delay it.
+ * The loop hands on no sample while it decodes a block. So the output lags the controller's clock by the length of a
+ * packet, at least 1 ms and at most 4 ms. Twice the time by which the stream's first sample came late is added, as far
+ * as there is room. If samples come later than that, the output goes to rest, fades back into the stream, and sets the
+ * lag again. A Stop drops the samples that wait, so the lag does not delay it.
  */
 #ifndef VIBROCAST_PACED_OUTPUT_H
 #define VIBROCAST_PACED_OUTPUT_H

@@ -237,6 +237,15 @@ static void describe(vc_playback *playback, uint8_t stream, const vc_stream_head
     vc_decoder_init(&playback->decoder, &playback->coding);
 }
 
+/* The length of a packet; no limit for a profile, whose packets have none. */
+static uint32_t packet_us(const vc_playback *playback)
+{
+    return playback->spatial
+               ? UINT32_MAX
+               : (uint32_t)least((uint64_t)playback->coding.packet_samples * 1000000 / playback->output.rate_hz,
+                                 UINT32_MAX);
+}
+
 void vc_playback_init(vc_playback *playback, const vc_configure *configure, const vc_stream_header *header,
                       const vc_coding *coding)
 {
@@ -272,6 +281,8 @@ void vc_playback_init(vc_playback *playback, const vc_configure *configure, cons
     hold_samples = vc_drive_samples(drive_of(playback), delay_samples);
     vc_dac_init(&playback->dac, playback->actuator, &playback->output, configure->gain_float_bits,
                 configure->compensation, hold_samples);
+    if (playback->dac_port->begin != NULL)
+        playback->dac_port->begin(playback->dac_port->context, packet_us(playback));
     if (playback->dac_port->count != NULL)
         playback->dac_port->count(playback->dac_port->context, &playback->counts_before);
     for (tap = 0; tap < 2; tap++) {
@@ -388,21 +399,26 @@ static uint32_t takeable(const vc_playback *playback)
     return end > playback->decoded_at ? end - playback->decoded_at : 0;
 }
 
-/* Decodes the next block of a profile into it, if its packet is there. */
-static void load_block(vc_playback *playback)
+static int has_packet(const vc_playback *playback)
 {
     size_t length;
+    return vc_packet_buffer_find(&playback->buffer, playback->key + playback->next, &length) != NULL;
+}
+
+/* Decodes the next block of a profile into it, if its packet is there. Returns whether the profile is whole. */
+static int load_block(vc_playback *playback)
+{
     uint32_t samples;
-    if (!playback->decoding &&
-        vc_packet_buffer_find(&playback->buffer, playback->key + playback->next, &length) == NULL)
-        return;
-    (void)decode_block(playback);
+    int making;
+    if (playback->decoding || has_packet(playback))
+        (void)decode_block(playback);
     samples = takeable(playback);
-    vc_profile_load(playback->profile,
-                    playback->decoded + (size_t)playback->decoded_at * playback->header.output.channels, samples);
+    making =
+        vc_profile_load(playback->profile,
+                        playback->decoded + (size_t)playback->decoded_at * playback->header.output.channels, samples);
     playback->decoded_at += samples;
-    playback->behind =
-        playback->decoding || vc_packet_buffer_find(&playback->buffer, playback->key + playback->next, &length) != NULL;
+    playback->behind = playback->decoding || has_packet(playback) || making;
+    return playback->next == playback->packets && !playback->decoding && !making;
 }
 
 /* The packets of the next stream that credit reaches. */
@@ -608,12 +624,13 @@ static uint32_t pending_samples(const vc_playback *playback)
     return (uint32_t)scaled_up(drive, rate_hz, dac_rate_hz);
 }
 
-static void begin_if_ready(vc_playback *playback, uint64_t time_us)
+/* `loaded`: a profile is whole. */
+static void begin_if_ready(vc_playback *playback, int loaded, uint64_t time_us)
 {
     const uint64_t buffered = (playback->newest_end - playback->next) * playback->coding.packet_samples;
     const int full = credit_of(playback) - playback->next == playback->buffer.count;
     const int waits = playback->spatial
-                          ? playback->next < playback->packets || playback->decoding
+                          ? !loaded
                           : buffered < playback->prebuffer_samples && playback->newest_end != end_of(playback) &&
                                 !full && time_us - playback->waiting_since_us <= LONGEST_WAIT_US;
     if (waits) {
@@ -667,11 +684,12 @@ int vc_playback_advance(vc_playback *playback, uint64_t time_us)
 {
     unsigned pieces = 0;
     uint64_t due, begun;
+    int loaded = 0;
     playback->polled = playback->behind = 0;
     if (playback->spatial && playback->state >= VC_STATE_BUFFERING && playback->state <= VC_STATE_PAUSED)
-        load_block(playback);
+        loaded = load_block(playback);
     if (playback->state == VC_STATE_ARMED)
-        begin_if_ready(playback, time_us);
+        begin_if_ready(playback, loaded, time_us);
     begun = playback->clock_samples;
     due = scaled(time_us - playback->clock_from_us, playback->actuator->dac_rate_hz, US_PER_S) - begun;
     while (due > 0) {

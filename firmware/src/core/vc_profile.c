@@ -24,8 +24,9 @@
 #define TAPS VC_RESAMPLER_TAPS
 #define HALF_TAPS (TAPS / 2)
 #define CROSSING_BITS 22
-#define BAND_256 223u /* 0.87 in 1/256 */
-#define HEIGHT_BITS 8 /* of interpolated heights */
+#define BAND_256 223u       /* 0.87 in 1/256 */
+#define HEIGHT_BITS 8       /* of interpolated heights */
+#define HEIGHTS_A_CALL 256u /* of the octaves */
 
 /* The number of octaves down to the one whose band ends below half the DAC's rate at 600 mm/s. */
 static uint32_t octaves_of(uint32_t samples_per_metre, uint32_t dac_rate_hz)
@@ -89,18 +90,18 @@ static void continue_end(vc_profile *profile, uint32_t octave)
         heights[count + at] = heights[at];
 }
 
-/* Makes an octave from the one above it. */
-static void decimate(vc_profile *profile, uint32_t octave)
+/* Makes the next samples of an octave from the one above it. */
+static void decimate(vc_profile *profile, uint32_t octave, uint32_t samples)
 {
     const uint32_t channels = profile->channels, length = profile->period >> (octave - 1);
     const int16_t *above = profile->heights + (size_t)profile->first[octave - 1] * channels;
-    int16_t *made = profile->heights + (size_t)profile->first[octave] * channels;
+    int16_t *made = profile->heights + (size_t)(profile->first[octave] + profile->made) * channels;
     const uint32_t half = VC_OCTAVE_FILTER_TAPS;
     int64_t whole = vc_octave_filter[0];
     uint32_t at, i, tap;
     for (tap = 1; tap < half; tap++)
         whole += 2 * vc_octave_filter[tap];
-    for (at = 0; at < length; at += 2)
+    for (at = 2 * profile->made; at < 2 * (profile->made + samples); at += 2)
         for (i = 0; i < channels; i++) {
             uint32_t before = at, behind = at;
             int64_t sum = (int64_t)vc_octave_filter[0] * above[(size_t)at * channels + i];
@@ -112,26 +113,33 @@ static void decimate(vc_profile *profile, uint32_t octave)
             }
             *made++ = limited_sample((sum + (sum < 0 ? -whole : whole) / 2) / whole);
         }
+    profile->made += samples;
 }
 
-void vc_profile_load(vc_profile *profile, const int16_t *decoded, uint32_t samples)
+/* Makes the next piece of the octaves. Returns whether more is to be made. */
+static int make_octaves(vc_profile *profile)
+{
+    const uint32_t missing = (profile->period >> profile->octave) - profile->made;
+    const uint32_t most = HEIGHTS_A_CALL / profile->channels;
+    if (profile->octave > 0)
+        decimate(profile, profile->octave, missing < most ? missing : most);
+    if (profile->octave == 0 || missing <= most) {
+        continue_end(profile, profile->octave++);
+        profile->made = 0;
+    }
+    return profile->octave < profile->octaves;
+}
+
+int vc_profile_load(vc_profile *profile, const int16_t *decoded, uint32_t samples)
 {
     const uint32_t missing = profile->samples - profile->loaded, channels = profile->channels;
-    uint32_t octave;
-    if (missing == 0)
-        return;
     if (samples > missing)
         samples = missing;
-    memcpy(profile->heights + (size_t)profile->loaded * channels, decoded,
-           (size_t)samples * channels * sizeof *decoded);
+    if (samples > 0)
+        memcpy(profile->heights + (size_t)profile->loaded * channels, decoded,
+               (size_t)samples * channels * sizeof *decoded);
     profile->loaded += samples;
-    if (profile->loaded < profile->samples)
-        return;
-    continue_end(profile, 0);
-    for (octave = 1; octave < profile->octaves; octave++) {
-        decimate(profile, octave);
-        continue_end(profile, octave);
-    }
+    return profile->loaded == profile->samples && profile->octave < profile->octaves && make_octaves(profile);
 }
 
 /* ---- the path of the hand ---- */

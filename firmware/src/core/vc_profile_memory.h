@@ -20,6 +20,7 @@ typedef struct {
 struct vc_profile {
     uint32_t samples_per_metre, samples, channels;
     uint32_t loaded;
+    uint32_t octave, made;              /* the octave that is being made, and its samples so far */
     uint32_t octaves, period;           /* samples after which the profile repeats */
     uint32_t first[VC_PROFILE_OCTAVES]; /* of each octave, in samples from the first */
     /* The path of the hand. */

@@ -21,6 +21,7 @@ from tests.firmware.boards import (
     rate_controlled,
     session,
 )
+from tests.simulated_device.test_profile import coded as coded_profile
 from vibrocast import models
 from vibrocast.device_protocol import messages
 from vibrocast.device_protocol.frames import write_frame
@@ -251,3 +252,17 @@ def test_image_that_a_processor_would_stop_is_an_error_that_says_where() -> None
     device.processor.unicorn.reg_write(arm_const.UC_ARM_REG_PC, 0x6000_0000)
     with pytest.raises(EmulationError, match=r"stopped at 0x6.*: there is nothing at 0x60000000"):
         device.advance(1000)
+
+
+def test_bytes_wait_no_longer_than_for_a_block_while_a_profile_is_loaded() -> None:
+    device = Stm32F405()
+    link, host = session(device)
+    profile = coded_profile(2)
+    host.request(messages.Configure(1, profile.header.pack(), 0, packets=len(profile.packets)), messages.Status)
+    for packet in profile.packets:
+        host.send(messages.StreamData(1, 0, (packet,)))
+        link.sleep(0.02)
+    assert device.longest_turn_us() < 2500
+    host.request(messages.Start(0), messages.Status)
+    link.sleep(0.1)
+    assert host.request(messages.StatusRequest(), messages.Status).state == messages.State.PLAYING
