@@ -13,7 +13,7 @@ import numpy as np
 from vibrocast import codec, extras, models
 from vibrocast.codec import Decoded, Stream
 from vibrocast.evaluation import trained
-from vibrocast.firmware.build import FLAGS, M0_PLUS, M4F, M7, M33, ROOT, cortex_m_flags
+from vibrocast.firmware.build import FLAGS, M0_PLUS, M3, M4F, M7, M33, ROOT, cortex_m_flags
 from vibrocast.firmware.elf import Elf
 from vibrocast.firmware.native_core import BuildError
 from vibrocast.models import Model
@@ -26,6 +26,7 @@ try:
 except ModuleNotFoundError as error:
     raise SystemExit(str(extras.explained(error) or error)) from error
 
+ZIG = (sys.executable, "-m", "ziglang", "cc")
 DECODERS = ("mdct", "dct", "slp", "eva-16", "eva-128", "parametric")
 """Codecs, and families of models that ship."""
 DECODE, DECODE_IN_BLOCKS = (
@@ -67,6 +68,8 @@ CORES = {
     "M0+": Core("Cortex-M0+", 133e6, cortex_m_flags(M0_PLUS), arm_const.UC_CPU_ARM_CORTEX_M0),
 }
 """With the clocks of an STM32F405, an STM32H743, an RP2350 and an RP2040."""
+CORTEX_M3 = Core("Cortex-M3", 72e6, cortex_m_flags(M3), arm_const.UC_CPU_ARM_CORTEX_M3)
+"""With the clock of an STM32F103."""
 
 RISC_V = Core(
     "RV32IMC",
@@ -100,11 +103,12 @@ def compile_core(
     defines: Mapping[str, int] | None = None,
     options: Sequence[str] = (),
     further: Sequence[Path] = (),
+    compiler: Sequence[str] = ZIG,
 ) -> Path:
     """Link functions of the core's decoders, all that they need and nothing else; return the program, `output`.
 
     `defines`: macros and their values. `options`: further ones of the compiler. `further`: sources besides the core's.
-    Raises BuildError and MissingExtraError.
+    `compiler`: zig, or another one that takes the flags of `core`. Raises BuildError and MissingExtraError.
     """
     extras.require("firmware", "ziglang")
     script = output.with_suffix(".ld")
@@ -116,7 +120,7 @@ def compile_core(
     sources = [str(path) for path in sorted((ROOT / "src" / "core").glob("*.c")) if not path.stem.endswith("_encoder")]
     sources += map(str, further)
     given = [*FLAGS, *core.flags, f"-I{ROOT / 'include'}", *options, "-Wl,--entry=0", "-T", str(script)]
-    command = [sys.executable, "-m", "ziglang", "cc", *given, *roots, *defined, *sources, "-o", str(output)]
+    command = [*compiler, *given, *roots, *defined, *sources, "-o", str(output)]
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
         raise BuildError(f"the core cannot be compiled for {core.title}:\n{done.stderr}")

@@ -2,12 +2,12 @@
 
 import struct
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from studies import page, worst_case
-from studies.emulated_core import CORES, RISC_V, Core, EmulatedCore, codec_of, compile_core
+from studies.emulated_core import CORES, RISC_V, ZIG, Core, EmulatedCore, codec_of, compile_core
 from vibrocast.device_protocol.coded_stream import pack_file
 from vibrocast.evaluation import points
 from vibrocast.firmware.build import ROOT, only, size
@@ -48,13 +48,13 @@ class Cost:
     load_percent: float | None
 
 
-def compile_decoder(output: Path, processor: Core, codec_name: str) -> Path:
+def compile_decoder(output: Path, processor: Core, codec_name: str, compiler: Sequence[str] = ZIG) -> Path:
     """Link the decoder of one codec with the reader of files, -Os; return the program. Raises as compile_core."""
     options, further = ("-Os", "-g1", "-Wl,--gc-sections"), [Path(__file__).with_name("array_reader.c")]
-    if processor.arm:
+    if processor.arm or compiler != ZIG:
         further.append(ROOT / "ports" / "cortex_m" / "memory.c")  # memcpy and memset as boards have them
     switches = {"VC_MAX_CHANNELS": 1, **only(codec_name.upper())}
-    return compile_core(output, processor, _FUNCTIONS, switches, options, further)
+    return compile_core(output, processor, _FUNCTIONS, switches, options, further, compiler)
 
 
 def run(core: EmulatedCore, processor: Core, file: bytes, image: bytes | None) -> tuple[int, float]:

@@ -21,7 +21,12 @@ _COUNT = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.POINTER(ctypes.c_uint32)
 class DacPort(ctypes.Structure):
     """The structure vc_dac_port of settings.h."""
 
-    _fields_ = (("play", _PLAY), ("drop", ctypes.c_void_p), ("count", _COUNT), ("rest", ctypes.c_void_p * 2))
+    _fields_ = (
+        ("play", _PLAY),
+        *((name, ctypes.c_void_p) for name in ("begin", "drop")),
+        ("count", _COUNT),
+        *((name, ctypes.c_void_p) for name in ("has_failed", "context")),
+    )
 
 
 class Chip:
