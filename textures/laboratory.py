@@ -52,7 +52,7 @@ def _read_tdms(path: Path, key: str | None) -> Table:
             groups |= {f"{group.name}/{channel.name}": [channel] for channel in channels}
         names = [name for name, channels in groups.items() if channels[0].group_name == name]
         chosen = groups[key] if key in groups else groups[arrays.chosen_key(names, key, path)]
-        _reject_too_large(sum(map(len, chosen)), path)
+        _reject_too_large(8 * sum(map(len, chosen)), path)
         steps = {float(each.properties.get("wf_increment", 0.0)) for each in chosen}
         columns = [(each.name, each.properties.get("unit_string"), each[:]) for each in chosen]
         return _table(columns, steps, path)
@@ -62,6 +62,7 @@ def _read_lvm(path: Path, key: str | None) -> Table:
     import lvm_read
 
     # Its `read` would unpickle a file next to this one.
+    _reject_too_large(path.stat().st_size, path)
     told = lvm_read.read_str(path.read_text(encoding="utf-8", errors="ignore"))
     segments = {str(number): told[number] for number in range(told["Segments"])}
     segment = segments[arrays.chosen_key(list(segments), key, path)]
@@ -81,6 +82,7 @@ def _read_lvm(path: Path, key: str | None) -> Table:
 def _read_xdf(path: Path, key: str | None) -> Table:
     import pyxdf
 
+    _reject_too_large(path.stat().st_size, path)  # all of its streams are read
     streams, _ = pyxdf.load_xdf(str(path))
     signals = {stream["info"]["name"][0]: stream for stream in streams if isinstance(stream["time_series"], np.ndarray)}
     stream = signals[arrays.chosen_key(list(signals), key, path)]
@@ -107,7 +109,7 @@ def _read_bag(path: Path, key: str | None) -> Table:
             name: f"a {topic.msgtype or 'mixture'}" for name, topic in reader.topics.items() if name not in topics
         }
         chosen = topics[arrays.chosen_key(list(topics), key, path, others)]
-        _reject_too_large(4 * chosen.msgcount, path)
+        _reject_too_large(8 * 4 * chosen.msgcount, path)
         place, unit = _VECTORS[str(chosen.msgtype)]
         rows = np.array(list(_vectors(reader, chosen.connections, place))).reshape(-1, 4)
     columns: list[Column] = [("time", "s", rows[:, 0] - rows[:1, 0].sum())]
@@ -144,9 +146,9 @@ def _table(columns: list[Column], steps_s: set[float], path: Path) -> Table:
     return Table(values, names, units, None, 1 / step_s if step_s > 0 else None)
 
 
-def _reject_too_large(count: int, path: Path) -> None:
-    if lack := shortage(8 * count):
-        raise TextureError(f"{path}: {count} samples, which {lack}")
+def _reject_too_large(stated_bytes: int, path: Path) -> None:
+    if lack := shortage(stated_bytes):
+        raise TextureError(f"{path}: {lack}")
 
 
 SUFFIXES: dict[str, Callable[[Path, str | None], Table]] = {

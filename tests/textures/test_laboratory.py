@@ -123,6 +123,15 @@ def test_an_unknown_key_is_rejected_with_the_known_ones(tmp_path: Path, name: st
         load(tmp_path / name, key="nothing")
 
 
+@pytest.mark.parametrize("suffix", [".lvm", ".xdf"])
+def test_a_file_that_its_parser_reads_whole_must_fit_into_memory(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"large{suffix}"
+    with path.open("wb") as file:
+        file.truncate(2**42)
+    with pytest.raises(TextureError, match="GiB of memory"):
+        load(path)
+
+
 def test_a_channel_of_tdms_is_chosen(tmp_path: Path) -> None:
     write_tdms(tmp_path / "a.tdms")
     recording = load(tmp_path / "a.tdms", key="acc/y")
