@@ -17,6 +17,7 @@ from vibrocast.codec.encoding import DEFAULT_SNR_DB, DEFAULT_STREAM_RATE_HZ
 from vibrocast.codec.rate_control import RateTarget
 from vibrocast.codec.stream import MAX_GAIN_DB
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
+from vibrocast.device_protocol.model_image import ACTUATOR_IDENTIFIER, ModelImage
 from vibrocast.host import devices
 from vibrocast.host.bench_file import Bench, BenchController, read_bench
 from vibrocast.host.cli.answers import wants_json
@@ -53,20 +54,26 @@ def judge(bench: Bench | None, figures: Sequence[Value], texture: str = "") -> N
         fail(judged(figures, misses, "state others under [limits] in a bench file, for --bench"))
 
 
-def chosen_model(ctx: click.Context, param: click.Parameter, value: str | None) -> models.Model | None:
-    """Return the model of that name, folder or image file, or raise click.BadParameter with what to do."""
+def chosen_image(ctx: click.Context, param: click.Parameter, value: str | None) -> models.Model | None:
+    """Return the model of that name, folder or image file, or the image of an actuator in a TOML file.
+
+    Raises click.BadParameter with what to do, and InputError.
+    """
+    if value is not None and Path(value).suffix == ".toml":
+        actuator = actuator_files.find(value)
+        return models.Model(actuator.name, Path(value), actuator_constants.image(actuator))
     try:
         return None if value is None else models.find(value)
     except models.ModelError as error:
         raise click.BadParameter(str(error), ctx, param) from error
 
 
-def chosen_image(ctx: click.Context, param: click.Parameter, value: str | None) -> models.Model | None:
-    """Return what `chosen_model` does, or the image of an actuator in a TOML file. Raises InputError, too."""
-    if value is None or Path(value).suffix != ".toml":
-        return chosen_model(ctx, param, value)
-    actuator = actuator_files.find(value)
-    return models.Model(actuator.name, Path(value), actuator_constants.image(actuator))
+def chosen_model(ctx: click.Context, param: click.Parameter, value: str | None) -> models.Model | None:
+    """Return what `chosen_image` does, unless that is an actuator."""
+    model = chosen_image(ctx, param, value)
+    if model is not None and ModelImage.unpack(model.image).codec_identifier == ACTUATOR_IDENTIFIER:
+        raise click.BadParameter(f"{value} holds an actuator and no model; upload it", ctx, param)
+    return model
 
 
 def chosen_bench(ctx: click.Context, param: click.Parameter, value: Path | None) -> Bench | None:

@@ -49,6 +49,17 @@ def test_one_thing_is_done_at_a_time(arguments: list[str]) -> None:
     assert "give" in fails(2, "upload", *arguments)
 
 
+def test_an_actuator_is_uploaded_signed_and_no_model(board: str, tmp_path: Path) -> None:
+    own, signed = tmp_path / "own.toml", tmp_path / "own.vcmi"
+    own.write_text('name = "own"\nmodel = "piezo-stack"\nvolts_limit = 70\n')
+    assert "own 1 runs from slot 0" in succeeds("upload", own, "--device", board)
+    assert answer("status", "--device", board)["actuator"]["name"] == "own"
+    succeeds("keys", "new", tmp_path / "key.pem")
+    succeeds("keys", "sign", own, "--key", tmp_path / "key.pem", "--number", 1, "--out", signed)
+    for given in (own, signed):
+        assert "holds an actuator and no model" in fails(2, "decode", tmp_path / "a.vct", "a.wav", "--model", given)
+
+
 def test_nothing_to_go_back_to_is_an_error() -> None:
     assert "no other slot holds a verified model image; upload one" in fails(1, "upload", "--rollback")
 
