@@ -248,7 +248,7 @@ def vibrocast_wire(
 
     `damage(lost=0.02, delay_ms=30, seed=1)` takes the keys of a table of faults: `lost`, `flipped`, `doubled`,
     `swapped`, `delay_ms`, `jitter_ms`, `bits_per_second`, `direction`. `damage()` repairs it.
-    `pull_cable(0.5, after_s=1.5)` pulls the cable for 0.5 s, while what the test does in 1.5 s is under way.
+    `pull_cable(0.5, after_s=1.5)` pulls the cable for 0.5 s, 1.5 s after the next byte that the test sends.
     """
     import contextlib
     import time

@@ -291,6 +291,7 @@ class FaultyTransport(Closing):
         self._there, self._back = _Direction("to_controller", 0), _Direction("to_host", 1)
         self._transport = transport
         self._out_from_s = self._out_until_s = 0.0
+        self._pull: tuple[float, float] | None = None  # of a cable that is to be pulled
 
     def damage(self, *, seed: int = 0, **faults: Any) -> None:
         """From now on, have these faults of a Fault, such as `lost` or `delay_ms`; without arguments, none.
@@ -304,9 +305,16 @@ class FaultyTransport(Closing):
             way.change([replace(fault, lost=0.0, flipped=0.0, doubled=0.0, swapped=0.0)])
 
     def pull_cable(self, seconds: float, after_s: float = 0.0) -> None:
-        """Pull the cable after a time, and plug it in again `seconds` later."""
-        self._out_from_s = self.clock() + after_s
-        self._out_until_s = self._out_from_s + seconds
+        """Pull the cable `after_s` after the host's next byte, 0 = now, and plug it in again `seconds` later."""
+        self._pull = after_s, seconds
+        if not after_s:
+            self._begin_pull()
+
+    def _begin_pull(self) -> None:
+        if self._pull is not None:
+            after_s, seconds = self._pull
+            self._out_from_s = self.clock() + after_s
+            self._out_until_s, self._pull = self._out_from_s + seconds, None
 
     def __getattr__(self, name: str) -> Any:
         """Return what else the transport has, such as its file."""
@@ -314,6 +322,7 @@ class FaultyTransport(Closing):
 
     def write(self, data: bytes) -> None:
         """Send all of `data`. Raises TransportError."""
+        self._begin_pull()
         self._need_cable()
         self._there.put(data if self.to_controller is None else self.to_controller.carry(data), 0)
         self._hand_on()
