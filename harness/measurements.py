@@ -49,15 +49,15 @@ class Together:
 
 def subject(bench: Bench, session: Session) -> Subject:
     """Return what a run measures on a session with the first controller of the bench. Raises InputError."""
-    sensors = [each for each in bench.sensors if each.controller == bench.first.name and each.channel == 1]
-    record = recorder(sensors[0]) if sensors else None
-    if record is not None and sensors[0].kind == "loop-back":
+    sensor = bench.sensor
+    record = None if sensor is None else recorder(sensor)
+    if record is not None and sensor is not None and sensor.kind == "loop-back":
         record = behind(record, session.skin)
     return Subject(
         session,
         record,
-        sensors[0].name if sensors else "",
-        bool(sensors) and isinstance(sensors[0], InputSensor),
+        "" if sensor is None else sensor.name,
+        isinstance(sensor, InputSensor),
         bench.scene(),
     )
 

@@ -213,6 +213,11 @@ class Bench:
         """The controller under test."""
         return self.controllers[0]
 
+    @property
+    def sensor(self) -> Sensor | None:
+        """The sensor on the first channel of the controller under test; None where there is none."""
+        return next((each for each in self.sensors if (each.controller, each.channel) == (self.first.name, 1)), None)
+
     def actuator(self, controller: str) -> Actuator | None:
         """Return the model of the actuator on the first channel; None where the bench file says nothing of it."""
         models = {each.channel: each.model for each in self.actuators if each.controller == controller}

@@ -16,6 +16,9 @@ from vibrocast.host.figures import FIGURES, Value, lost_percent
 from vibrocast.host.skin_quality import SkinQuality
 from vibrocast.output.sound_card import CardUse
 
+UP_TO_DAC_CALL = "checked up to the call of the DAC function"
+"""How far a comparison with the controller's capture reaches, in words: the port and all behind it are out of sight."""
+
 
 def _versions() -> dict[str, str]:
     return {

@@ -78,14 +78,14 @@ def judge(mutant: Mutant | None, suite: str) -> Verdict:
 
 def _conformance(folder: Path) -> Verdict:
     """Run the conformance suite on a controller as a process. It compares decoders with those without the fault."""
-    report = folder / "report"
+    report = folder / "report" / "conformance.json"
     start = "from vibrocast.host.cli.entry import main; main()"
-    ended = _run(folder, "-c", start, "conformance", "--device", "host", "--out", str(report))
+    ended = _run(folder, "-c", start, "conformance", "--device", "host", "--out", str(report.parent))
     if ended.returncode == 0:
         return Verdict(False, "")
     if not report.exists():
         return Verdict(ended.returncode == 2, ended.stderr.strip().splitlines()[-1])
-    requirements = json.loads((report / "conformance.json").read_text(encoding="utf-8"))["requirements"]
+    requirements = json.loads(report.read_text(encoding="utf-8"))["requirements"]
     if ended.returncode == HOST_BUSY:
         return Verdict(False, "this machine was busy")
     return Verdict(True, next((each["test"] for each in requirements if each["outcome"] == "fail"), "it was lost"))

@@ -11,12 +11,14 @@ from rich.table import Table
 from vibrocast import errors, progress
 from vibrocast.files import plain
 from vibrocast.host import devices
+from vibrocast.host.bench_file import InputSensor, choose_controller, read_bench
 from vibrocast.host.cli.answers import add, tell, wants_json
-from vibrocast.host.cli.option_types import FOLDER
+from vibrocast.host.cli.option_types import FOLDER, INPUT
 from vibrocast.host.cli.options import device_option
 
 if TYPE_CHECKING:
     from vibrocast.harness.conformance import Report
+    from vibrocast.harness.sensors import Recorder
 
 
 @click.command()
@@ -24,7 +26,13 @@ if TYPE_CHECKING:
 @click.option("--out", type=FOLDER, help="Write the report into this folder. Default: none is written.")
 @click.option("--no-flash", is_flag=True, help="Write no model image; requirements on them are not applicable.")
 @click.option("--quick", is_flag=True, help="Leave out tests that take more than a second.")
-def conformance(address: str, out: Path | None, no_flash: bool, quick: bool) -> None:
+@click.option(
+    "--recorder",
+    type=INPUT,
+    metavar="FILE",
+    help="Compare the real output too. A file of a port's DAC codes, or a bench file with a sensor.",
+)
+def conformance(address: str, out: Path | None, no_flash: bool, quick: bool, recorder: Path | None) -> None:
     """Test a controller against the protocol.
 
     The requirements are those of docs/reference/protocol.md. The tests play textures, and write the spare slot for
@@ -37,14 +45,27 @@ def conformance(address: str, out: Path | None, no_flash: bool, quick: bool) -> 
 
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)  # an error is better known before the tests than after
+    real_output = recorder if recorder is None or recorder.suffix != ".toml" else _sensor(recorder, address)
     try:
         with devices.reach(address) as transport:
             with progress.bar("testing") as update:
-                report = run_suite(TappedLink(transport, may_flash=not no_flash), quick, update)
+                report = run_suite(TappedLink(transport, may_flash=not no_flash, recorder=real_output), quick, update)
             _publish(report, out)  # a controller that has died may fail once more where it is closed
     except SuiteInterrupted as interruption:
         add(interruption.report.facts())
         raise
+
+
+def _sensor(bench_file: Path, address: str) -> "Recorder":
+    """Return what records by the sensor of a bench on a controller. Raises InputError."""
+    from vibrocast.harness.sensors import recorder
+
+    sensor = choose_controller(read_bench(bench_file), address).sensor
+    if not isinstance(sensor, InputSensor) or sensor.kind == "loop-back":
+        raise errors.InputError(
+            f"{bench_file}: no accelerometer or laser at an input of this computer is on channel 1 of {address}; add it to [[sensors]]"
+        )
+    return recorder(sensor)
 
 
 def _publish(report: "Report", out: Path | None) -> None:

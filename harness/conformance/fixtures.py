@@ -44,6 +44,7 @@ SECTIONS = (
     "Playing: Stop",
     "Playing: Pause, Resume, Loop and Gain",
     "Playing: Limits of the output",
+    "Playing: DAC codes",
     "Playing: Capture",
     "Model upload",
     "Model upload: FlashBegin",

@@ -16,7 +16,7 @@ from vibrocast.device_protocol.messages import PROTOCOL_MAJOR, PROTOCOL_MINOR, H
 from vibrocast.files import atomic_write, plain
 from vibrocast.harness.conformance.fixtures import SECTIONS
 from vibrocast.host import devices
-from vibrocast.host.report import Provenance
+from vibrocast.host.report import UP_TO_DAC_CALL, Provenance
 
 PAGE = "conformance.md"
 JSON = "conformance.json"
@@ -57,12 +57,14 @@ class Report:
     """The findings on a controller. `left_out`: tests that the user left out. `run`: the origin.
 
     `lost_after`: the test after which the controller could not be reached any more; empty if it always could.
+    `up_to_dac_call`: nothing recorded the real output.
     """
 
     hello: HelloResponse
     findings: tuple[Finding, ...]
     left_out: tuple[str, ...] = ()
     lost_after: str = ""
+    up_to_dac_call: bool = True
     run: Provenance = field(default_factory=Provenance)
 
     @property
@@ -95,7 +97,8 @@ class Report:
         parts = [f"{counts[outcome]} {outcome.value}" for outcome in Outcome if counts[outcome]]
         lost = f"; the controller was lost after {self.lost_after}" if self.lost_after else ""
         left_out = f"; left out: {' and '.join(self.left_out)}" if self.left_out else ""
-        return f"{self.verdict.rstrip(',')}: {', '.join(parts)}{lost}{left_out}"
+        checked = f"; {UP_TO_DAC_CALL}" if self.up_to_dac_call else ""
+        return f"{self.verdict.rstrip(',')}: {', '.join(parts)}{lost}{left_out}{checked}"
 
     def sections(self) -> list[tuple[str, list[Finding]]]:
         """Return the findings by section, in the order of the protocol's page."""
@@ -112,6 +115,7 @@ class Report:
             "conforming": self.conforming,
             "left_out": list(self.left_out),
             "lost_after": self.lost_after,
+            "up_to_dac_call": self.up_to_dac_call,
             "controller": devices.described(self.hello),
             "requirements": [
                 {**asdict(finding.requirement), "outcome": finding.outcome.value}

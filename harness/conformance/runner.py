@@ -71,7 +71,9 @@ def run_suite(
         interrupted = True
     left_out = ["tests longer than a second"] * quick
     left_out += ["tests that write model images"] * (not link.may_flash)
-    report = Report(probe.description, tuple(suite_run.all_findings()), tuple(left_out), suite_run.lost_after)
+    report = Report(
+        probe.description, tuple(suite_run.all_findings()), tuple(left_out), suite_run.lost_after, link.recorder is None
+    )
     if interrupted:
         raise SuiteInterrupted(report)
     return report

@@ -4,10 +4,12 @@ import contextlib
 import math
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 from vibrocast.device_protocol.frames import FrameReader
 from vibrocast.device_protocol.messages import Error, Message, MessageError, Status, unpack
 from vibrocast.device_protocol.transports import Transport
+from vibrocast.harness.sensors import Recorder
 from vibrocast.simulated_device.faulty_wire import FaultyTransport
 
 
@@ -16,6 +18,7 @@ class TappedLink(FaultyTransport):
 
     `clock`, `sleep`: the host's; for a transport in simulated time, its own. `restart`: takes the power from the
     controller and gives it back; None where nobody can. `may_flash`: whether slots for model images may be written.
+    `recorder`: of the real output, a sensor's or the file in which a port writes its DAC codes; None = there is none.
     `messages`: names of the types of message that passed either way, whole. `error_codes`: those of the controller.
     `late_s`: since `forget_lateness`, the most by which this machine woke up late from a wait, or by which the
     controller's clock fell behind: a Status was read late, or what runs the controller stood still.
@@ -28,12 +31,14 @@ class TappedLink(FaultyTransport):
         sleep: Callable[[float], None] = time.sleep,
         restart: Callable[[], None] | None = None,
         may_flash: bool = True,
+        recorder: Path | Recorder | None = None,
     ) -> None:
         super().__init__(transport, clock)
         self._sleep = sleep
         self.forget_lateness()
         self.restart = restart
         self.may_flash = may_flash
+        self.recorder = recorder
         self.messages: set[str] = set()
         self.error_codes: set[int] = set()
         self._sent, self._received = FrameReader(), FrameReader()

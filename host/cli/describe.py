@@ -10,7 +10,7 @@ from vibrocast.device_protocol.coded_stream import packet_sequence
 from vibrocast.host.cli.answers import wants_json
 from vibrocast.host.cli.steps import show
 from vibrocast.host.figures import FIGURES
-from vibrocast.host.report import ActuatorUse, LiveFigures, Quality, Report, Touch
+from vibrocast.host.report import UP_TO_DAC_CALL, ActuatorUse, LiveFigures, Quality, Report, Touch
 from vibrocast.host.skin_quality import SkinQuality
 from vibrocast.output.actuator import FOLLOWED_DB
 from vibrocast.output.sound_card import CardUse
@@ -42,7 +42,8 @@ def summary(report: Report, packets: str | None = None) -> dict[str, object]:
         FIGURES["as_decoded"].label: None
         if report.position
         else describe_comparison(report.decoded_equals_offline, report),
-        FIGURES["as_computed"].label: describe_comparison(report.dac_equals_offline, report),
+        FIGURES["as_computed"].label: describe_comparison(report.dac_equals_offline, report)
+        + (f", {UP_TO_DAC_CALL}" if report.dac_equals_offline else ""),
     }
     return {name: line for name, line in lines.items() if line}
 

@@ -4,8 +4,8 @@
  *
  * The first line of its output is the name that a host program opens. It ends by SIGTERM, SIGINT or SIGHUP, or when
  * its input ends. --link: another name for that, made and removed. --flash: keeps model images in a file, of one
- * process at a time. --dac: writes the codes there, int16 of this machine, channels interleaved. --drift-ppm: how much
- * faster than the system's its clock runs, within 100 000.
+ * process at a time. --dac: writes the codes there at once, int16 of this machine, channels interleaved. --drift-ppm:
+ * how much faster than the system's its clock runs, within 100 000.
  */
 #define _DEFAULT_SOURCE
 #define _XOPEN_SOURCE 700
@@ -208,7 +208,7 @@ int main(int count, char **arguments)
                 break;
         } else if (strcmp(option, "--dac") != 0)
             break;
-        else if ((dac_file = fopen(value, "wb")) == NULL)
+        else if ((dac_file = fopen(value, "wb")) == NULL || setvbuf(dac_file, NULL, _IONBF, 0) != 0)
             fail(value);
     }
     if (index != count) {

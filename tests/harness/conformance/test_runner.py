@@ -324,7 +324,7 @@ def reached(monkeypatch: pytest.MonkeyPatch) -> list[Device]:
         links.append(MemoryLink(controllers[0]))
         yield links[0]
 
-    def tapped(transport: MemoryLink, may_flash: bool) -> TappedLink:
+    def tapped(transport: MemoryLink, may_flash: bool, recorder: None) -> TappedLink:
         return TappedLink(transport, transport.clock, transport.sleep, may_flash=may_flash)
 
     monkeypatch.setattr(devices, "reach", reach)

@@ -12,6 +12,7 @@ from vibrocast.harness.conformance.test_output import *
 from vibrocast.harness.conformance.test_playing import *
 from vibrocast.harness.conformance.test_profiles import *
 from vibrocast.harness.conformance.test_queue import *
+from vibrocast.harness.conformance.test_real_output import *
 from vibrocast.harness.conformance.test_sequence_numbers import *
 from vibrocast.harness.conformance.test_states import *
 from vibrocast.harness.conformance.test_streams import *
