@@ -63,7 +63,8 @@ def _sensor(bench_file: Path, address: str) -> "Recorder":
     sensor = choose_controller(read_bench(bench_file), address).sensor
     if not isinstance(sensor, InputSensor) or sensor.kind == "loop-back":
         raise errors.InputError(
-            f"{bench_file}: no accelerometer or laser at an input of this computer is on channel 1 of {address}; add it to [[sensors]]"
+            f"{bench_file}: channel 1 of {address} has no accelerometer or laser at an input of this computer; "
+            "add one to [[sensors]]"
         )
     return recorder(sensor)
 
