@@ -136,11 +136,11 @@ def _draw_mean_curves(
 
 def plot_quality_against_ratio(path: Path, table: pl.DataFrame, title: str, scales: Sequence[Scale]) -> None:
     """Draw every recording's points, joined, and the fit to all, a panel for each quality. Raises OSError."""
-    styles = _distinct_styles(table["codec"].unique(maintain_order=True))
-    with _panels(path, title, [2.3] * len(scales), sharex=True) as (_, rows):
-        _set_rate_axis(rows[-1][0], "compression ratio against 16 bits per sample")
-        for (axes,), scale in zip(rows, scales, strict=True):
-            _set_quality_axis(axes, scale)
+    with _panels_of_pair(path, table, title, scales, "compression ratio against 16 bits per sample") as (
+        panels,
+        styles,
+    ):
+        for axes, scale in zip(panels, scales, strict=True):
             if scale in SATURATING:  # a polynomial is no curve on an axis that is spread towards 1
                 axes.set(yscale="linear", ylim=(SATURATING[scale][0], 1))
             labels = []
@@ -153,6 +153,44 @@ def plot_quality_against_ratio(path: Path, table: pl.DataFrame, title: str, scal
                     ratios, values = own.sort("compression_ratio", maintain_order=True)["compression_ratio", "value"]
                     axes.plot(ratios, _within(axes, values), color=style.colour, linewidth=0.6, alpha=0.5)
             write_beside(axes, labels)
+
+
+def plot_bd_regions(path: Path, table: pl.DataFrame, title: str, scales: Sequence[Scale]) -> None:
+    """Draw two codecs' qualities over the rate, a panel for each quality; shaded where BD-rate integrates.
+
+    Raises OSError.
+    """
+    with _panels_of_pair(path, table, title, scales, "bits per sample") as (panels, styles):
+        panels[-1].set_xlim(MIN_RATE, MAX_RATE)
+        for axes, scale in zip(panels, scales, strict=True):
+            of_scale = table.filter(quality=scale.field)
+            labels = []
+            for (codec,), own in by(of_scale, "codec"):
+                measured, edge = own.filter(in_region=False), own.filter(in_region=True)
+                places = measured["bits_per_sample"], _within(axes, measured["value"])
+                axes.plot(*places, "o", markersize=3.5, color=styles[codec].colour)
+                end = _draw_line(axes, edge, "bits_per_sample", "value", styles[codec])
+                labels.append(_label(*end, name(own.row(0, named=True)), styles[codec]))
+            if labels:
+                (_, test), (_, anchor) = by(of_scale.filter(in_region=True), "codec")
+                edges = test["value"], test["bits_per_sample"], anchor["bits_per_sample"]
+                axes.fill_betweenx(*edges, color=GREY, alpha=0.35, linewidth=0, zorder=1)
+                first = test.row(0, named=True)
+                axes.set_title(f"{name(first)} {first['percent']:+.1f} % at equal {scale.name}, {first['trace']}")
+            write_beside(axes, labels)
+
+
+@contextmanager
+def _panels_of_pair(
+    path: Path, table: pl.DataFrame, title: str, scales: Sequence[Scale], label: str
+) -> Iterator[tuple[Sequence[Axes], Mapping[str, Style]]]:
+    """Yield a panel for each quality over the rate, and a style for each of two codecs."""
+    with _panels(path, title, [2.3] * len(scales), sharex=True) as (_, rows):
+        panels = [axes for (axes,) in rows]
+        _set_rate_axis(panels[-1], label)
+        for axes, scale in zip(panels, scales, strict=True):
+            _set_quality_axis(axes, scale)
+        yield panels, _distinct_styles(table["codec"].unique(maintain_order=True))
 
 
 def plot_waveforms(path: Path, table: pl.DataFrame, title: str = "") -> None:

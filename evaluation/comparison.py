@@ -70,6 +70,7 @@ _CURVE_COSTS = (
     *("codec", "source", "runtime", "settings", "setting", "bits_per_sample", "snr_db", *TIMES, "real_time_factor"),
     *("delay_ms", "decoder_bytes", "model_bytes", "flash_bytes", "peak_memory_bytes", "width", "note"),
 )
+_REGIONS = "quality:text trace:text codec:text source:text value bits_per_sample in_region:bool percent"
 _PAIR = ("quality", "anchor", "codec", "source")
 _COLUMN_TYPES: Mapping[str, Any] = {"text": pl.String, "whole": pl.Int64, "bool": pl.Boolean, "": pl.Float64}
 
@@ -278,6 +279,35 @@ def ratio_points(measurements: Measurements, scales: Iterable[Scale]) -> pl.Data
                 pairs += [(FIT, 2**x, float(fit(x))) for x in np.linspace(distinct[0], distinct[-1], FIT_POINTS)]
             found += [(scale.field, codec, measurements.source(codec), *pair) for pair in pairs]
     return _table(found, "quality:text codec:text source:text trace:text compression_ratio value")
+
+
+def bd_regions(measurements: Measurements, scales: Iterable[Scale]) -> pl.DataFrame:
+    """Return the two curves between which BD-rate integrates, of the codecs of `paper_pair`.
+
+    They are of the recording whose BD-rate is the median at the first scale. Columns: `quality`, `trace`, `codec`,
+    `source`, `value`, `bits_per_sample`, `in_region`, and the BD-rate of the first codec relative to the second in
+    `percent`. `in_region` is True for the interpolated curve over the range of quality that is integrated, and False
+    for the measured points. Empty without two codecs that can be compared.
+    """
+    chosen = list(scales)
+    if len(measurements.paper_pair) < 2:
+        return _table([], _REGIONS)
+    test, anchor = measurements.paper_pair
+    rates = {scale: bd_rates(measurements.of(anchor, scale), measurements.of(test, scale), scale) for scale in chosen}
+    ranked = sorted(rates[chosen[0]], key=lambda trace: rates[chosen[0]][trace].percent)
+    found: list[tuple[object, ...]] = []
+    for scale in chosen:
+        for trace in ranked[len(ranked) // 2 :][:1]:
+            if (rate := rates[scale].get(trace)) is None:
+                continue
+            qualities = np.linspace(rate.low, rate.high, FIT_POINTS)
+            for codec in (test, anchor):
+                envelope = monotone_envelope(measurements.of(codec, scale)[trace])
+                within = zip(qualities.tolist(), bits_per_sample_at(envelope, qualities).tolist(), strict=True)
+                rows = [(quality, bits, False) for bits, quality in envelope]
+                rows += [(quality, bits, True) for quality, bits in within]
+                found += [(scale.field, trace, codec, measurements.source(codec), *row, rate.percent) for row in rows]
+    return _table(found, _REGIONS)
 
 
 def cost_points(measurements: Measurements, scale: Scale, names: Sequence[str]) -> pl.DataFrame:

@@ -13,7 +13,7 @@ from vibrocast import pages
 from vibrocast.errors import InputError
 from vibrocast.evaluation import bd_rate, charts, comparison, pictures, speed
 from vibrocast.evaluation.bd_rate import PSNR, SCALES, SNR, SPQI, ST_SIM_2800, ST_SIM_8000, Scale
-from vibrocast.evaluation.comparison import LEARNED_SCALES, TABLES, TIMES, Measurements
+from vibrocast.evaluation.comparison import LEARNED_SCALES, PAPER_SCALES, TABLES, TIMES, Measurements
 from vibrocast.evaluation.peers import measured_codecs, named, peers
 from vibrocast.evaluation.points import IMPORTED, MEASURED, PROGRAM, Failure, read_row, read_rows, write_rows
 from vibrocast.evaluation.tables import by, frame, write_table
@@ -231,12 +231,16 @@ def _charts(folder: Path, measurements: Measurements, means: pl.DataFrame, reach
 
     ratios = comparison.ratio_points(measurements, LEARNED_SCALES)
     ratio = charts.Chart("quality_against_ratio", "PSNR, ST-SIM and SPQI against compression ratio", ratios, pair)
+    regions = charts.Chart(
+        "bd_regions", "Where BD-rate integrates", comparison.bd_regions(measurements, PAPER_SCALES), pair
+    )
     title = f"Bits above the best codec's at {comparison.EQUAL_SNR_DB:g} dB SNR, in percent"
     excess = charts.Chart("excess_bits", title, comparison.rate_excesses(measurements), every)
     return {
         "main": _first_look(folder, anchor, curves[SNR], reached, rate_hz),
         "rate": [over_rate(scale) for scale in RATE_SCALES],
         "ratio": ratio.write(folder, partial(charts.plot_quality_against_ratio, scales=LEARNED_SCALES)),
+        "regions": regions.write(folder, partial(charts.plot_bd_regions, scales=PAPER_SCALES)),
         "time": [over_costs(scale, "time", "time", TIMES) for scale in COST_SCALES],
         "delay": [over_costs(scale, "delay", "delay and size", ("delay_ms", "flash_bytes")) for scale in COST_SCALES],
         "excess": excess.write(folder, charts.plot_rate_excesses),

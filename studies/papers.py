@@ -24,6 +24,7 @@ from vibrocast.evaluation.comparison import (
     REFERENCE,
     TABLES,
     Measurements,
+    bd_regions,
     mean_bd_rates,
     pair_bd_rates,
 )
@@ -295,9 +296,8 @@ def waveforms(folder: Path, measurements: Measurements, model_folders: Sequence[
     The recording is the one whose BD-rate is the median, coded at the settings nearest to WAVEFORM_RATIOS. Raises
     InputError, also for a model that neither ships nor lies in a model folder, and OSError for the folder.
     """
-    test, *anchors = measurements.paper_pair
-    rates = pair_bd_rates(measurements, [(PSNR, anchor, test) for anchor in anchors]).sort("percent")
-    trace = rates["trace"][len(rates) // 2] if len(rates) else measurements.traces[0]
+    regions = bd_regions(measurements, PAPER_SCALES)
+    trace = regions["trace"][0] if len(regions) else measurements.traces[0]
     recording = pvc_slp.load(folder, trace)
     samples, rate_hz = recording.samples, recording.rate_hz
     pair = measurements.paper_pair

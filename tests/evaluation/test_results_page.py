@@ -13,12 +13,13 @@ from polars.testing import assert_frame_equal
 
 from vibrocast.codec import CODECS
 from vibrocast.evaluation import bench, results_page
-from vibrocast.evaluation.bd_rate import PSNR, SNR
+from vibrocast.evaluation.bd_rate import PSNR, SNR, ST_SIM_2800
 from vibrocast.evaluation.comparison import (
     FIT,
     TIMES,
     Measurements,
     at_needed_snr,
+    bd_regions,
     bits_to_reach,
     cost_points,
     curve_costs,
@@ -344,3 +345,19 @@ def test_the_fit_goes_through_the_points_of_all_recordings() -> None:
     for row in fit:
         of_a, of_b = (13 + 12 * math.log2(2 * 16 / row.compression_ratio / factor) for factor in (1.9, 2.09))
         assert of_b - 0.5 < row.value < of_a + 0.5
+
+
+def test_the_shaded_region_is_what_bd_rate_integrates() -> None:
+    table = bd_regions(learned(), [PSNR, ST_SIM_2800])
+    assert set(table["trace"]) == {"a"}  # of two traces, -52 and -10 %, the upper counts as the median
+    assert set(table["codec"]) == {"eva-16", "slp"}
+    region = {
+        codec: as_rows(table.filter(codec=codec, quality="psnr_db", in_region=True)) for codec in ("eva-16", "slp")
+    }
+    for test, anchor in zip(*region.values(), strict=True):
+        assert test.value == anchor.value and 18 <= test.value <= 33
+        assert test.bits_per_sample == pytest.approx(0.9 * anchor.bits_per_sample, rel=1e-3)
+        assert test.percent == pytest.approx(-10, abs=0.1)
+    points = table.filter(codec="slp", quality="psnr_db", in_region=False)
+    assert points["value"].to_list() == [snr_db + 13 for snr_db in SNRS_DB]
+    assert bd_regions(of(*curve("mdct")), [PSNR]).is_empty()
