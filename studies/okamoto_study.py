@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from studies import page
-from studies.texture_paper import HAND_SPEED_MM_S, STRETCH_MM, generated_profiles
+from studies.texture_paper import HAND_SPEED_MM_S, PAPER_LEVELS, STRETCH_MM, generated_profiles
 from vibrocast import textures
 from vibrocast.evaluation import pictures
 from vibrocast.evaluation.points import read_rows
@@ -210,6 +210,28 @@ def similar(simulated: Simulated, table: Sequence[Published]) -> list[Similar]:
         worse = grades[0] - grades[1]
         found.append(Similar(texture, levels, finer, np.percentile(worse, SPREAD), 100 * float(np.mean(worse <= 0))))
     return found
+
+
+def orders(simulated: Simulated, table: Sequence[Published]) -> dict[str, float]:
+    """Return the orders that the paper reports, with the per cent of studies that have them."""
+
+    def reached(family: str, beyond: float) -> Values:
+        """Return the limits (studies, textures); `beyond`: where everything is noticed."""
+        every = [limits_of(simulated, table, texture, family)[:-1] for texture in TEXTURES]
+        return np.array([[beyond if each is None else each for each in own] for own in every]).T
+
+    levels, cuts = reached(LINEAR, np.inf), reached(CUT, -np.inf)
+    grades = [
+        [simulated.grades[texture, f"{LINEAR} {value}"].mean(axis=1) for value in PAPER_LEVELS] for texture in TEXTURES
+    ]
+    noticed = [simulated.tests[texture, f"{CUT} 0"][1] for texture in ("wood", "sandpaper")]
+    holds = {
+        "leather bears fewer linear levels than wood and sandpaper": levels[:, 2] < levels[:, :2].min(axis=1),
+        "b0 rises from wood over sandpaper to leather": np.all(np.diff(cuts) > 0, axis=1),
+        "a cut at the threshold, b0 = 0 dB, is noticed on wood and sandpaper": np.all(noticed, axis=0),
+        "some coarser linear levels get a better mean grade": np.any(np.diff(grades, axis=1) < 0, axis=(0, 1)),
+    }
+    return {text: 100 * float(np.mean(each)) for text, each in holds.items()}
 
 
 class Stage:
@@ -409,6 +431,7 @@ def markdown(
         limits=found,
         limits_percent=float(np.mean([each.percent.get(each.paper, 0.0) for each in found])),
         similar=similar(simulated, table),
+        orders=orders(simulated, table),
         sensitivities=sensitivities,
         values={family: sorted({row.parameter for row in table if row.family == family}) for family in FAMILIES},
         setting=setting,

@@ -16,6 +16,7 @@ from studies.okamoto_study import (
     Simulated,
     limit,
     limits,
+    orders,
     read_tables,
     similar,
 )
@@ -84,6 +85,7 @@ def test_people_like_those_of_the_paper_agree_with_it() -> None:
         if each.family != okamoto_study.LOG:
             paper = PUBLISHED[each.texture]
             assert each.paper == (paper.b0_db if each.family == CUT else paper.levels)
+    assert set(orders(simulated, table).values()) == {100}
     assert {each.texture: each.percent for each in similar(simulated, table)} == {
         "wood": 0,  # its t is higher than that of ten levels, by a little
         "sandpaper": 100,
