@@ -235,7 +235,7 @@ def test_the_page_has_every_chart_and_is_drawn_again_from_its_files(written: Pat
     ):
         assert words in page
     # The page itself keeps the commit of its figures.
-    (copied / "results.md").write_text(page.splitlines()[-1] + "\n")
+    (copied / "results.md").write_text(f"# Results\n\n{page.splitlines()[-1]}\n")
     for path in (copied / "results").glob("*.svg"):
         path.unlink()
     result = CliRunner().invoke(results_page.main, [str(copied)])
