@@ -25,6 +25,7 @@ from vibrocast.host.cli.answers import add, figures_so_far, tell
 from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import FOLDER, INPUT
 from vibrocast.host.cli.options import allow_programs_option, fail, given_once
+from vibrocast.host.report import UP_TO_DAC_CALL
 
 TRACE = "trace.pcapng"
 
@@ -114,7 +115,8 @@ def measure(
             tell(value.line())
     for warning in warnings(results):
         click.echo(f"warning: {warning}", err=True)
-    tell(f"{out / PAGE}", page=str(out / PAGE))
+    checked = f"; {UP_TO_DAC_CALL}" if bench.sensor is None else ""
+    tell(f"{out / PAGE}{checked}", page=str(out / PAGE))
     found = findings_in(results, bench, changes, earlier)
     if found and (cause := likely_cause(results, bench, changes)):
         click.echo(f"likely cause: {cause}", err=True)

@@ -16,6 +16,7 @@ from vibrocast.harness.conformance.probe import NotConforming, Probe, Undecided,
 from vibrocast.harness.conformance.report import Finding, Outcome, Report, Requirement
 from vibrocast.harness.conformance.tapped_link import TappedLink
 from vibrocast.host.controller import ControllerError
+from vibrocast.host.verdict import LATE_S
 
 _FOLDER = Path(__file__).parent
 # The user's pytest configuration takes no part.
@@ -26,10 +27,6 @@ _OPTIONS = (
     *(f"-pno:{plugin}" for plugin in ("terminal", "cacheprovider", "logging", "warnings", "faulthandler")),
 )
 _ENVIRONMENT = {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "PYTEST_ADDOPTS": "", "PYTEST_PLUGINS": ""}
-
-
-BUSY_S = 0.05
-"""A machine, or an emulator on it, later than this may itself have caused what a test blames on the controller."""
 
 
 class SuiteInterrupted(KeyboardInterrupt):
@@ -137,7 +134,7 @@ class _SuiteRun:
             measured = dict(item.user_properties).get("measured", "")
             outcome, reason = _outcome(call.excinfo)
             late_s = 0.0 if self._link is None else self._link.late_s
-            if outcome == Outcome.FAILED and late_s > BUSY_S:
+            if outcome == Outcome.FAILED and late_s > LATE_S:
                 outcome = Outcome.UNDECIDED
                 reason = (
                     f"this machine or its emulator was {1000 * late_s:.0f} ms late, so it may be to blame: {reason}"

@@ -42,8 +42,7 @@ def summary(report: Report, packets: str | None = None) -> dict[str, object]:
         FIGURES["as_decoded"].label: None
         if report.position
         else describe_comparison(report.decoded_equals_offline, report),
-        FIGURES["as_computed"].label: describe_comparison(report.dac_equals_offline, report)
-        + (f", {UP_TO_DAC_CALL}" if report.dac_equals_offline else ""),
+        FIGURES["as_computed"].label: describe_dac(report),
     }
     return {name: line for name, line in lines.items() if line}
 
@@ -149,6 +148,12 @@ def tell_report(report: Report, packets: str | None = None) -> None:
 def describe_comparison(equal: bool | None, report: Report) -> str:
     """Return whether what was read back is as computed, or why that is not known."""
     return f"{ANSWERS[equal]}: {report.comparison_note}" if equal is None and report.comparison_note else ANSWERS[equal]
+
+
+def describe_dac(report: Report) -> str:
+    """Return whether the DAC's codes are as computed, and up to where that was seen."""
+    answer = describe_comparison(report.dac_equals_offline, report)
+    return f"{answer}, {UP_TO_DAC_CALL}" if report.dac_equals_offline else answer
 
 
 def describe_touch(touch: Touch) -> str:

@@ -21,7 +21,7 @@ from vibrocast.host import devices, hand_playback, picture
 from vibrocast.host.bench_file import Bench, BenchController, connect
 from vibrocast.host.cli.answers import answer, tell, wants_json
 from vibrocast.host.cli.controls import Control, keys
-from vibrocast.host.cli.describe import ANSWERS, describe_packets, tell_report
+from vibrocast.host.cli.describe import describe_comparison, describe_dac, describe_packets, tell_report
 from vibrocast.host.cli.errors import CommandError, controllers_failed, explained, option_names
 from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, positive, reject_overwriting
@@ -393,8 +393,8 @@ def report_each(outcomes: Mapping[str, Playback | Exception]) -> None:
         report = played.report
         return (
             f"played {report.loops} time(s), underruns {report.underruns}, lost packets {report.lost_packets}, "
-            f"reconnects {report.reconnects}, decoded as sent {ANSWERS[report.decoded_equals_offline]}, "
-            f"DAC as computed {ANSWERS[report.dac_equals_offline]}"
+            f"reconnects {report.reconnects}, decoded as sent "
+            f"{describe_comparison(report.decoded_equals_offline, report)}, DAC as computed {describe_dac(report)}"
         )
 
     lines, failed = lines_of(outcomes, line)
