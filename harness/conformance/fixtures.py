@@ -111,11 +111,11 @@ def _run_again(probe: Probe, kept: ImageDescription | None) -> None:
     probe.open(ANSWER_S)
     probe.stop()
     states = {image.slot: image.state for image in probe.description.images}
-    for number, state in states.items():
-        if state == SlotState.TESTING:
-            probe.expect(FlashConfirm(number), FlashStatus)
-            states[number] = SlotState.CONFIRMED
-    if kept is not None and states[kept.slot] != SlotState.CONFIRMED:
+    tested = [number for number, state in states.items() if state == SlotState.TESTING]
+    for number in tested:
+        probe.expect(FlashConfirm(number), FlashStatus)
+    # The slot that was confirmed before is so no longer, once the tested one is.
+    if kept is not None and (tested or states[kept.slot] != SlotState.CONFIRMED):
         probe.expect(FlashActivate(kept.slot), FlashStatus)
         probe.open()
         probe.expect(FlashConfirm(kept.slot), FlashStatus)

@@ -108,7 +108,7 @@ CASES = (
         ),
         marks=needs_terminals,
     ),
-    Case("board_latency", {"board_latency": 7}, constants={"ACTUATORS": (VOICE_COIL,)}, page="latency"),
+    Case("board_latency", {"board_latency": 8}, constants={"ACTUATORS": (VOICE_COIL,)}, page="latency"),
 )
 
 

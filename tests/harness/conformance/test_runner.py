@@ -48,6 +48,8 @@ NOT_PROVOKED = {ErrorCode.FLASH_FAILED}
 NOT_PASSED = set(Outcome) - {Outcome.PASSED}
 # Needs someone to restart the controller.
 NEEDS_A_RESTART = "test_image_that_is_not_confirmed_is_reverted_by_a_restart"
+NEED_MORE = {NEEDS_A_RESTART, "test_port_puts_out_what_is_captured", "test_sensor_feels_the_dac_codes"}
+"""Tests that need a restart of the controller, or a recorder of its output."""
 
 
 def link_to(controller: Device) -> TappedLink:
@@ -65,7 +67,7 @@ def test_reference_conforms_and_nothing_of_the_protocol_is_left_out() -> None:
     link = link_to(Controller())
     report = run_suite(link)
     assert report.hello.build
-    assert ended(report, *NOT_PASSED).keys() == {NEEDS_A_RESTART}
+    assert ended(report, *NOT_PASSED).keys() <= NEED_MORE
     assert link.messages == {message.__name__ for message in messages.ALL}
     assert link.error_codes == set(ErrorCode) - NOT_PROVOKED
 
@@ -206,7 +208,8 @@ class Slow(Controller):
 def test_controller_that_takes_its_time_to_answer_conforms() -> None:
     link = MemoryLink(Slow(), time=SimulatedTime(step_us=10_000))
     report = run_suite(TappedLink(link, link.clock, link.sleep), quick=True)
-    assert ended(report, *NOT_PASSED).keys() == {NEEDS_A_RESTART}
+    # Positions wait for its answers.
+    assert ended(report, *NOT_PASSED).keys() <= NEED_MORE | {"test_moving_hand_is_followed_in_time"}
 
 
 @pytest.mark.slow
