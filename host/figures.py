@@ -149,9 +149,8 @@ class BenchLimits(Table, frozen=True, kw_only=True):
 
     SNR, gain and ST-SIM: at the skin. `max_lost_percent`: of the packets of a live stream or a playback.
     `max_latency_ms`: of a live stream, up to the DAC; `max_sensor_latency_ms`: up to a sensor's sample in this
-    computer. `max_bad_frames`:
-    damaged on the wire, in both directions. `min_load_samples_per_s`: the largest load that is held. `max_drift_ppm`:
-    of the controller's clock, in either direction.
+    computer. `max_bad_frames`: damaged on the wire, in both directions. `min_load_samples_per_s`: the largest load that
+    is held. `max_drift_ppm`: of the controller's clock, in either direction.
     """
 
     min_snr_db: Decibels | None = None

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from vibrocast import codec, models, textures
 from vibrocast.codec.encoding import default_model, encode_recording
 from vibrocast.codec.stream import Stream
-from vibrocast.device_protocol.messages import ActuatorDescription, HelloResponse, Message, Tap
+from vibrocast.device_protocol.messages import ActuatorDescription, HelloResponse, Message, Start, Status, Tap
 from vibrocast.device_protocol.model_image import ModelImage
-from vibrocast.harness.conformance.probe import NotConforming, Probe, same_samples
+from vibrocast.harness.conformance.probe import ANSWER_S, NotConforming, Probe, same_samples
 from vibrocast.host import player
 from vibrocast.host.controller import Controller
 from vibrocast.host.session import known_model
@@ -178,6 +178,14 @@ def decoded(stream: Stream, first_packet: int = 0, missing: Collection[int] = ()
             for number in range(first_packet, len(stream.packets))
         ]
     )
+
+
+def play_on(probe: Probe, stream: Stream, configured: Status) -> int:
+    """Feed and start a stream that is set up, and wait until it plays; return its number."""
+    probe.feed(configured.stream, stream)
+    probe.expect(Start(), Status)
+    probe.wait_for(lambda status: status.position > 0, "to play", ANSWER_S)
+    return configured.stream
 
 
 def decoded_as(probe: Probe, expected: NDArray[np.int16], what: str) -> None:

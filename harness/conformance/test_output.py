@@ -19,6 +19,7 @@ from vibrocast.harness.conformance.streams import (
     lasting_stream,
     loud,
     need_capture,
+    play_on,
     stream_for,
 )
 from vibrocast.output.rendering import FADE_SECONDS, Dac, Drive, recording_end
@@ -161,10 +162,7 @@ def test_power_is_limited_over_several_streams(probe: Probe) -> None:
     most = float((sums[rate_hz:] - sums[:-rate_hz]).max()) / rate_hz
     energy, begun_us = 0.0, probe.status().device_time_us
     for _ in range(_RESTARTS):
-        number = probe.configure(stream, compensation=False).stream
-        probe.feed(number, stream)
-        probe.expect(Start(), Status)
-        probe.wait_for(lambda status: status.position > 0, "to play", ANSWER_S)
+        play_on(probe, stream, probe.configure(stream, compensation=False))
         probe.listen(_BURST_S)
         ended_us = probe.stop().device_time_us
         energy += float((since(probe, 0) ** 2).sum()) / rate_hz

@@ -32,6 +32,7 @@ from vibrocast.harness.conformance.streams import (
     held_samples,
     lasting_stream,
     need_capture,
+    play_on,
     stream_for,
 )
 from vibrocast.host.stream_session import next_number
@@ -368,10 +369,7 @@ def test_late_data_is_dropped(probe: Probe, stream: Stream) -> None:
 @section("Playing: Pause, Resume, Loop and Gain")
 def test_pause_holds_the_position(probe: Probe, longer: Stream) -> None:
     """The controller holds the position with the output at rest at Pause, and loses nothing at Resume."""
-    number = probe.configure(longer).stream
-    probe.feed(number, longer)
-    probe.expect(Start(), Status)
-    probe.wait_for(lambda status: status.position > 0, "to play", ANSWER_S)
+    play_on(probe, longer, probe.configure(longer))
     paused = in_state(probe.expect(Pause(), Status), State.PAUSED, "Pause")
     probe.listen(0.1)
     held = in_state(probe.status(), State.PAUSED, "Pause")
@@ -388,10 +386,7 @@ def test_pause_holds_the_position(probe: Probe, longer: Stream) -> None:
 @section("Playing: Pause, Resume, Loop and Gain")
 def test_gain_may_change_while_playing(probe: Probe, longer: Stream) -> None:
     """The controller decodes the same samples when the gain changes, and ends at rest."""
-    number = probe.configure(longer).stream
-    probe.feed(number, longer)
-    probe.expect(Start(), Status)
-    probe.wait_for(lambda status: status.position > 0, "to play", ANSWER_S)
+    play_on(probe, longer, probe.configure(longer))
     for gain in (0.0, 2.0, 0.5):
         probe.expect(Gain(gain), Status)
     without_loss(finished(probe, longer))
@@ -415,10 +410,7 @@ def test_loop_sets_the_iterations(probe: Probe) -> None:
 @section("Playing: Pause, Resume, Loop and Gain")
 def test_loop_ends_an_endless_stream(probe: Probe, longer: Stream) -> None:
     """The controller ends after the present iteration when Loop sets a number already reached."""
-    number = probe.configure(longer, loops=0).stream
-    probe.feed(number, longer)
-    probe.expect(Start(), Status)
-    probe.wait_for(lambda status: status.position > 0, "to play", ANSWER_S)
+    play_on(probe, longer, probe.configure(longer, loops=0))
     probe.expect(Loop(1), Status)
     without_loss(finished(probe, longer))
     decoded_as(probe, decoded(longer), "one iteration")
@@ -427,10 +419,7 @@ def test_loop_ends_an_endless_stream(probe: Probe, longer: Stream) -> None:
 @section("Playing: Pause, Resume, Loop and Gain")
 def test_loop_may_take_the_end_away(probe: Probe, longer: Stream) -> None:
     """The controller goes on with a further iteration when Loop(0) comes in the last one, until another Loop."""
-    number = probe.configure(longer).stream
-    probe.feed(number, longer)
-    probe.expect(Start(), Status)
-    probe.wait_for(lambda status: status.position > 0, "to play", ANSWER_S)
+    number = play_on(probe, longer, probe.configure(longer))
     probe.expect(Loop(0), Status)
     probe.feed(number, longer, iteration=1)
     iteration = len(longer.packets) * longer.packet_samples
@@ -456,10 +445,7 @@ def test_live_stream_ends_where_end_stream_says(probe: Probe) -> None:
 @section("Playing: EndStream")
 def test_end_stream_that_comes_late(probe: Probe, longer: Stream) -> None:
     """The controller ends a live stream with the decoded packets when EndStream names fewer."""
-    number = configure_live(probe, longer).stream
-    probe.feed(number, longer)
-    probe.expect(Start(), Status)
-    probe.wait_for(lambda status: status.position > 0, "to play", ANSWER_S)
+    number = play_on(probe, longer, configure_live(probe, longer))
     probe.expect(EndStream(number, 0), Status)
     status = probe.wait_for_state(State.FINISHED)
     samples = status.position
@@ -496,10 +482,7 @@ def test_output_never_jumps(probe: Probe) -> None:
     """The controller fades in at Start and Resume, and out at Pause and Stop, over more than one DAC code."""
     need_capture(probe.description)
     stream = lasting_stream(probe, _REQUESTS, 1.0, "full scale", constant)
-    number = probe.configure(stream, compensation=False).stream
-    probe.feed(number, stream)
-    probe.expect(Start(), Status)
-    probe.wait_for(lambda status: status.position > 0, "to play", ANSWER_S)
+    play_on(probe, stream, probe.configure(stream, compensation=False))
     in_state(probe.expect(Pause(), Status), State.PAUSED, "Pause")
     probe.listen(0.05)
     in_state(probe.expect(Resume(), Status), State.PLAYING, "Resume")
