@@ -121,9 +121,10 @@ enum {
 #define VC_DMA_READ(channel) VC_REGISTER(VC_DMA + 0x40 * (channel) + 0x00)
 #define VC_DMA_WRITE(channel) VC_REGISTER(VC_DMA + 0x40 * (channel) + 0x04)
 #define VC_DMA_COUNT(channel) VC_REGISTER(VC_DMA + 0x40 * (channel) + 0x08)
-#define VC_DMA_START(channel) VC_REGISTER(VC_DMA + 0x40 * (channel) + 0x0C)   /* CTRL_TRIG */
-#define VC_DMA_CONTROL(channel) VC_REGISTER(VC_DMA + 0x40 * (channel) + 0x10) /* AL1_CTRL: the same, without a start   \
-                                                                               */
+#define VC_DMA_START(channel) VC_REGISTER(VC_DMA + 0x40 * (channel) + 0x0C) /* CTRL_TRIG */
+#define VC_DMA_CONTROL(channel)                                                                                        \
+    VC_REGISTER(VC_DMA + 0x40 * (channel) + 0x10) /* AL1_CTRL: the same, without a start                               \
+                                                   */
 #define VC_DMA_INTE0 VC_REGISTER(VC_DMA + 0x404)
 #define VC_DMA_INTS0 VC_REGISTER(VC_DMA + 0x40C)
 enum {

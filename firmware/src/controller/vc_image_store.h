@@ -36,8 +36,9 @@ typedef struct {
 unsigned vc_image_store_slots(const vc_image_store *store);
 
 /* Prepares the store at power-on, and boots it. All pointers must stay valid. `flash`: NULL: there are no slots. Of the
- * settings, the store uses `actuator`, `hardware`, `public_key`, `verify_signature` and `verify_context`. With a key, which needs a
- * verifier, it takes only images that the key signed, and none with a lower number than one confirmed before. */
+ * settings, the store uses `actuator`, `hardware`, `public_key`, `verify_signature` and `verify_context`. With a key,
+ * which needs a verifier, it takes only images that the key signed, and none with a lower number than one confirmed
+ * before. */
 void vc_image_store_init(vc_image_store *store, const vc_flash *flash, const vc_controller_settings *settings,
                          vc_payload_check check, const void *check_context);
 
