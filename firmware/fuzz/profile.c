@@ -9,10 +9,12 @@
 enum { RENDER, POSITION, BEGIN, KINDS };
 
 #define MAX_CHANNELS 4u
-#define MAX_SAMPLES 4096u
-#define MAX_RENDERED 6000u
+#define MAX_SAMPLES 1024u
+#define MAX_RENDERED 1000u
 /* By then the low-passes have reached the last position, and the fade its end. */
 #define SETTLED_US 2000000u
+/* One input of so many is followed to its rest, which takes longer than all else. */
+#define REST_CHECKED 16u
 
 typedef struct {
     vc_profile *profile;
@@ -112,7 +114,8 @@ void vc_fuzz_profile(const uint8_t *data, size_t length)
                 take_record(&surface, record, record_length);
             free(record);
         }
-        check_rest(&surface);
+        if (samples % REST_CHECKED == 0)
+            check_rest(&surface);
     }
     free(surface.profile);
 }
