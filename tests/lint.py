@@ -1,6 +1,6 @@
 """Checks of words and quoted figures: `python -m tests.lint [FILE...]` prints FILE:LINE: problem; passage.
 
-Without FILE it looks at all pages, docstrings and comments in C, at help texts, at commit subjects, and at the figures
+Without FILE it looks at all pages, docstrings and comments in C, at help texts, and at the figures
 that docs/quoted_figures.toml lists. The exit code is 1 if there is a finding.
 """
 
@@ -22,9 +22,6 @@ from vibrocast.host.cli.command_line import main as command_line
 ROOT = Path(__file__).parents[1]
 QUOTED = "docs/quoted_figures.toml"
 LONGEST_SENTENCE = 35  # words
-LONGEST_HELP = 12  # words of the first sentence
-LONGEST_SUBJECT = 72  # characters
-COMMITS = 30
 
 # From the table "Words to avoid" of docs/reference/glossary.md: those that a pattern can tell from their other uses.
 RETIRED_TERMS = {
@@ -38,21 +35,13 @@ RETIRED_TERMS = {
         r"\bsteer(?:s|ed|ing)?\b": "rate control",
         r"\brefresh packets?\b": "random-access packet",
         r"(?<!leaky )\bbuckets?\b": "rate buffer",
-        r"\b(?:an?|the|each|every|this|other|perceptual) judges?\b": "metric",
         r"\b(?:serial|usb) lines?\b": "link",
-        r"\b(?:the|its) (?:playout |default |shortest )?margin\b": "playout delay",
-        r"\bflash(?:es|ed|ing)? (?:(?:an?|the|its|your|this|that|each|every) )?models?\b": "upload",
         r"\bnot offered\b": "not applicable",
-        r"\btwo takes\b|\banother take\b": "independent realisations",
         r"\b(?:the|an?|its) (?:asked|wanted)\b": "target, required",
     }.items()
 }
 NO_LEADING_ZERO = re.compile(r"(?<![\w.)\]}/…])\.\d+(?!\w)")
 END_OF_SENTENCE = re.compile(r"(?<=[.!?])[\"')*]*\s+")
-NO_VERB = re.compile(
-    r"[^A-Z]|(?:An?|The|Th[ei]se?|If|For|Of|With|How|What|Which|Whether|Where|Only|Not?)\b"
-    r"|(?!Bring|Feed|Need|Focus|Pass|Press|Process)\w+(?:ing|ed|[^s]s)\b"
-)
 FIGURE = re.compile(r"([-+]?)(\d+(?:\.\d+)?)( kB)?[ %]*$")
 
 _MARKDOWN = MarkdownIt("commonmark").enable("table").disable(["code", "html_block"])
@@ -109,13 +98,7 @@ def file_findings(path: str) -> Iterator[str]:
 def help_findings(command: click.Command, name: str) -> Iterator[str]:
     """Yield the findings of the help of a command, of its options and of its subcommands."""
     options = [each for each in command.params if isinstance(each, click.Option) and not each.hidden]
-    texts = {name: command.help, **{f"{name} {option.opts[0]}": option.help for option in options}}
-    for owner, text in texts.items():
-        opening = sentences(inspect.cleandoc(text or ""))[0]
-        if NO_VERB.match(opening) or not opening:
-            yield f"{owner}:0: begin the help with a verb; {opening}"
-        if count_words(opening) > LONGEST_HELP:
-            yield f"{owner}:0: first sentence of more than {LONGEST_HELP} words; {opening}"
+    for owner, text in {name: command.help, **{f"{name} {each.opts[0]}": each.help for each in options}}.items():
         yield from text_findings(owner, 0, inspect.cleandoc(text or ""))
     if isinstance(command, click.Group):
         context = click.Context(command)
@@ -123,12 +106,6 @@ def help_findings(command: click.Command, name: str) -> Iterator[str]:
             below = command.get_command(context, each)
             if below is not None and not below.hidden:
                 yield from help_findings(below, f"{name} {each}")
-
-
-def subject_findings(subject: str) -> Iterator[str]:
-    """Yield the findings of a commit subject."""
-    if len(subject) > LONGEST_SUBJECT:
-        yield f"commit:0: subject of more than {LONGEST_SUBJECT} characters; {subject}"
 
 
 def figure_findings(page: str, text: str, table: str, row: dict[str, str], column: str) -> Iterator[str]:
@@ -173,8 +150,6 @@ def findings(files: list[str]) -> Iterator[str]:
             yield from figure_findings(page, **each)
     if not files:
         yield from help_findings(command_line, "vibrocast")
-        for subject in git("log", "--no-merges", f"--max-count={COMMITS}", "--format=%s"):
-            yield from subject_findings(subject)
 
 
 def main(arguments: list[str]) -> int:

@@ -1,4 +1,4 @@
-"""The checks of `make lint` notice a page, a docstring, a help text, a subject and a figure that break a rule."""
+"""The checks of `make lint` notice a page, a docstring and a figure that break a rule."""
 
 from pathlib import Path
 
