@@ -30,6 +30,7 @@ LINK_COUNTERS = {
     "repeated_frames": "repeated_frames",
     "reordered_frames": "reordered_frames",
     "repeated_requests": "repeated_requests",
+    "device_restarts": "device_restarts",
 }
 """Counts of `Results.link` with the attributes of a Controller; `bad_frames_at_controller` is of its Status."""
 _MAX_BYTES = 1 << 26
@@ -98,6 +99,7 @@ class Results:
             yield Value("bad_frames", LINK, bad_frames)
             yield Value("repeated_frames", LINK, self.link.get("repeated_frames", 0))
             yield Value("reordered_frames", LINK, self.link.get("reordered_frames", 0))
+            yield Value("device_restarts", LINK, self.link.get("device_restarts", 0))
         elif (taken := getattr(self.measured, measurement)) is not None:
             for value in _FIGURES_OF[measurement](taken):
                 doubt = self.doubts.get(measurement, "") if FIGURES[value.key].is_timed else ""
@@ -178,9 +180,11 @@ def findings_in(run: Results, bench: Bench, changes: Iterable[Change] = (), earl
         if each.as_computed is False and not each.underruns
     ]
     failed = [Noted(f"{name}: {why}", run.doubts.get(name, "")) for name, why in run.failed.items()]
+    restarts = [Noted(f"{count} of them", "") for count in [run.link.get("device_restarts")] if count]
     worse = [Noted(f"{each.name} ({each.problem})", each.doubt) for each in changes if each.problem]
     return [
         *findings(FAILED, "not all could be measured", failed, "--only repeats some"),
+        *findings(FAILED, "the controller restarted on its own", restarts, "check its power and its firmware"),
         *findings(REGRESSION, f"not as in {earlier}", worse, "compare both reports, then measure again"),
         *judged([*run.figures(), *together], [*bench.missed(run.figures()), *misfits(bench, run.measured.response)]),
     ]
@@ -196,6 +200,8 @@ def likely_cause(run: Results, bench: Bench, changes: Iterable[Change] = ()) -> 
     is_late = any(FIGURES[key].is_timed for key in wrong if key in FIGURES) or "latency" in run.failed
     at_skin = bool(wrong & _AT_SKIN) or bool({"fidelity", "response"} & run.failed.keys())
     if wrong & set(_WHAT_A_DEVICE_IS) or any(each.value is False for each in values):
+        return "device"
+    if run.link.get("device_restarts"):
         return "device"
     if any(each.value for each in values if each.place == LINK):
         return "wire"

@@ -58,6 +58,8 @@ MIN_WATCHDOG_MS = 50
 MAX_DAC_RATE_HZ = 1_000_000
 
 _RECONNECT_PAUSE_S = 0.1
+# An answer that takes longer waits behind what the wire has not carried yet: a controller answers at once.
+_SLOW_ANSWER_S = 0.5
 # A clock that goes further back is that of a controller that has restarted.
 _REORDERED_US = 100_000
 
@@ -131,6 +133,9 @@ class Controller(Closing):
         self._sequence = NOTIFICATION
         self._complaint: Error | None = None
         self._pending: _PendingRequest | None = None
+        self._asked_s = self._answered_after_s = 0.0
+        self.device_restarts = 0  # which this host has not requested
+        self._has_restarted = False
         self.open_session()
         self._connected_s = clock()
 
@@ -250,6 +255,8 @@ class Controller(Closing):
                 f"{description.actuator}); update its firmware"
             )
         self.description = description
+        self.device_restarts += self._has_restarted
+        self._has_restarted = False
         _log.info("session with %s, %s", description.hardware, description.build)
 
     def open_session(self) -> None:
@@ -311,7 +318,7 @@ class Controller(Closing):
                     asked, answered = type(message).__name__, type(answer).__name__
                     raise ControllerError(f"the controller answers {asked} with {answered}; update its firmware")
             _log.debug("no answer to %s within %g s", type(message).__name__, answer_timeout_s)
-        raise _no_answer()
+        raise self._no_answer()
 
     def request(
         self,
@@ -403,7 +410,7 @@ class Controller(Closing):
         """
         if self._pending is not None and self.clock() >= self._pending.again_s:
             if not self._pending.tries_left:
-                raise _no_answer()
+                raise self._no_answer()
             self.repeated_requests += 1
             self._write_request(self._pending.frame)
             self._pending.again_s = self.clock() + self._pending.answer_timeout_s
@@ -432,6 +439,7 @@ class Controller(Closing):
             self.altered = not isinstance(message, Configure)
         self._sequence = self._sequence % MAX_SEQUENCE + 1
         self._answers_due = 0
+        self._asked_s = self.clock()
         return write_frame(pack(message, self._sequence))
 
     def _write_request(self, frame: bytes) -> None:
@@ -463,14 +471,24 @@ class Controller(Closing):
             except MessageError:
                 continue  # a later minor version may send what this one does not know
             self._count(sequence, message, payload)
+            self._has_restarted |= isinstance(message, Error) and message.code == ErrorCode.HELLO_FIRST
             if isinstance(message, Status) and sequence in (NOTIFICATION, self._sequence):
                 self.status = message
                 self._note_time(message)
             if sequence == self._sequence:
                 answer = message
+                self._answered_after_s = self.clock() - self._asked_s
             elif sequence == NOTIFICATION and isinstance(message, Error):
                 self._complaint = message
         return answer
+
+    def _no_answer(self) -> ConnectionLost:
+        if self._answered_after_s > _SLOW_ANSWER_S:
+            return ConnectionLost(
+                f"the controller answers no more: its last answer took {self._answered_after_s:.1f} s, because the "
+                "wire is slower than what is sent; use a faster link, or a stream of fewer bits"
+            )
+        return ConnectionLost("the controller answers no more; check its power, its cable and its firmware")
 
 
 _UPDATE = "update the older of vibrocast and the firmware"
@@ -482,12 +500,6 @@ _REMEDIES: dict[int, str] = {
     ErrorCode.BEYOND_LIMITS: "`vibrocast status` lists its limits",
     ErrorCode.WRONG_HARDWARE: "give an image for this controller",
 }
-
-
-def _no_answer() -> ConnectionLost:
-    return ConnectionLost(
-        "the controller does not answer; check that it has power, and that the address is the right one"
-    )
 
 
 def _rejection(error: Error) -> ControllerError:

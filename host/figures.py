@@ -71,6 +71,7 @@ FIGURES = {
         Figure("bad_frames", "damaged frames"),
         Figure("repeated_frames", "repeated frames"),
         Figure("reordered_frames", "reordered frames"),
+        Figure("device_restarts", "restarts of the controller"),
         Figure("to_controller_bytes_per_s", "throughput to the controller", "bytes/s", -1, 0.0, 0.3, is_timed=True),
         Figure("to_host_bytes_per_s", "throughput to the host", "bytes/s", -1, 0.0, 0.3, is_timed=True),
         Figure("load_samples_per_s", "largest load", "samples/s", -1, 0.0, 0.5, is_timed=True),

@@ -73,6 +73,7 @@ class LiveResult:
     apart, the source had paused, or the connection was lost. `seconds`: of signal. `payload_bytes`: of all packets that
     were sent. `wire_bytes`: all that went to the controller with them, frames and requests included. `pauses`: of the
     source, in which silence was played. `left_out_packets`: too old when the source gave them after a pause.
+    `device_restarts`: of the controller, which lost its session.
     """
 
     status: Status
@@ -88,6 +89,7 @@ class LiveResult:
     wire_bytes: int
     pauses: int
     left_out_packets: int
+    device_restarts: int
 
     @property
     def payload_bps(self) -> float:
@@ -196,6 +198,7 @@ class LiveStream:
         self._configure()
         self._wire_bytes_before = controller.bytes_sent
         self._bad_frames_before, self._bad_frames_back_before = self.status.bad_frames, controller.bad_frames
+        self._device_restarts_before = controller.device_restarts
 
     @property
     def codec_name(self) -> str:
@@ -560,6 +563,7 @@ class LiveStream:
             wire_bytes=wire_bytes,
             pauses=self.pauses,
             left_out_packets=self._left_out_packets,
+            device_restarts=self.controller.device_restarts - self._device_restarts_before,
         )
 
     def _wait_for_the_end(self) -> None:

@@ -352,6 +352,8 @@ class LivePlayback:
 
     def _doubt(self, result: live.LiveResult) -> str:
         """Return why losses, or else the delay, may be this machine's doing; empty where they are not."""
+        if result.device_restarts:
+            return ""
         late, losses = self._late_packets, result.lost_packets + result.underruns
         if late > (_HOSTS_SHARE * losses if losses else _LATE_SHARE * result.packets):
             return f"this machine handled {late} packets too late"
@@ -405,6 +407,7 @@ class LivePlayback:
             "lost_packets": result.lost_packets,
             "dropped_packets": result.dropped_packets,
             "restarts": result.streams - 1,
+            "device_restarts": result.device_restarts,
             "pauses": result.pauses,
             "bad_frames": result.bad_frames,
             "bad_frames_back": result.bad_frames_back,
@@ -466,7 +469,7 @@ def cause(minute: Minute) -> str | None:
     """Return what made a minute lose something: "host", "wire", "device" or "source"; None where it lost nothing."""
     if not (minute.underruns or minute.lost_packets or minute.restarts or minute.output_gaps):
         return None
-    if minute.output_gaps:
+    if minute.output_gaps or minute.device_restarts:
         return "device"
     if minute.bad_frames or minute.bad_frames_back:
         return "wire"

@@ -139,6 +139,7 @@ class Minute:
 
     `host_late_ms`: by how much the host handled a block too late, at most, without its waits for the controller;
     `host_jitter_ms`: between the 5 % and the 95 % of these times; None before the first block.
+    `restarts`: of the stream; `device_restarts`: of the controller.
     `late_packets`: those that it handled later than half the playout delay.
     `margin_ms`: the least time that packets lay ready at the controller; None where it never played.
     """
@@ -149,6 +150,7 @@ class Minute:
     lost_packets: int = 0
     dropped_packets: int = 0
     restarts: int = 0
+    device_restarts: int = 0
     pauses: int = 0
     bad_frames: int = 0
     bad_frames_back: int = 0

@@ -374,6 +374,7 @@ def test_a_controller_that_plays_something_else_fails(tmp_path: Path, put: Put) 
         ({"lost_packets": 1, "late_packets": 1, "bad_frames": 1}, "wire"),
         ({"underruns": 1, "output_gaps": 1, "late_packets": 1}, "device"),
         ({"restarts": 1}, "wire"),
+        ({"restarts": 1, "device_restarts": 1, "late_packets": 3}, "device"),
         ({"restarts": 1, "pauses": 1}, "source"),
         ({"restarts": 1, "pauses": 1, "late_packets": 3}, "host"),
         ({"restarts": 1, "pauses": 1, "bad_frames": 1}, "wire"),

@@ -70,6 +70,18 @@ def test_nobody_at_the_other_end_is_known_after_the_time_that_a_board_takes_to_s
     assert 5.0 <= scripted.now_s < 6.5
 
 
+@pytest.mark.parametrize(("answers_after_s", "problem"), [(0.0, "check its power"), (0.7, "wire is slower than")])
+def test_a_controller_that_answers_no_more_hangs_or_is_behind_a_slow_wire(answers_after_s: float, problem: str) -> None:
+    scripted = ScriptedController()
+    controller = scripted.connect()
+    answers_s = scripted.now_s + answers_after_s
+    scripted.swallow = lambda message: scripted.now_s < answers_s
+    controller.request_status()
+    scripted.swallow = lambda message: True
+    with pytest.raises(ConnectionLost, match=f"answers no more.*{problem}"):
+        controller.request_status()
+
+
 @pytest.mark.parametrize("starts_s", [0.0, 0.45, 2.5, 4.5])
 def test_a_board_that_resets_when_its_port_is_opened_is_waited_for(
     starts_s: float, caplog: pytest.LogCaptureFixture
@@ -114,6 +126,7 @@ def test_restarted_controller_is_noticed_and_can_be_reconnected() -> None:
         controller.request_status()
     controller.reconnect(1.0)
     assert controller.request_status().state == State.IDLE
+    assert controller.device_restarts == 1
 
 
 def test_reconnect_waits_until_the_cable_is_back_and_gives_up_in_time() -> None:
