@@ -112,21 +112,22 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Report a mistake in the bench file before any test runs; count tests."""
-    _read(config)
-    if config.getoption("vibrocast_min_tests") and not hasattr(config, "workerinput"):
-        config.pluginmanager.register(_Minimum(config.getoption("vibrocast_min_tests")))
+    bench = _read(config)
+    if not hasattr(config, "workerinput"):
+        config.pluginmanager.register(_Reached(config.getoption("vibrocast_min_tests"), bool(bench and bench.sensors)))
 
 
-class _Minimum:
-    """Fails a run in which too few tests reach a controller, as at a bench that is switched off."""
+class _Reached:
+    """Counts tests that reach a controller; fails a run with too few of them, as at a bench that is switched off."""
 
-    def __init__(self, least: int) -> None:
-        self._least, self._ran = least, 0
+    def __init__(self, least: int, sensed: bool) -> None:
+        self._least, self._ran, self._sensed = least, 0, sensed
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Count a test that had a session with a controller, and passed or failed."""
-        reached = _SERIAL_NUMBER in dict(report.user_properties)
-        self._ran += report.when == "call" and reached and not report.skipped
+        kept = dict(report.user_properties)
+        self._ran += report.when == "call" and _SERIAL_NUMBER in kept and not report.skipped
+        self._sensed |= any(name.startswith("vibrocast_sensor_latency_ms") for name in kept)
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         """Fail the run."""
@@ -134,12 +135,16 @@ class _Minimum:
             session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
-        """Say why the run fails."""
+        """Say why the run fails, and up to where it looked without a sensor or a recorder."""
         if self._ran < self._least:
             terminalreporter.write_line(
                 f"vibrocast: {self._ran} tests reached a controller, --vibrocast-min-tests asks for {self._least}; "
                 "check that the bench is switched on"
             )
+        if self._ran and not self._sensed:
+            from vibrocast.host.report import UP_TO_DAC_CALL
+
+            terminalreporter.write_line(f"vibrocast: {UP_TO_DAC_CALL}")
 
 
 def _read(config: pytest.Config) -> Bench | None:

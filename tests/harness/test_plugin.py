@@ -63,7 +63,7 @@ def test_the_same_test_runs_on_every_device(pytester: pytest.Pytester, arguments
     pytester.path.joinpath("bench.toml").write_text(BENCH)
     result = pytester.runpytest_subprocess(*LOADED, "-s", *arguments)
     result.assert_outcomes(passed=1)
-    result.stdout.fnmatch_lines([f"*on {name}"])
+    result.stdout.fnmatch_lines([f"*on {name}", "vibrocast: checked up to the call of the DAC function"])
 
 
 @pytest.mark.slow
@@ -260,6 +260,19 @@ def test_all(vibrocast_devices):
 """
     limits = "[limits]\nmax_lost_percent = 100\n"
     users_run(pytester, test, BENCH + limits).assert_outcomes(passed=5)
+
+
+@pytest.mark.slow
+def test_a_run_that_sees_the_output_does_not_say_that_it_ends_before(pytester: pytest.Pytester) -> None:
+    measured = 'record_property("vibrocast_sensor_latency_ms[live]", "9.0")'
+    test = f"def test_it(vibrocast_device, record_property): {measured}"
+    unseen = "*checked up to the call of the DAC function*"
+    users_run(pytester, test, SIM).stdout.no_fnmatch_line(unseen)
+    sensor = '[[sensors]]\nname = "s"\nkind = "accelerometer"\ninput = "serial:nowhere"\n'
+    test = "def test_it(vibrocast_device): pass"
+    with_sensor = users_run(pytester, test, SIM + sensor)
+    with_sensor.assert_outcomes(passed=1)
+    with_sensor.stdout.no_fnmatch_line(unseen)
 
 
 @pytest.mark.slow
