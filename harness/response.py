@@ -291,8 +291,11 @@ def _least_squares(spectra: _Spectra, resonant: bool) -> Fit:
     solution = least_squares(residual, start, x_scale="jac")
     unexplained = 2 * float(solution.cost)
     variance = unexplained / (len(solution.fun) - len(start))
-    jacobian = np.asarray(solution.jac)
-    errors = _CONFIDENCE * np.sqrt(variance * np.diag(np.linalg.inv(jacobian.T @ jacobian)))
+    # A fit of the wrong kind leaves parameters undetermined, whose errors are to be great: of a resonance that is not
+    # there, gain, corner and Q; of a low-pass on a resonance at the band's end, the corner.
+    _, singular, directions = np.linalg.svd(np.asarray(solution.jac), full_matrices=False)
+    singular = np.maximum(singular, np.finfo(np.float64).eps * singular[0])
+    errors = _CONFIDENCE * np.sqrt(variance) * np.linalg.norm(directions / singular[:, None], axis=0)
     stroke_um, fitted_corner_hz = 2 * np.exp(solution.x[0]), np.exp(solution.x[1])
     fitted_quality = float(np.exp(solution.x[4])) if resonant else None
     return Fit(

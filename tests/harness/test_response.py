@@ -79,6 +79,23 @@ def test_an_unknown_actuator_is_recovered_from_a_noisy_sensor(believed: Actuator
     assert 0 < fit.corner_error_hz < 0.02 * real.corner_hz
 
 
+@pytest.mark.parametrize(("corner_hz", "quality"), [(162.6, None), (700.0, 3.0), (800.0, 15.0)])
+@pytest.mark.filterwarnings("error")
+def test_a_fit_of_the_wrong_kind_disturbs_nothing(corner_hz: float, quality: float | None) -> None:
+    """A low-pass hardly determines Q, and a resonance at the end of the band no low-pass's corner."""
+    real = replace(VOICE_COIL, corner_hz=corner_hz, quality=quality)
+    time_s = np.arange(round(SWEEP_S * 8000)) / 8000
+    octaves = np.log(1000.0 / response.MIN_HZ)
+    phase = 2 * np.pi * response.MIN_HZ * SWEEP_S / octaves * (np.exp(octaves * time_s / SWEEP_S) - 1)
+    fade = np.clip(np.minimum(time_s, SWEEP_S - time_s) / 0.02, 0.0, 1.0)
+    given = np.round(0.1 * fade * np.sin(phase) * real.full_scale).astype(np.int16)[:, None]
+    skin = Recording(real.displacement_um(given, OVERSAMPLING), OVERSAMPLING * 8000.0, "um", "model")
+    fit = response.fit_actuator(response.Sweep(given[:, 0] / real.full_scale, 8000, SWEEP_S, 1000.0, skin))
+    assert fit.corner_hz == pytest.approx(corner_hz, rel=0.01) and (fit.quality is None) == (quality is None)
+    assert np.all(np.isfinite([fit.corner_error_hz, fit.stroke_error_um, fit.quality_error or 0.0]))
+    assert fit.corner_error_hz < 0.01 * corner_hz
+
+
 def test_a_missing_sensor_is_reported() -> None:
     controller, _ = bench(PIEZO_STACK, PIEZO_STACK, "um")
 
