@@ -35,8 +35,11 @@ def test_a_part_of_a_page_of_figures_ends_with_its_commit_and_leaves_the_other_p
     assert page == "# Page\n\nFigures: one.\n\n## Part\n\nFigures: two.\n"
     page = write("# Page\n\nDrawn again.\n")
     assert page == "# Page\n\nDrawn again.\n\nFigures: one.\n\n## Part\n\nFigures: two.\n"
-    assert write("## Part\n", "three") == page.replace("two", "three")
-    assert write("# Another page\n", "four") == "# Another page\n\nFigures: four.\n"
+    page = write("## Part\n", "three")
+    assert page == "# Page\n\nDrawn again.\n\nFigures: one.\n\n## Part\n\nFigures: three.\n"
+    more = write("## More\n", "four")
+    assert write("## Part\n", "five") == more.replace("three", "five")
+    assert write("# Another page\n", "six") == "# Another page\n\nFigures: six.\n"
 
 
 def test_the_tables_of_a_page_are_there_for_latex(tmp_path: Path) -> None:

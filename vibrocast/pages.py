@@ -46,7 +46,7 @@ def write_figures(path: Path, part: str, redrawn: bool = False) -> None:
     """
     page = path.read_text(encoding="utf-8") if path.exists() else ""
     heading = re.escape(part.partition("\n")[0])
-    former = re.search(rf"^{heading}\n.*?^({FIGURES}.*)\n", page, re.MULTILINE | re.DOTALL)
+    former = re.search(rf"^{heading}\n.*?^({FIGURES}[^\n]*)\n", page, re.MULTILINE | re.DOTALL)
     last = f"{FIGURES}{program()}." if not redrawn else former[1] if former else ""
     text = f"{part}\n{last}\n" if last else part
     if former:
