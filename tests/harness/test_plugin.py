@@ -61,7 +61,7 @@ LOADED = ("-p", "no:vibrocast", "-p", "vibrocast.harness.plugin", "-p", "no:cach
 def test_the_same_test_runs_on_every_device(pytester: pytest.Pytester, arguments: list[str], name: str) -> None:
     pytester.makepyfile(USERS_TEST)
     pytester.path.joinpath("bench.toml").write_text(BENCH)
-    result = pytester.runpytest_subprocess(*LOADED, "-s", *arguments)
+    result = pytester.runpytest_subprocess(*LOADED, "-s", "--vibrocast-tries=5", *arguments)
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines([f"*on {name}", "vibrocast: checked up to the call of the DAC function"])
 
