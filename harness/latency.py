@@ -41,6 +41,14 @@ MOST_LATE = 0.1
 """Late packets and underruns, as a share of the measured packets, beyond which medians do not describe a stream."""
 
 
+class FlawedError(ControllerError):
+    """A latency that is not what it seems to be. `doubt`: why this machine may have caused that, as of `Report`."""
+
+    def __init__(self, problem: str, doubt: str) -> None:
+        super().__init__(problem)
+        self.doubt = doubt
+
+
 @dataclass(frozen=True)
 class Spread:
     """Of many blocks, in ms: the median and the value that 95 % of them keep below."""
@@ -198,12 +206,12 @@ def measure_credible_latency(
     recorder: Recorder | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Latency:
-    """Measure the latency, once more if it has a flaw. Raises ControllerError if it has one then too, and as before."""
+    """Measure the latency, once more if it has a flaw. Raises FlawedError if it has one then too, and as before."""
     for _ in range(2):
         measured = measure_latency(session, texture, recorder=recorder, progress=progress)
         if measured.flaw is None:
             return measured
-    raise ControllerError(f"{measured.flaw}; use a less busy machine or a faster link")
+    raise FlawedError(f"{measured.flaw}; use a less busy machine or a faster link", measured.report.doubt)
 
 
 def find_min_latency(

@@ -280,9 +280,9 @@ def _least_squares(spectra: _Spectra, resonant: bool) -> Fit:
 
     def residual(parameters: Samples) -> Samples:
         log_gain, log_corner, late_ms, drift_ppm, *log_quality = parameters
-        shape = analog_response(
-            spectra.frequencies_hz, np.exp(log_corner), np.exp(log_quality[0]) if resonant else None
-        )
+        # The controller's clock counts, as for the sweep; the sensor's is off by the drift.
+        frequencies_hz = spectra.frequencies_hz * (1 + drift_ppm / 1e6)
+        shape = analog_response(frequencies_hz, np.exp(log_corner), np.exp(log_quality[0]) if resonant else None)
         late = spectra.late(delay_s + late_ms / 1e3, drift_ppm / 1e6)
         difference = (np.sign(gain) * np.exp(log_gain) * shape * late * spectra.given - spectra.recorded) / scale
         return np.concatenate((difference.real, difference.imag))

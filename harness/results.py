@@ -256,8 +256,10 @@ def _change(earlier: Value | None, later: Value | None) -> Change:
         problem = "not in the earlier run" if earlier is None else "not measured now"
     elif before is None and now is None:
         problem = "known in neither run" if known.key in _ALWAYS_KNOWN else None
-    elif before is None or now is None:
-        problem = "not known in the earlier run" if before is None else "not known now"
+    elif now is None:
+        problem = "not known now"
+    elif before is None:  # an exact copy cannot be worse than one that losses kept from being compared
+        problem = None if now is True else "not known in the earlier run"
     elif FIGURES[known.key].is_worse(before, now):
         problem = "worse"
     doubt = later.doubt if later else ""

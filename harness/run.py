@@ -12,7 +12,7 @@ from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.device_protocol.messages import MessageError
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.harness import measurements, page
-from vibrocast.harness.latency import Latency
+from vibrocast.harness.latency import FlawedError, Latency
 from vibrocast.harness.results import ACTUATOR, JSON, LINK_COUNTERS, NAMES, PAGE, Measured, Results, compare
 from vibrocast.harness.sensors import SensorError
 from vibrocast.host import bench_file
@@ -96,6 +96,8 @@ def _measure(bench: Bench, names: Collection[str], results: Results) -> None:
                     raise
                 except (AlignmentError, CodecError, ControllerError, MessageError, SensorError, StreamError) as error:
                     results.failed[name] = str(error)
+                    if isinstance(error, FlawedError) and error.doubt:
+                        results.doubts[name] = error.doubt
                     controller.stop()
                 except KeyboardInterrupt:
                     with contextlib.suppress(ControllerError, TransportError):

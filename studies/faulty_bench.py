@@ -296,7 +296,7 @@ def faulty_bench(injected: Injected, folder: Path, limits: str) -> Iterator[Path
         yield path
 
 
-def run_host(injected: Injected, command: Sequence[str], within_s: float = 120.0) -> tuple[int, str]:
+def run_host(injected: Injected, command: Sequence[str], within_s: float = 600.0) -> tuple[int, str]:
     """Run the host's program on a bench with a fault; return its exit code, and what it printed on stderr."""
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
         ended = threading.Event()

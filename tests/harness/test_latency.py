@@ -11,11 +11,11 @@ import pytest
 from tests.conftest import RATE_HZ, linked, noise, session, texture
 from tests.harness.runs import LATENCY
 from vibrocast.harness import latency
-from vibrocast.harness.latency import Latency
+from vibrocast.harness.latency import FlawedError, Latency
 from vibrocast.harness.results import Measured, Results, warnings
 from vibrocast.harness.sensors import TimedRecording
 from vibrocast.host import live
-from vibrocast.host.controller import Controller, ControllerError
+from vibrocast.host.controller import Controller
 from vibrocast.host.live_playback import DeviceClock
 from vibrocast.host.report import Timing
 from vibrocast.host.session import session_with
@@ -144,13 +144,14 @@ def flawed(changes: dict[str, Any], buffer_ms: float) -> Latency:
 def test_a_delay_that_no_stream_had_is_measured_again_and_then_an_error(
     changes: dict[str, int], buffer_ms: float, flaw: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    good, bad = flawed({"lost_packets": 1}, -0.5), flawed(changes, buffer_ms)
+    good, bad = flawed({"lost_packets": 1}, -0.5), flawed(changes | {"doubt": "it was late"}, buffer_ms)
     results = iter([bad, good, bad, bad])
     monkeypatch.setattr(latency, "measure_latency", lambda *_, **__: next(results))
     controller = session_with(Bench().session, "sim")
     assert latency.measure_credible_latency(controller, NOISE) is good
-    with pytest.raises(ControllerError, match=flaw):
+    with pytest.raises(FlawedError, match=flaw) as caught:
         latency.measure_credible_latency(controller, NOISE)
+    assert caught.value.doubt == "it was late"
 
 
 def test_the_search_does_not_take_a_delay_that_no_stream_had(monkeypatch: pytest.MonkeyPatch) -> None:

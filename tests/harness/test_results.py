@@ -90,6 +90,10 @@ def test_each_figure_that_is_worse_or_missing_is_named(
     assert problems(RUN, changed(*path, value=value)) == worse
 
 
+def test_an_exact_copy_is_not_worse_than_one_that_losses_kept_from_being_compared() -> None:
+    assert problems(changed(*REPORT, "dac_equals_offline", value=None), RUN) == {}
+
+
 def test_a_figure_that_the_earlier_run_lacks_cannot_be_compared() -> None:
     earlier = changed("measured", "smallest", value=None)
     assert problems(earlier, RUN) == {"smallest stable latency, ms": "not in the earlier run"}
