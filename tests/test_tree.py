@@ -91,3 +91,11 @@ def test_each_fault_that_is_planted_finds_its_place_and_has_an_effect_of_its_own
 def test_every_page_of_figures_states_their_commit(path: Path) -> None:
     last = path.read_text().splitlines()[-1]
     assert re.fullmatch(rf"{pages.FIGURES}commit [0-9a-f]{{7,}} \(\d{{4}}-\d\d-\d\d\)(, changed since)?\.", last)
+
+
+@pytest.mark.parametrize(
+    "name", ["README.md", "CONTRIBUTING.md", "SECURITY.md", "examples/README.md", "firmware/README.md"]
+)
+def test_links_of_pages_that_the_site_does_not_check_lead_somewhere(name: str) -> None:
+    links = re.findall(r"\]\((?!https?:|#|mailto:)([^)#\s]+)", (ROOT / name).read_text(encoding="utf-8"))
+    assert [link for link in links if not (ROOT / name).parent.joinpath(link).exists()] == []
