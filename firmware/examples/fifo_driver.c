@@ -2,7 +2,7 @@
  *
  * The chip is like a BOS1901: 64 samples of 12 bits at 8000 Hz by a clock of its own. Its registers are written here
  * from memory and no chip has run this: check them with the datasheet. A word has 4 bits of address and 12 of data, and
- * each transfer returns the register that CONFIG names. docs/how-to/use_a_haptic_driver.md says how it plays.
+ * each transfer returns the register that CONFIG names. docs/how-to/use_a_board.md says how it plays.
  */
 #include "vibrocast/settings.h"
 

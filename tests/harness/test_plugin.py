@@ -287,19 +287,20 @@ def test_it(vibrocast_device):
     result.stdout.fnmatch_lines(["*the test still talks to its controller after 0.3 s; see --vibrocast-timeout-s*"])
 
 
-PAGE = (Path(__file__).parents[2] / "docs/how-to/measure_a_bench.md").read_text()
+PAGES = Path(__file__).parents[2] / "docs/how-to"
 
 
-def on_page(language: str) -> str:
-    """Return the first block of a language on the page."""
-    return re.findall(rf"```{language}[^\n]*\n(.*?)```", PAGE, re.DOTALL)[0]  # type: ignore[no-any-return]
+def on_page(name: str, language: str) -> str:
+    """Return the first block of a language on a page."""
+    return re.findall(rf"```{language}[^\n]*\n(.*?)```", (PAGES / name).read_text(), re.DOTALL)[0]  # type: ignore[no-any-return]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("device", ["sim", "host", "stm32f405"])
 def test_the_example_of_the_page_passes_on_a_healthy_board(device: str, pytester: pytest.Pytester) -> None:
     shutil.copy(OAK, pytester.path / "oak.wav")
-    result = users_run(pytester, on_page("python"), on_page("toml"), "--vibrocast-device", device, "-rs")
+    test, bench = on_page("test_with_pytest.md", "python"), on_page("measure_a_bench.md", "toml")
+    result = users_run(pytester, test, bench, "--vibrocast-device", device, "-rs")
     outcomes = result.parseoutcomes()
     undecided = len([line for line in result.outlines if "SKIPPED" in line and "undecided" in line])
     assert outcomes.get("passed", 0) + undecided == 4, outcomes

@@ -1,7 +1,7 @@
 /* A haptic driver of the DRV260x family as the output: real-time playback (RTP), 8 bits over I2C.
  *
  * The port calls vc_drv260x_sample() at each sample of vc_paced_dac (paced_output.h), and moves the bytes.
- * docs/how-to/use_a_haptic_driver.md says which vibrations such a driver can render.
+ * docs/how-to/use_a_board.md says which vibrations such a driver can render.
  */
 #ifndef VIBROCAST_DRV260X_H
 #define VIBROCAST_DRV260X_H
