@@ -61,7 +61,7 @@ def codec_by_name(name: str) -> Codec:
             return known[name]
     if name in CODECS.failures:
         raise CodecError(f"the codec {name} cannot be loaded: {CODECS.failures[name]}; repair or remove its package")
-    raise CodecError(f"there is no codec {name!r}; choose one of {', '.join(sorted(CODECS))}")
+    raise CodecError(f"there is no codec {name!r}; `vibrocast codecs` lists them")
 
 
 def codec_by_identifier(identifier: int, configuration: bytes = b"") -> Codec:

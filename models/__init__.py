@@ -87,8 +87,7 @@ def find(text: str) -> Model:
         return load(_FOLDER / text)
     if not Path(text).exists():
         raise ModelError(
-            f"{text}: no model of that name, no folder and no file; give one of {', '.join(names())}, or a folder that "
-            "`vibrocast export` wrote, or a model image"
+            f"no model {text}; `vibrocast models` lists them, or give a folder of `vibrocast export` or an image"
         )
     return load(Path(text))
 

@@ -102,7 +102,7 @@ class Condition(Table, frozen=True, kw_only=True):
         if self.rate_bps is not None and self.snr_db is not None:
             raise ValueError("rate_bps and snr_db are both given; leave one out")
         if self.codec is not None and self.codec not in codec.CODECS:
-            raise ValueError(f"there is no codec {self.codec!r}; choose one of {', '.join(codec.CODECS)}")
+            raise ValueError(f"there is no codec {self.codec!r}; `vibrocast codecs` lists them")
         coded = self.codec is not None or self.model is not None
         choices = (self.rate_bps, self.snr_db, self.touch)
         if not coded and (self.setting or any(each is not None for each in choices)):

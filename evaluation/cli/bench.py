@@ -22,7 +22,7 @@ from vibrocast.host.cli.options import (
     unit_option,
 )
 from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
-from vibrocast.host.cli.sections import OUTPUT, RUN, SectionedCommand, section
+from vibrocast.host.cli.sections import MORE, OUTPUT, RUN, SectionedCommand, section
 from vibrocast.textures import dataset
 
 if TYPE_CHECKING:  # modules that measure take a second to load; other commands need not wait for them
@@ -77,7 +77,11 @@ class SignalOptions:
     keep_dc: bool
 
 
-@click.command(cls=SectionedCommand)
+@click.command(
+    cls=SectionedCommand,
+    epilog="vibrocast bench recordings --out results\n"
+    "vibrocast bench manifest.csv --codecs mdct,slp --split test --out results",
+)
 @click.argument("recordings", metavar="FOLDER|MANIFEST", type=INPUT)
 @section(
     "Codecs",
@@ -89,20 +93,24 @@ class SignalOptions:
             "names",
             callback=separate_names,
             metavar="NAME,...",
-            help="Measure these codecs, or sets of their rate points. Default: all.",
+            help="Codecs, or sets of their rate points. Default: all.",
         ),
         own_models_option,
-        click.option(
-            "--programs",
-            "program_list",
-            type=INPUT,
-            metavar="FILE",
-            help="Add codecs in programs of your own, from a TOML file.",
+        section(
+            MORE,
+            click.option(
+                "--programs",
+                "program_list",
+                type=INPUT,
+                metavar="FILE",
+                help="TOML file with codecs in programs of your own.",
+            ),
+            allow_programs_option,
         ),
-        allow_programs_option,
     ),
-    click.option(
-        "--peers", type=INPUT, metavar="FILE", help="Add others' points on the same recordings, from a CSV file."
+    section(
+        MORE,
+        click.option("--peers", type=INPUT, metavar="FILE", help="CSV file of others' points on the same recordings."),
     ),
 )
 @section(
@@ -115,13 +123,16 @@ class SignalOptions:
             "part",
             type=click.Choice(dataset.PARTS),
             default="all",
-            help="Choose the part to measure.",
+            help="Part to measure.",
         ),
-        click.option(
-            "--split-by",
-            type=click.Choice(dataset.SPLITS),
-            default="auto",
-            help="Keep these whole in a split; auto follows the manifest.",
+        section(
+            MORE,
+            click.option(
+                "--split-by",
+                type=click.Choice(dataset.SPLITS),
+                default="auto",
+                help="Kept whole in a split; auto follows the manifest.",
+            ),
         ),
     ),
 )
@@ -134,10 +145,15 @@ class SignalOptions:
         click.option(
             "--stream-rate-hz",
             type=Whole("Hz", 1, MAX_RATE_HZ),
-            help="Resample all recordings to this rate. Default: each recording's own.",
+            help="Sample rate for all recordings. Default: each recording's own.",
         ),
-        click.option(
-            "--keep-dc", is_flag=True, help=f"Keep the band below {textures.HIGHPASS_HZ:g} Hz: offset, gravity, drift."
+        section(
+            MORE,
+            click.option(
+                "--keep-dc",
+                is_flag=True,
+                help=f"Keep the band below {textures.HIGHPASS_HZ:g} Hz: offset, gravity, drift.",
+            ),
         ),
     ),
 )
@@ -150,19 +166,22 @@ class SignalOptions:
             "--repeats",
             type=Whole("NUMBER", 0),
             default=3,
-            help="Take the median time of these runs; 0 measures no times.",
+            help="Runs whose median time counts; 0 measures no times.",
         ),
-        click.option(
-            "--scheduler",
-            metavar="ADDRESS",
-            help="Measure on workers of a Dask scheduler that you trust. Default: on this machine.",
+        section(
+            MORE,
+            click.option(
+                "--scheduler",
+                metavar="ADDRESS",
+                help="Dask scheduler that you trust, for its workers. Default: this machine.",
+            ),
         ),
     ),
 )
 @section(
     OUTPUT,
     click.option(
-        "--out", type=FOLDER, required=True, help="Write results.md and results/ here, and continue a run that was cut."
+        "--out", type=FOLDER, required=True, help="Folder for results.md and results/; continues a run that was cut."
     ),
 )
 def bench(

@@ -11,6 +11,7 @@ from vibrocast.errors import InputError
 from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import FOLDER, INPUT
 from vibrocast.host.cli.options import command_run, own_models_option
+from vibrocast.host.cli.sections import MORE, SectionedCommand, section
 from vibrocast.textures import Recording, TextureError, dataset
 
 MAX_FAILURES = 5
@@ -18,18 +19,23 @@ MAX_FAILURES = 5
 OUTCOMES = {"rejected": "rejected", "degraded": "degraded", "fails": "failed"}
 
 
-@click.command()
-@click.option("--codecs", "names", metavar="NAME,...", help="Test these codecs or families of models. Default: all.")
+@click.command(
+    cls=SectionedCommand,
+    epilog="vibrocast stability --quick --out maps\n"
+    "vibrocast stability --codecs mdct --recordings recordings --out maps",
+)
+@click.option("--codecs", "names", metavar="NAME,...", help="Codecs or families of models. Default: all.")
 @own_models_option
-@click.option(
-    "--peers-edge", type=INPUT, metavar="FILE", help="Add other codecs' results with hard signals, from a CSV file."
+@section(
+    MORE,
+    click.option(
+        "--peers-edge", type=INPUT, metavar="FILE", help="CSV file of other codecs' results with hard signals."
+    ),
 )
-@click.option(
-    "--recordings", type=INPUT, metavar="FOLDER|MANIFEST", help="Map recordings of your own too. Default: none."
-)
-@click.option("--maps", "map_names", metavar="NAME,...", help="Make these maps, such as recordings. Default: all.")
+@click.option("--recordings", type=INPUT, metavar="FOLDER|MANIFEST", help="Recordings of your own. Default: none.")
+@click.option("--maps", "map_names", metavar="NAME,...", help="Maps, such as recordings. Default: all.")
 @click.option("--quick", is_flag=True, help="Test a few conditions only.")
-@click.option("--out", type=FOLDER, required=True, help="Write the page and its data into this folder.")
+@click.option("--out", type=FOLDER, required=True, help="Folder for the page and its data.")
 def stability(
     out: Path,
     names: str | None,

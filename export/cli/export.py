@@ -17,6 +17,7 @@ from vibrocast.host import uploader
 from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import FOLDER, INPUT, Whole
 from vibrocast.host.cli.options import command_run
+from vibrocast.host.cli.sections import MORE, SectionedCommand, section
 
 FILES = {models.CARD, "card.md", "curves.csv", "curves.png", models.ANALYSIS, "synthesis.onnx"}
 """The files in the folder of a model, in addition to its image."""
@@ -36,45 +37,55 @@ def reject_replacing_others(folder: Path) -> None:
         raise InputError(f"{folder} holds other files than a model's, and would be replaced; give another --out")
 
 
-@click.command()
+@click.command(
+    cls=SectionedCommand,
+    epilog="vibrocast export trained/eva/checkpoint.pt\n"
+    "vibrocast export trained/eva/checkpoint.pt --name mine --sign vendor.pem 1",
+)
 @click.argument("checkpoint", type=INPUT)
 @click.option(
-    "--name", callback=checked_name, metavar="NAME", help="Name the model. Default: the name of its training."
+    "--name", callback=checked_name, metavar="NAME", help="Name of the model. Default: the name of its training."
 )
-@click.option(
-    "--version",
-    "model_version",
-    metavar="VERSION",
-    default="1",
-    help="State the version of the model.",
+@section(
+    MORE,
+    click.option(
+        "--version",
+        "model_version",
+        metavar="VERSION",
+        default="1",
+        help="Version of the model.",
+    ),
 )
 @click.option(
     "--runtime",
     type=click.Choice(("core", "onnx", "both")),
     default="core",
-    help="Pack the integer network (core), the ONNX graph, or both.",
+    help="Content: the integer network (core), the ONNX graph, or both.",
 )
-@click.option(
-    "--data",
-    "data_folder",
-    type=INPUT,
-    metavar="FOLDER",
-    default=".",
-    help="Find the training's data under this folder.",
-)
-@click.option(
-    "--training-command",
-    metavar="COMMAND",
-    help="State the command of the training. Default: `vibrocast train NAME.toml`.",
+@section(
+    MORE,
+    click.option(
+        "--data",
+        "data_folder",
+        type=INPUT,
+        metavar="FOLDER",
+        default=".",
+        help="Folder of the training's data.",
+    ),
+    click.option(
+        "--training-command",
+        metavar="COMMAND",
+        help="Command of the training, for the card. Default: `vibrocast train NAME.toml`.",
+    ),
 )
 @click.option(
     "--sign",
     "signing",
     type=(INPUT, Whole("number", 1, MAX_NUMBER)),
     metavar="KEY NUMBER",
-    help="Sign the image by a private key, as this release.",
+    help="Private key that signs the image, and number of the release.",
 )
-@click.option("--out", type=FOLDER, help="Write the model into this folder. Default: ./NAME.")
+@click.option("--out", type=FOLDER, help="Folder of the model. Default: ./NAME.")
 def export(
     checkpoint: Path,
     name: str | None,

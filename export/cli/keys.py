@@ -13,6 +13,7 @@ from vibrocast.host import uploader
 from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import INPUT, OutputFile, Whole, reject_overwriting
 from vibrocast.host.cli.options import chosen_image
+from vibrocast.host.cli.sections import SectionedCommand
 from vibrocast.host.cli.steps import files_of
 
 KEY_SUFFIX = ".pem"
@@ -29,7 +30,10 @@ def keys() -> None:
     """
 
 
-@keys.command()
+@keys.command(
+    cls=SectionedCommand,
+    epilog="vibrocast keys new vendor.pem\nvibrocast keys new vendor.pem --json",
+)
 @click.argument("key", type=OutputFile(KEY_SUFFIX))
 def new(key: Path) -> None:
     """Make a key pair.
@@ -53,7 +57,10 @@ def new(key: Path) -> None:
     tell(f"{public_path}: public key {shown}", file=str(public_path), public_key=shown)
 
 
-@keys.command()
+@keys.command(
+    cls=SectionedCommand,
+    epilog="vibrocast keys show vendor.pub.pem\nvibrocast keys show vendor.pem",
+)
 @click.argument("key", metavar="KEY", type=INPUT)
 def show(key: Path) -> None:
     """Print the public key of a file in hexadecimal digits."""
@@ -61,16 +68,20 @@ def show(key: Path) -> None:
     tell(public_key, public_key=public_key)
 
 
-@keys.command()
+@keys.command(
+    cls=SectionedCommand,
+    epilog="vibrocast keys sign eva-128-1 --key vendor.pem --number 1 --out signed.vcmi\n"
+    "vibrocast keys sign actuator.toml --key vendor.pem --number 2 --out signed.vcmi",
+)
 @model_argument
-@click.option("--key", type=INPUT, metavar="FILE", required=True, help="Sign with the private key in this file.")
+@click.option("--key", type=INPUT, metavar="FILE", required=True, help="Private key.")
 @click.option(
     "--number",
     type=Whole("number", 1, MAX_NUMBER),
     required=True,
-    help="Number the release; no lower one runs later.",
+    help="Number of the release; no lower one runs later.",
 )
-@click.option("--out", type=OutputFile(models.IMAGE_SUFFIX), required=True, help="Write the signed image here.")
+@click.option("--out", type=OutputFile(models.IMAGE_SUFFIX), required=True, help="Signed image.")
 def sign(model: models.Model, key: Path, number: int, out: Path) -> None:
     """Sign a model image.
 
@@ -92,11 +103,13 @@ def sign(model: models.Model, key: Path, number: int, out: Path) -> None:
     )
 
 
-@keys.command()
-@model_argument
-@click.option(
-    "--public-key", type=INPUT, metavar="FILE", required=True, help="Check against the public key in this file."
+@keys.command(
+    cls=SectionedCommand,
+    epilog="vibrocast keys verify signed.vcmi --public-key vendor.pub.pem\n"
+    "vibrocast keys verify signed.vcmi --public-key vendor.pub.pem --json",
 )
+@model_argument
+@click.option("--public-key", type=INPUT, metavar="FILE", required=True, help="Public key.")
 def verify(model: models.Model, public_key: Path) -> None:
     """Check the signature of a model image.
 

@@ -11,34 +11,44 @@ import click
 from vibrocast import progress
 from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import FOLDER, INPUT
+from vibrocast.host.cli.sections import MORE, SectionedCommand, section
 
 
-@click.command()
+@click.command(
+    cls=SectionedCommand,
+    epilog="vibrocast train examples/tiny.toml\nvibrocast train examples/eva.toml --data recordings --resume",
+)
 @click.argument("config", type=INPUT)
 @click.option(
     "--data",
     "data_folder",
     type=INPUT,
     metavar="FOLDER",
-    help="Find the data of CONFIG under this folder. Default: the folder of CONFIG.",
+    help="Folder of the data of CONFIG. Default: the folder of CONFIG.",
 )
-@click.option(
-    "--split",
-    type=click.Choice(("material", "trace")),
-    default="material",
-    help="Hold back materials of CONFIG, or traces of all recordings in --data.",
+@section(
+    MORE,
+    click.option(
+        "--split",
+        type=click.Choice(("material", "trace")),
+        default="material",
+        help="Held back: materials of CONFIG, or traces of all recordings in --data.",
+    ),
 )
 @click.option(
     "--out",
     type=FOLDER,
     default="trained",
-    help="Write the checkpoints into this folder, under the training's name.",
+    help="Folder for the checkpoints, under the training's name.",
 )
 @click.option("--resume", is_flag=True, help="Continue a training that was cut.")
-@click.option(
-    "--scheduler",
-    metavar="ADDRESS",
-    help="Run a sweep on workers of a Dask scheduler that you trust. Default: on this machine.",
+@section(
+    MORE,
+    click.option(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Dask scheduler that you trust, for a sweep. Default: this machine.",
+    ),
 )
 def train(
     config: Path,

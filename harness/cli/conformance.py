@@ -15,22 +15,26 @@ from vibrocast.host.bench_file import InputSensor, choose_controller, read_bench
 from vibrocast.host.cli.answers import add, tell, wants_json
 from vibrocast.host.cli.option_types import FOLDER, INPUT
 from vibrocast.host.cli.options import device_option
+from vibrocast.host.cli.sections import SectionedCommand
 
 if TYPE_CHECKING:
     from vibrocast.harness.conformance import Report
     from vibrocast.harness.sensors import Recorder
 
 
-@click.command()
+@click.command(
+    cls=SectionedCommand,
+    epilog="vibrocast conformance --quick\nvibrocast conformance --device serial:/dev/ttyACM0 --out report",
+)
 @device_option
-@click.option("--out", type=FOLDER, help="Write the report into this folder. Default: none is written.")
+@click.option("--out", type=FOLDER, help="Folder for the report. Default: none is written.")
 @click.option("--no-flash", is_flag=True, help="Write no model image; requirements on them are not applicable.")
 @click.option("--quick", is_flag=True, help="Leave out tests that take more than a second.")
 @click.option(
     "--recorder",
     type=INPUT,
     metavar="FILE",
-    help="Compare the real output too. A file of a port's DAC codes, or a bench file with a sensor.",
+    help="Real output to compare: a file of a port's DAC codes, or a bench file with a sensor.",
 )
 def conformance(address: str, out: Path | None, no_flash: bool, quick: bool, recorder: Path | None) -> None:
     """Test a controller against the protocol.

@@ -25,6 +25,7 @@ from vibrocast.host.cli.answers import add, figures_so_far, tell
 from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import FOLDER, INPUT
 from vibrocast.host.cli.options import allow_programs_option, fail, given_once
+from vibrocast.host.cli.sections import SectionedCommand
 from vibrocast.host.report import UP_TO_DAC_CALL
 
 TRACE = "trace.pcapng"
@@ -47,41 +48,45 @@ def written_since(path: Path, began_ns: int) -> dict[str, Any] | None:
     return document
 
 
-@click.command()
+@click.command(
+    cls=SectionedCommand,
+    epilog="vibrocast measure --device serial:/dev/ttyACM0 --out monday\n"
+    "vibrocast measure --bench bench.toml --compare monday/measured.json",
+)
 @click.option(
     "--device",
     callback=given_once(lambda _, __, device: device),
     metavar="ADDRESS|NAME",
     multiple=True,
-    help="Choose a controller, by address or name. Default: the bench's, else sim.",
+    help="Controller, by address or name. Default: the bench's, else sim.",
 )
 @click.option(
     "--bench",
     "bench_path",
     type=INPUT,
     metavar="FILE",
-    help="Read controllers, actuators, sensors and textures from a TOML file.",
+    help="TOML file with controllers, actuators, sensors and textures.",
 )
 @allow_programs_option
 @click.option(
     "--out",
     type=FOLDER,
     default=Path("measured"),
-    help=f"Write {PAGE}, {JSON} and {ACTUATOR} into this folder.",
+    help=f"Folder for {PAGE}, {JSON} and {ACTUATOR}.",
 )
 @click.option(
     "--compare",
     "earlier",
     type=INPUT,
     metavar="FILE",
-    help=f"Compare with {JSON} of an earlier run; a worse result fails.",
+    help=f"{JSON} of an earlier run; a worse result fails.",
 )
 @click.option(
     "--only",
     "names",
     callback=chosen_names,
     metavar="NAME,...",
-    help=f"Choose among {', '.join(NAMES)}. Default: all but {', '.join(sorted(set(NAMES) - set(STABLE)))}.",
+    help=f"Some of {', '.join(NAMES)}. Default: all but {', '.join(sorted(set(NAMES) - set(STABLE)))}.",
 )
 def measure(
     device: str | None,

@@ -11,6 +11,7 @@ from vibrocast.harness import recorder
 from vibrocast.host import sources
 from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import OutputFile, Whole, positive
+from vibrocast.host.cli.sections import MORE, SectionedCommand, section
 from vibrocast.textures import sidecar
 from vibrocast.textures.sensitivity import EXAMPLES, Sensitivity, parse
 
@@ -31,20 +32,24 @@ def checked_axes(ctx: click.Context, param: click.Parameter, value: str | None) 
     return axes
 
 
-@click.command()
+@click.command(
+    cls=SectionedCommand,
+    epilog="vibrocast record oak.wav --input serial:/dev/ttyACM0 --seconds 4\n"
+    "vibrocast record oak.wav --input audio:default --sensitivity 10.2mV/g --volts-full-scale 1.4",
+)
 @click.argument("out", type=OutputFile(".wav"))
-@click.option("--input", "address", metavar="INPUT", required=True, help=f"Choose the sensor: {sources.FORMS}.")
+@click.option("--input", "address", metavar="INPUT", required=True, help=f"Sensor: {sources.FORMS}.")
 @click.option(
     "--sensitivity",
     callback=parsed_sensitivity,
     metavar="VALUE/UNIT",
-    help=f"Give the sensor's sensitivity: {EXAMPLES}.",
+    help=f"Sensitivity of the sensor: {EXAMPLES}.",
 )
-@click.option("--volts-full-scale", type=positive("V"), help="Give the volts at the input that are digital full scale.")
-@click.option("--axes", callback=checked_axes, metavar="XYZ", help="Name the axis of each channel, such as xyz.")
-@click.option("--rate-hz", type=Whole("Hz", 20, 10**6), help="Set the sample rate. Default: that of the input.")
-@click.option("--seconds", type=positive("s"), help="Set the duration. Default: until Ctrl-C.")
-@click.option("--keep-dc", is_flag=True, help=f"Keep offset and drift below {recorder.DRIFT_HZ:g} Hz.")
+@click.option("--volts-full-scale", type=positive("V"), help="Volts at the input that are digital full scale.")
+@section(MORE, click.option("--axes", callback=checked_axes, metavar="XYZ", help="Axis of each channel, such as xyz."))
+@click.option("--rate-hz", type=Whole("Hz", 20, 10**6), help="Sample rate. Default: that of the input.")
+@click.option("--seconds", type=positive("s"), help="Seconds to record. Default: until Ctrl-C.")
+@section(MORE, click.option("--keep-dc", is_flag=True, help=f"Keep offset and drift below {recorder.DRIFT_HZ:g} Hz."))
 def record(
     out: Path,
     address: str,

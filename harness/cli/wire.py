@@ -23,6 +23,7 @@ from vibrocast.host import devices
 from vibrocast.host.cli.answers import tell, wants_json
 from vibrocast.host.cli.option_types import INPUT, Number, OutputFile
 from vibrocast.host.cli.options import checked_address, given_once, link_option, tell_address
+from vibrocast.host.cli.sections import SectionedCommand
 from vibrocast.host.tracing import tracer
 
 if TYPE_CHECKING:
@@ -53,7 +54,10 @@ class Screen:
         sys.stdout.flush()
 
 
-@click.command()
+@click.command(
+    cls=SectionedCommand,
+    epilog="vibrocast monitor serial:/dev/ttyACM0 --link /tmp/watched\nvibrocast monitor sim --web",
+)
 @address_argument
 @link_option
 @click.option("--web", is_flag=True, help="Show signals, spectra and state on a page for your browser.")
@@ -83,13 +87,16 @@ def monitor(address: str, link: Path | None, web: bool) -> None:
 share_option = partial(click.option, type=Number("PART", 0, 1), default=0.0)
 
 
-@click.command()
+@click.command(
+    cls=SectionedCommand,
+    epilog="vibrocast proxy sim --flipped 0.02 --delay-ms 5\nvibrocast proxy serial:/dev/ttyACM0 --faults faults.toml",
+)
 @address_argument
 @link_option
-@share_option("--lost", help="Lose this part of the frames, 0 to 1.")
-@share_option("--flipped", help="Damage this part of the frames, 0 to 1.")
-@click.option("--delay-ms", type=Number("ms", 0, 10_000), default=0.0, help="Delay each frame.")
-@click.option("--faults", "schedule", type=INPUT, metavar="FILE", help="Take a schedule of faults from a TOML file.")
+@share_option("--lost", help="Part of the frames that is lost, 0 to 1.")
+@share_option("--flipped", help="Part of the frames that is damaged, 0 to 1.")
+@click.option("--delay-ms", type=Number("ms", 0, 10_000), default=0.0, help="Delay of each frame.")
+@click.option("--faults", "schedule", type=INPUT, metavar="FILE", help="TOML file with a schedule of faults.")
 def proxy(address: str, link: Path | None, lost: float, flipped: float, delay_ms: float, schedule: Path | None) -> None:
     """Put a wire with faults between a host and a controller.
 
@@ -138,14 +145,17 @@ def serve(address: str, link: Path | None, faults: "Sequence[Fault]", see: "See 
             raise remote.failure
 
 
-@click.command()
+@click.command(
+    cls=SectionedCommand,
+    epilog="vibrocast replay oak.pcapng --summary\nvibrocast replay oak.pcapng --device sim",
+)
 @click.argument("trace", type=INPUT)
 @click.option(
     "--decode",
     "out",
     type=OutputFile(*textures.SAVED_SUFFIXES),
     metavar="FILE",
-    help="Decode the last stream into a file, up to a missing packet.",
+    help="File for the last stream, decoded up to a missing packet.",
 )
 @click.option(
     "--device",
@@ -153,7 +163,7 @@ def serve(address: str, link: Path | None, faults: "Sequence[Fault]", see: "See 
     callback=given_once(checked_address),
     metavar="ADDRESS",
     multiple=True,
-    help="Send the frames from the host to this controller, at their times.",
+    help="Controller that gets the frames from the host, at their times.",
 )
 @click.option("--summary", is_flag=True, help="Sum up losses, silences and damage, and name the likely cause.")
 def replay(trace: Path, out: Path | None, address: str | None, summary: bool) -> None:

@@ -5,13 +5,17 @@ from dataclasses import asdict
 import click
 
 from vibrocast.host.cli.answers import tell
+from vibrocast.host.cli.sections import SectionedCommand
 from vibrocast.host.cli.steps import show
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import followed_band_hz
 from vibrocast.output.actuator_constants import board_source
 
 
-@click.command()
+@click.command(
+    cls=SectionedCommand,
+    epilog="vibrocast actuator lra\nvibrocast actuator actuator.toml --c > board_actuator.c",
+)
 @click.argument("name", metavar="NAME|FILE")
 @click.option("--c", "as_c", is_flag=True, help="Print the constants for firmware, as C.")
 def actuator(name: str, as_c: bool) -> None:

@@ -6,12 +6,16 @@ from vibrocast import codec, models
 from vibrocast.device_protocol.model_image import sha256
 from vibrocast.files import plain
 from vibrocast.host.cli.answers import answer, wants_json
+from vibrocast.host.cli.sections import SectionedCommand
 from vibrocast.host.cli.steps import show
 
 _COLUMNS = ("name", "codec", "width", "image bytes", "SNR dB", "bit/sample")
 
 
-@click.command()
+@click.command(
+    cls=SectionedCommand,
+    epilog="vibrocast codecs\nvibrocast codecs --json",
+)
 def codecs() -> None:
     """List the codecs and their parameters."""
     facts = {
@@ -34,7 +38,11 @@ def codecs() -> None:
         )
 
 
-@click.command("models")
+@click.command(
+    "models",
+    cls=SectionedCommand,
+    epilog="vibrocast models\nvibrocast models --json",
+)
 def list_models() -> None:
     """List the shipped models, with rate and quality."""
     if wants_json():

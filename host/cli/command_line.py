@@ -194,10 +194,10 @@ def fail(message: str, exit_code: int) -> NoReturn:
     "trace_path",
     callback=trace_file,
     metavar="FILE",
-    help="Write all frames into a .pcapng or .jsonl file.",
+    help="File for all frames: .pcapng or .jsonl.",
 )
 @click.option(
-    "--log", "log_path", type=OutputFile(), metavar="FILE", help="Append what happens to a file, with times in UTC."
+    "--log", "log_path", type=OutputFile(), metavar="FILE", help="File to which a log with times in UTC is appended."
 )
 @click.pass_context
 def main(ctx: click.Context, debug: bool, trace_path: Path | None, log_path: Path | None) -> None:

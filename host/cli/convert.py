@@ -12,10 +12,14 @@ from vibrocast.device_protocol.coded_stream import STREAM_SUFFIX
 from vibrocast.files import atomic_write
 from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import INPUT, OutputFile, reject_overwriting
+from vibrocast.host.cli.sections import SectionedCommand
 from vibrocast.textures import clips
 
 
-@click.command()
+@click.command(
+    cls=SectionedCommand,
+    epilog="vibrocast convert examples/clips/knock.ahap knock.wav\nvibrocast convert examples/taps.wav taps.haptic",
+)
 @click.argument("file", type=INPUT)
 @click.argument("out", type=OutputFile(*textures.SAVED_SUFFIXES, *clips.WRITERS))
 def convert(file: Path, out: Path) -> None:

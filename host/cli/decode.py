@@ -10,10 +10,14 @@ from vibrocast.codec.stream import read_stream, write_profile, write_recording
 from vibrocast.host.cli.answers import tell, tell_profile
 from vibrocast.host.cli.option_types import INPUT, OutputFile, reject_overwriting
 from vibrocast.host.cli.options import model_option, runtime_option
+from vibrocast.host.cli.sections import SectionedCommand
 from vibrocast.host.cli.steps import files_of, show
 
 
-@click.command()
+@click.command(
+    cls=SectionedCommand,
+    epilog="vibrocast decode oak.vct oak.wav\nvibrocast decode oak.vct oak.csv",
+)
 @click.argument("file", type=INPUT)
 @click.argument("out", type=OutputFile(*textures.SAVED_SUFFIXES))
 @model_option
@@ -47,7 +51,10 @@ def decode(file: Path, out: Path, model: models.Model | None, runtime: str | Non
     )
 
 
-@click.command()
+@click.command(
+    cls=SectionedCommand,
+    epilog="vibrocast info oak.vct\nvibrocast info oak.vct --json",
+)
 @click.argument("file", type=INPUT)
 @model_option
 def info(file: Path, model: models.Model | None) -> None:

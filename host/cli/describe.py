@@ -24,7 +24,8 @@ SILENT_DB = -200.0
 def summary(report: Report, packets: str | None = None) -> dict[str, object]:
     """Return the lines that a command prints at the end of a playback, by their names; `packets` is one of them."""
     lines = {
-        "coded": describe_quality(report.quality) if report.position is None else None,
+        "coded": describe_snr(report.quality) if report.position is None else None,
+        "removed": describe_removed(report.quality) if report.position is None else None,
         "felt error": describe_felt_error(report.quality.felt_error)
         if report.stream_bytes and not report.position
         else None,
@@ -54,21 +55,23 @@ def describe_played(report: Report) -> str:
             f"{report.file}, {report.position.length_mm:.2f} mm, under a hand at up to "
             f"{report.position.fastest_mm_s:.0f} mm/s for {report.seconds:.2f} s"
         )
-    times = "live" if report.live is not None else f"{report.loops} time(s)"
-    return f"{report.file}, {report.seconds:.2f} s, {report.channels} channel(s), {times}"
+    times = "live" if report.live is not None else "once" if report.loops == 1 else f"{report.loops} times"
+    channels = "1 channel" if report.channels == 1 else f"{report.channels} channels"
+    return f"{report.file}, {report.seconds:.2f} s, {channels}, {times}"
 
 
-def describe_stream(report: Report) -> str:
+def describe_stream(report: Report) -> str | list[str]:
     """Return the size and the rate of what was coded, and by which codec, in words."""
     coded = f"codec {report.codec}" + (f", model {report.model}" if report.model else "")
     if report.position is not None:
         return f"{report.stream_bytes} bytes, {report.position.bits_per_mm:.0f} bit/mm, {coded}"
     if report.live is not None:
         live = report.live
-        return (
+        return [
             f"{live.payload_bits_per_second:.0f} bit/s, with frames {live.wire_bits_per_second:.0f} bit/s "
-            f"(+{100 * live.wire_adds:.1f} %), packets of {live.packet_ms:.1f} ms, {coded}"
-        )
+            f"(+{100 * live.wire_adds:.1f} %)",
+            f"packets of {live.packet_ms:.1f} ms, {coded}",
+        ]
     rate = f"{report.bits_per_second:.0f} bit/s, {report.bits_per_sample:.2f} bit/sample"
     return f"{report.stream_bytes} bytes, {rate}, {coded}"
 
@@ -178,18 +181,21 @@ def describe_packets(stream: Stream, given_samples: int) -> str:
     return f"{1000 * packet_s:.1f} ms each, {often} can be decoded alone{split}"
 
 
-def describe_quality(quality: CodingQuality | Quality) -> str:
-    """Return the SNR of a coded recording, and the parts of its energy that were removed before, in words."""
+def describe_snr(quality: CodingQuality | Quality) -> str:
+    """Return the SNR of a coded recording in words."""
     if quality.snr_db is None:
-        text = "SNR unknown (silent, lossless, or coded before)"
-    else:
-        text = f"SNR {quality.snr_db:.2f} dB"
+        return "SNR unknown (silent, lossless, or coded before)"
+    return f"SNR {quality.snr_db:.2f} dB"
+
+
+def describe_removed(quality: CodingQuality | Quality) -> str:
+    """Return the parts of the energy that were removed before coding, in words; empty for none."""
     removed = []
     if quality.highpass_hz is not None:
         removed.append(f"{_percent(quality.removed_below)} of the energy below {quality.highpass_hz:g} Hz")
     if quality.lowpass_hz is not None:
         removed.append(f"{_percent(quality.removed_above)} of the rest above {quality.lowpass_hz:g} Hz")
-    return f"{text}; removed: {', '.join(removed)}" if removed else text
+    return ", ".join(removed)
 
 
 def _percent(part: float | None) -> str:
@@ -207,10 +213,10 @@ def describe_felt_error(error: FeltError | None) -> str:
     return f"{felt}; the texture there {error.texture_db:+.0f} dB"
 
 
-def describe_skin(skin: SkinQuality | None, note: str | None) -> str:
+def describe_skin(skin: SkinQuality | None, note: str | None) -> list[str]:
     """Return the SNR at the skin that the threshold of touch weights, the gain, and what limits the actuator."""
     if skin is None:
-        return "not aligned: the skin does not move as the texture does"
+        return ["not aligned: the skin does not move as the texture does"]
     parts = []
     if skin.weighted_snr_db is not None:
         parts.append(f"{skin.weighted_snr_db:.1f} dB with the codec")
@@ -218,15 +224,15 @@ def describe_skin(skin: SkinQuality | None, note: str | None) -> str:
         parts.append(f"{skin.weighted_playing_snr_db:.1f} dB without")
     ratio = f"weighted SNR {', '.join(parts)}" if parts else "weighted SNR unknown"
     gain = f", gain {skin.gain:.2f}" if skin.gain is not None else ""
-    return f"{ratio}{gain}" + (f"; {note}" if note else "")
+    return [f"{ratio}{gain}", *([note] if note else [])]
 
 
-def describe_actuator(report: Report) -> str:
-    """Return in words the band that the actuator follows, and the quality at the skin."""
+def describe_actuator(report: Report) -> list[str]:
+    """Return lines with the band that the actuator follows, and the quality at the skin."""
     use = report.actuator
     band = "in no band" if use.follows_hz is None else "from {:.0f} to {:.0f} Hz".format(*use.follows_hz)
     skin = describe_skin(report.quality.skin, report.quality.skin_note)
-    return f"{use.name} follows within {FOLLOWED_DB:g} dB {band}; {skin}"
+    return [f"{use.name} follows within {FOLLOWED_DB:g} dB {band}", *skin]
 
 
 def describe_limits(use: ActuatorUse) -> str:
@@ -237,10 +243,11 @@ def describe_limits(use: ActuatorUse) -> str:
     )
 
 
-def describe_card(card: CardUse) -> str:
-    """Return how a sound card plays, in words."""
+def describe_card(card: CardUse) -> list[str]:
+    """Return lines with how a sound card plays."""
     channels = ", ".join(map(str, card.channels))
-    return (
-        f"{card.name}, {card.backend}, channels {channels}, {card.rate_hz} Hz, {card.full_scale_volts:g} V at full "
-        f"scale, period {card.period_ms:g} ms, latency {card.latency_ms:g} ms, underruns {card.underruns}"
-    )
+    return [
+        f"{card.name}, {card.backend}, channels {channels}",
+        f"{card.rate_hz} Hz, {card.full_scale_volts:g} V at full scale",
+        f"period {card.period_ms:g} ms, latency {card.latency_ms:g} ms, underruns {card.underruns}",
+    ]

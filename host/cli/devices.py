@@ -27,13 +27,18 @@ from vibrocast.host.cli.options import (
     own_actuator,
     tell_address,
 )
+from vibrocast.host.cli.sections import MORE, SectionedCommand, section
 from vibrocast.host.cli.steps import lines_of, show
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import PIEZO_STACK
 
 
-@click.command("devices")
+@click.command(
+    "devices",
+    cls=SectionedCommand,
+    epilog="vibrocast devices\nvibrocast devices --json",
+)
 def list_devices() -> None:
     """List addresses: simulated, serial, USB and sound cards."""
     found = devices.available()
@@ -45,15 +50,24 @@ def list_devices() -> None:
         click.echo(plain(f"{address:{width}}  {description}"))
 
 
-@click.command("upload")
+@click.command(
+    "upload",
+    cls=SectionedCommand,
+    epilog="vibrocast upload mdct-textures\nvibrocast upload actuator.toml --device serial:/dev/ttyACM0",
+)
 @click.argument("model", required=False, callback=chosen_image)
 @devices_option
 @click.option("--list", "lists", is_flag=True, help="List the slots and the models in them.")
 @click.option("--rollback", is_flag=True, help="Run the verified model of the other slot again.")
 @click.option("--erase", "erases", is_flag=True, help="Empty the slots that are not in use.")
-@click.option("--read-back", type=OutputFile(), help="Write the model that the controller runs to this file.")
-@click.option("--verify", "verifies", is_flag=True, help="Compare MODEL with the slot that holds it; write nothing.")
-@click.option("--no-confirm", "no_confirm", is_flag=True, help="Leave the model on trial until the next restart.")
+@section(
+    MORE,
+    click.option("--read-back", type=OutputFile(), help="File for the model that the controller runs."),
+    click.option(
+        "--verify", "verifies", is_flag=True, help="Compare MODEL with the slot that holds it; write nothing."
+    ),
+    click.option("--no-confirm", "no_confirm", is_flag=True, help="Leave the model on trial until the next restart."),
+)
 def upload_model(
     model: models.Model | None,
     chosen: tuple[BenchController, ...],
@@ -190,7 +204,10 @@ def upload(model: models.Model, address: str, name: str) -> None:
     tell(f"{name}: {line}", **{name: facts})
 
 
-@click.command()
+@click.command(
+    cls=SectionedCommand,
+    epilog="vibrocast status\nvibrocast status --device serial:/dev/ttyACM0",
+)
 @device_option
 @actuator_option
 def status(address: str, actuator_name: str | None) -> None:
@@ -199,13 +216,22 @@ def status(address: str, actuator_name: str | None) -> None:
         show(devices.facts(controller))
 
 
-@click.command()
-@click.option(
-    "--actuator", metavar="NAME|FILE", default=PIEZO_STACK.name, help="Choose the actuator that is compiled in."
+@click.command(
+    cls=SectionedCommand,
+    epilog="vibrocast simulate\nvibrocast simulate --actuator lra --flash-file flash.bin",
 )
+@click.option("--actuator", metavar="NAME|FILE", default=PIEZO_STACK.name, help="Actuator that is compiled in.")
 @link_option
-@click.option("--flash-file", type=OutputFile(), help="Keep model images in this file. Default: lost at the end.")
-@click.option("--public-key", type=INPUT, metavar="FILE", help="Take only model images that this key signed.")
+@click.option("--flash-file", type=OutputFile(), help="File that keeps model images. Default: lost at the end.")
+@section(
+    MORE,
+    click.option(
+        "--public-key",
+        type=INPUT,
+        metavar="FILE",
+        help="Public key; only model images that its owner signed are accepted.",
+    ),
+)
 def simulate(actuator: str, link: Path | None, flash_file: Path | None, public_key: Path | None) -> None:
     """Run a simulated controller until Ctrl-C.
 

@@ -13,7 +13,7 @@ from vibrocast.codec.encoding import Encoding, encode_recording
 from vibrocast.codec.rate_control import Outcome, RateTarget
 from vibrocast.codec.stream import Stream
 from vibrocast.host.cli.answers import tell
-from vibrocast.host.cli.describe import describe_felt_error, describe_quality
+from vibrocast.host.cli.describe import describe_felt_error, describe_removed, describe_snr
 from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, positive, reject_overwriting
 from vibrocast.host.cli.options import (
     QualityOptions,
@@ -27,7 +27,7 @@ from vibrocast.host.cli.options import (
     stream_rate_option,
     unit_option,
 )
-from vibrocast.host.cli.sections import CODING, SectionedCommand, section
+from vibrocast.host.cli.sections import CODING, MORE, SectionedCommand, section
 from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
 from vibrocast.host.cli.steps import encoded, encoded_profile, files_of
 from vibrocast.textures.files import MAX_SKIPPED_LINES
@@ -46,37 +46,20 @@ def parsed_setting(ctx: click.Context, param: click.Parameter, values: Sequence[
     return setting
 
 
-@click.command(cls=SectionedCommand)
+def checked_codec(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
+    """Return the name of a codec, or raise click.BadParameter."""
+    if value is not None and value not in codec.CODECS:
+        raise click.BadParameter(f"no codec {value}; `vibrocast codecs` lists them", ctx, param)
+    return value
+
+
+@click.command(
+    cls=SectionedCommand,
+    epilog="vibrocast encode examples/oak.wav oak.vct\n"
+    "vibrocast encode examples/oak.wav oak.vct --live --rate-bps 6000",
+)
 @click.argument("file", type=INPUT)
 @click.argument("out", type=OutputFile(".vct"))
-@section(
-    INPUT_SECTION,
-    grouped(
-        "recording",
-        RecordingOptions,
-        rate_hz_option,
-        unit_option,
-        click.option("--full-scale", type=positive("VALUE"), help="Give the value of 1.0 in a WAV file, in --unit."),
-        click.option(
-            "--columns",
-            metavar="NAME,...",
-            help="Take columns by name or number, as x,z. dft321, or norm:ax,ay,az, reduces three axes.",
-        ),
-        click.option(
-            "--sensitivity", metavar="TEXT", help="Give the sensitivity of the sensor of volts or counts, as 100mV/g."
-        ),
-        click.option("--resample", is_flag=True, help="Interpolate samples at equal steps from uneven times."),
-        click.option(
-            "--skip-lines", type=Whole("LINES", 0, MAX_SKIPPED_LINES), default=0, help="Pass over lines of a text file."
-        ),
-        click.option(
-            "--key",
-            metavar="NAME",
-            help="Choose an array, field, stream or topic of the file: trial.acc, group/channel.",
-        ),
-        hand_speed_option,
-    ),
-)
 @section(
     CODING,
     grouped(
@@ -85,29 +68,66 @@ def parsed_setting(ctx: click.Context, param: click.Parameter, values: Sequence[
         click.option(
             "--codec",
             "codec_name",
-            type=click.Choice(sorted(codec.CODECS)),
+            callback=checked_codec,
             metavar="NAME",
-            help=f"Choose a codec that `vibrocast codecs` lists. Default: that of --model, else {codec.DEFAULT_CODEC}.",
+            help=f"Codec; `vibrocast codecs` lists them. Default: that of --model, else {codec.DEFAULT_CODEC}.",
         ),
         model_option,
-        click.option(
-            "--setting",
-            callback=parsed_setting,
-            multiple=True,
-            metavar="NAME=VALUE",
-            help="Fix a parameter that `vibrocast codecs` lists; may be repeated.",
-        ),
-        click.option("--rate-bps", type=positive("bit/s"), help="Set the highest rate of the whole .vct file."),
+        click.option("--rate-bps", type=positive("bit/s"), help="Highest rate of the whole .vct file."),
         snr_db_option,
-        click.option(
-            "--touch",
-            type=Number("strength from 0 to 1", 0, 1),
-            help="Shape the error for touch: 0 = flat, 1 = by the threshold. "
-            f"Default: {codec.DEFAULT_TOUCH:g} for physical units, if the codec can.",
+        section(
+            MORE,
+            click.option(
+                "--touch",
+                type=Number("strength", 0, 1),
+                help="Error shaped for touch: 0 = flat, 1 = by the threshold. "
+                f"Default: {codec.DEFAULT_TOUCH:g} for physical units, if the codec can.",
+            ),
+            stream_rate_option,
+            click.option(
+                "--setting",
+                callback=parsed_setting,
+                multiple=True,
+                metavar="NAME=VALUE",
+                help="Parameter that `vibrocast codecs` lists; may be repeated.",
+            ),
         ),
-        stream_rate_option,
     ),
     click.option("--live", is_flag=True, help="Code short packets, and hold --rate-bps over any 2 s."),
+)
+@section(
+    INPUT_SECTION,
+    grouped(
+        "recording",
+        RecordingOptions,
+        rate_hz_option,
+        unit_option,
+        click.option(
+            "--columns",
+            metavar="NAME,...",
+            help="Columns by name or number, as x,z. dft321, or norm:ax,ay,az, reduces three axes.",
+        ),
+        section(
+            MORE,
+            click.option("--full-scale", type=positive("VALUE"), help="Value of 1.0 in a WAV file, in --unit."),
+            click.option(
+                "--sensitivity", metavar="TEXT", help="Sensitivity of the sensor of volts or counts, as 100mV/g."
+            ),
+            click.option("--resample", is_flag=True, help="Interpolate samples at equal steps from uneven times."),
+            click.option(
+                "--skip-lines",
+                type=Whole("LINES", 0, MAX_SKIPPED_LINES),
+                default=0,
+                help="Lines of a text file to leave out at its start.",
+            ),
+            click.option(
+                "--key",
+                metavar="NAME",
+                help="Array, field, stream or topic of the file: trial.acc, group/channel.",
+            ),
+            hand_speed_option,
+        ),
+    ),
 )
 def encode(file: Path, out: Path, live: bool, quality: QualityOptions, recording: RecordingOptions) -> None:
     """Code a recording into a .vct file.
@@ -155,10 +175,15 @@ def write_stream(out: Path, stream: Stream, how: str = "", **facts: Any) -> None
     quality = stream.quality
     assert quality is not None, "it has just been coded"
     model = f", model {stream.model_name}" if stream.image else ""
-    felt = "" if quality.felt_error is None else f"; felt error: {describe_felt_error(quality.felt_error)}"
+    lines = [
+        f"{out}: {stream.size_bytes} bytes, {stream.bits_per_second:.0f} bit/s{how}{model}, {describe_snr(quality)}"
+    ]
+    if removed := describe_removed(quality):
+        lines.append(f"removed: {removed}")
+    if quality.felt_error is not None:
+        lines.append(f"felt error: {describe_felt_error(quality.felt_error)}")
     tell(
-        f"{out}: {stream.size_bytes} bytes, {stream.bits_per_second:.0f} bit/s{how}{model}, "
-        f"{describe_quality(quality)}{felt}",
+        "\n".join(lines),
         out=str(out),
         **stream.facts(),
         quality=asdict(quality),

@@ -9,25 +9,32 @@ from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ
 from vibrocast.files import atomic_write
 from vibrocast.host.cli.answers import tell, tell_profile
 from vibrocast.host.cli.option_types import Number, OutputFile, Whole, positive
+from vibrocast.host.cli.sections import MORE, SectionedCommand, section
 from vibrocast.textures.recording import Signal
 
 
-@click.command()
+@click.command(
+    cls=SectionedCommand,
+    epilog="vibrocast generate wood wood.wav\nvibrocast generate ridges ridges.csv --hand-speed-mm-s 80",
+)
 @click.argument("kind", type=click.Choice(sorted(textures.GENERATORS)))
 @click.argument("out", type=OutputFile(".wav", ".csv"))
-@click.option("--seed", type=Whole("NUMBER", 0), default=0, help="Choose another realisation of the texture.")
-@click.option("--seconds", type=positive("s"), default=4.0, help="Set the duration.")
+@click.option("--seed", type=Whole("NUMBER", 0), default=0, help="Number of the realisation of the texture.")
+@click.option("--seconds", type=positive("s"), default=4.0, help="Seconds to generate.")
 @click.option(
     "--hand-speed-mm-s",
     type=positive("mm/s"),
     default=50.0,
-    help="Set the mean speed of the hand.",
+    help="Mean speed of the hand.",
 )
-@click.option(
-    "--speed-variation",
-    type=Number("FRACTION", 0, 2),
-    default=0.0,
-    help="Vary the speed by this fraction of its mean, once a second.",
+@section(
+    MORE,
+    click.option(
+        "--speed-variation",
+        type=Number("FRACTION", 0, 2),
+        default=0.0,
+        help="Variation of the speed, once a second, as a fraction of its mean.",
+    ),
 )
 def generate(kind: str, out: Path, seed: int, seconds: float, hand_speed_mm_s: float, speed_variation: float) -> None:
     """Generate a texture (.wav) or its height profile (.csv).

@@ -30,7 +30,7 @@ from vibrocast.host.cli.options import (
     model_option,
     rate_target,
 )
-from vibrocast.host.cli.sections import CODING, CONTROLLER, INPUT, SectionedCommand, section
+from vibrocast.host.cli.sections import CODING, CONTROLLER, INPUT, MORE, SectionedCommand, section
 from vibrocast.host.live_playback import LivePlayback
 from vibrocast.host.report import Provenance, Report
 from vibrocast.host.serial_sensor import SerialSensor
@@ -82,11 +82,17 @@ def checked_source(ctx: click.Context, param: click.Parameter, value: str) -> st
     """Return a source, or raise click.BadParameter."""
     if value in (STANDARD_INPUT, *textures.GENERATORS) or value.startswith(("serial:", "audio:")):
         return value
-    names = ", ".join((STANDARD_INPUT, *sorted(textures.GENERATORS)))
-    raise click.BadParameter(f"{value!r} is no source; give {sources.FORMS}, or one of {names}", ctx, param)
+    raise click.BadParameter(
+        f"no texture {value}; `vibrocast generate --help` lists them, and other sources are {sources.FORMS} and -",
+        ctx,
+        param,
+    )
 
 
-@click.command(cls=SectionedCommand)
+@click.command(
+    cls=SectionedCommand,
+    epilog="vibrocast live rough --seconds 5\nvibrocast live serial:/dev/ttyACM1 --unit g --device serial:/dev/ttyACM0",
+)
 @click.argument("source", callback=checked_source)
 @section(
     INPUT,
@@ -96,28 +102,34 @@ def checked_source(ctx: click.Context, param: click.Parameter, value: str) -> st
         click.option(
             "--seconds",
             type=positive("s"),
-            help=f"Set the duration. Default: {TEXTURE_S:g} for a texture, until the end of others.",
+            help=f"Seconds to stream. Default: {TEXTURE_S:g} of a texture, until the end of others.",
         ),
         click.option(
             "--rate-hz",
             type=Whole("Hz", 1, MAX_RATE_HZ),
-            help=f"Set the sample rate of the source. Default: {DEFAULT_STREAM_RATE_HZ}, "
+            help=f"Sample rate of the source. Default: {DEFAULT_STREAM_RATE_HZ}, "
             f"or {streaming.LOW_DELAY_RATE_HZ} with --low-delay.",
         ),
-        click.option(
-            "--channels",
-            type=Whole("NUMBER", 1, MAX_CHANNELS),
-            help="Set the channels of raw samples. Default: 1.",
+        section(
+            MORE,
+            click.option(
+                "--channels",
+                type=Whole("NUMBER", 1, MAX_CHANNELS),
+                help="Channels of raw samples. Default: 1.",
+            ),
         ),
         click.option(
             "--unit",
             type=click.Choice(list(textures.INPUT_UNITS)),
-            help="Give the unit of the samples, where nothing states it.",
+            help="Unit of the samples, if nothing states it.",
         ),
-        click.option(
-            "--full-scale",
-            type=positive("VALUE"),
-            help="Give the value of 1.0 in the samples, in --unit. Default: 1.",
+        section(
+            MORE,
+            click.option(
+                "--full-scale",
+                type=positive("VALUE"),
+                help="Value of 1.0 in the samples, in --unit. Default: 1.",
+            ),
         ),
     ),
 )
@@ -127,8 +139,8 @@ def checked_source(ctx: click.Context, param: click.Parameter, value: str) -> st
         "coding",
         CodingOptions,
         model_option,
-        click.option("--rate-bps", type=positive("bit/s"), help="Hold this rate; with --snr-db, do not exceed it."),
-        click.option("--snr-db", type=Number("dB"), help="Keep this signal-to-noise ratio, up to --rate-bps."),
+        click.option("--rate-bps", type=positive("bit/s"), help="Constant rate; with --snr-db, the highest one."),
+        click.option("--snr-db", type=Number("dB"), help="Signal-to-noise ratio, up to --rate-bps."),
     ),
 )
 @section(
@@ -139,11 +151,14 @@ def checked_source(ctx: click.Context, param: click.Parameter, value: str) -> st
     grouped(
         "delay",
         DelayOptions,
-        click.option(
-            "--playout-delay-ms",
-            type=Number("ms", 0, 10_000),
-            help="Delay the output to bear late packets. "
-            f"Default: {1e3 * streaming.PLAYOUT_DELAY_S:g}, or a quarter packet if longer; more on a slow link.",
+        section(
+            MORE,
+            click.option(
+                "--playout-delay-ms",
+                type=Number("ms", 0, 10_000),
+                help="Time that a packet may be late. "
+                f"Default: {1e3 * streaming.PLAYOUT_DELAY_S:g}, or a quarter packet if longer; more on a slow link.",
+            ),
         ),
         click.option(
             "--low-delay",

@@ -118,7 +118,7 @@ def checked_address(ctx: click.Context, param: click.Parameter, value: str) -> s
     """Return a controller's address as `host.devices.connect` takes it, or raise click.BadParameter."""
     if value not in devices.SIMULATED and not devices.ADDRESS.fullmatch(value):
         raise click.BadParameter(
-            f"{value!r} is no address; give {', '.join(devices.SIMULATED)}, {devices.FORMS}",
+            f"no device {value}; `vibrocast devices` lists those that are here, and others are {devices.FORMS}",
             ctx,
             param,
         )
@@ -165,7 +165,7 @@ bench_option = click.option(
     callback=chosen_bench,
     is_eager=True,
     metavar="FILE",
-    help="Take controllers, actuators and limits from a bench file.",
+    help="Bench file with controllers, actuators and limits.",
 )
 
 
@@ -179,7 +179,7 @@ def _device_option(
         metavar="ADDRESS",
         multiple=True,
         default=("sim",),
-        help=f"Choose the controller; {more}.",
+        help=f"Controller; {more}.",
     )
 
 
@@ -193,7 +193,7 @@ model_option = click.option(
     "--model",
     callback=chosen_model,
     metavar="NAME|FOLDER|FILE",
-    help="Use a trained model; `vibrocast models` lists the shipped ones.",
+    help="Trained model; `vibrocast models` lists those that ship.",
 )
 own_models_option = click.option(
     "--models",
@@ -201,13 +201,13 @@ own_models_option = click.option(
     type=INPUT,
     metavar="FOLDER",
     multiple=True,
-    help="Add a model that `vibrocast export` wrote; may be repeated.",
+    help="Model that `vibrocast export` wrote; may be repeated.",
 )
 actuator_option = click.option(
     "--actuator",
     "actuator_name",
     metavar="NAME|FILE",
-    help="Name the actuator behind the controller. Default: as it states.",
+    help="Actuator behind the controller. Default: as it states.",
 )
 
 
@@ -219,7 +219,7 @@ def own_actuator(address: str, name: str | None) -> Actuator | None:
 
 
 link_option = click.option(
-    "--link", type=OutputFile(), metavar="NAME", help="Name the port. Default: another one at each start."
+    "--link", type=OutputFile(), metavar="NAME", help="Name of the port. Default: another one at each start."
 )
 
 
@@ -259,33 +259,31 @@ class RecordingOptions:
         return {**vars(self), "reduce": reduction, "columns": names or None}
 
 
-rate_hz_option = click.option("--rate-hz", type=positive("Hz"), help="Give the sample rate of a file that states none.")
+rate_hz_option = click.option("--rate-hz", type=positive("Hz"), help="Sample rate, if the file states none.")
 unit_option = click.option(
-    "--unit", type=click.Choice(list(textures.FILE_UNITS)), help="Give the unit of a file that states none."
+    "--unit", type=click.Choice(list(textures.FILE_UNITS)), help="Unit, if the file states none."
 )
 hand_speed_option = click.option(
-    "--hand-speed-mm-s", type=positive("mm/s"), help="Give the speed of the hand over a height profile."
+    "--hand-speed-mm-s", type=positive("mm/s"), help="Speed of the hand over a height profile."
 )
-snr_db_option = click.option(
-    "--snr-db", type=Number("dB"), help=f"Set the signal-to-noise ratio. Default: {DEFAULT_SNR_DB:g}."
-)
+snr_db_option = click.option("--snr-db", type=Number("dB"), help=f"Signal-to-noise ratio. Default: {DEFAULT_SNR_DB:g}.")
 stream_rate_option = click.option(
     "--stream-rate-hz",
     type=Whole("Hz", 1, MAX_RATE_HZ),
     default=DEFAULT_STREAM_RATE_HZ,
-    help="Set the sample rate of the coded stream.",
+    help="Sample rate of the coded stream.",
 )
 
 runtime_option = click.option(
     "--runtime",
     type=click.Choice(codec.RUNTIMES),
-    help="Decode by the integer core or by ONNX Runtime. Default: as the model specifies.",
+    help="Integer core or ONNX Runtime. Default: as the model specifies.",
 )
 gain_option = click.option(
     "--gain-db",
     type=Number("dB", -MAX_GAIN_DB, MAX_GAIN_DB),
     default=0.0,
-    help="Raise or lower the level.",
+    help="Change of the level.",
 )
 
 

@@ -40,8 +40,7 @@ from vibrocast.host.cli.options import (
     snr_db_option,
     unit_option,
 )
-from vibrocast.host.cli.sections import CODING, CONTROLLER, OUTPUT, PLAYBACK, SectionedCommand, section
-from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
+from vibrocast.host.cli.sections import CODING, CONTROLLER, MORE, OUTPUT, PLAYBACK, SectionedCommand, section
 from vibrocast.host.cli.steps import encoded_profile, files_of, lines_of, reject_coding_options, show
 from vibrocast.host.controller import ControllerError
 from vibrocast.host.lab_network import Markers
@@ -82,9 +81,13 @@ class PlayOptions:
     plot_path: Path | None
 
 
-@click.command(cls=SectionedCommand)
+@click.command(
+    cls=SectionedCommand,
+    epilog="vibrocast play examples/oak.wav --plot oak.png\n"
+    "vibrocast play oak.vct --device serial:/dev/ttyACM0 --loop 0",
+)
 @click.argument("files", type=INPUT, nargs=-1, required=True)
-@section(INPUT_SECTION, grouped("recording", RecordingOptions, rate_hz_option, unit_option, hand_speed_option))
+@section(MORE, grouped("recording", RecordingOptions, rate_hz_option, unit_option, hand_speed_option))
 @section(CODING, grouped("quality", QualityOptions, model_option, snr_db_option))
 @section(CONTROLLER, bench_option, devices_option)
 @section(
@@ -97,18 +100,23 @@ class PlayOptions:
             "loops",
             type=Whole("PASSES", 0, 65_535),
             default=1,
-            help="Repeat the track or the list; 0: without end.",
+            help="Times to play the track or the list; 0: without end.",
         ),
         gain_option,
-        click.option("--from", "from_s", type=Number("S", 0), default=0.0, help="Begin each track later."),
-        click.option("--to", "to_s", type=positive("S"), help="End each track there."),
-        click.option("--shuffle", is_flag=True, help="Play the list in random order."),
-        click.option(
-            "--reconnect",
-            "reconnect_s",
-            type=Number("S", 0),
-            default=RECONNECT_S,
-            help="Open a lost connection again for so long; 0: end.",
+        section(
+            MORE,
+            click.option(
+                "--from", "from_s", type=Number("S", 0), default=0.0, help="Second at which each track begins."
+            ),
+            click.option("--to", "to_s", type=positive("S"), help="Second at which each track ends."),
+            click.option("--shuffle", is_flag=True, help="Play the list in random order."),
+            click.option(
+                "--reconnect",
+                "reconnect_s",
+                type=Number("S", 0),
+                default=RECONNECT_S,
+                help="Seconds to open a lost connection again; 0: end.",
+            ),
         ),
     ),
 )
@@ -121,30 +129,38 @@ class PlayOptions:
             "--actuator",
             "actuator_name",
             metavar="NAME|FILE",
-            help=f"Model the actuator: {', '.join(ACTUATORS)} or a TOML file. Default: as the controller states.",
+            help=f"Actuator: {', '.join(ACTUATORS)} or a TOML file. Default: as the controller states.",
         ),
     ),
     section(
-        PLAYBACK,
+        MORE,
         click.option(
             "--control",
             "control_path",
             type=OutputFile(),
             metavar="SOCKET",
-            help="Take commands from a Unix socket, one a line.",
+            help="Unix socket for commands, one a line.",
         ),
         lsl_option,
+    ),
+    section(
+        PLAYBACK,
         click.option(
             "--hand",
             callback=chosen_hand,
             metavar="MM|FILE",
-            help="Stroke a height profile, or follow a CSV file of time_s,position_mm.",
+            help="Stroke over a height profile, or a CSV file of time_s,position_mm.",
         ),
     ),
     section(
         OUTPUT,
-        click.option("--report", "report_path", type=OutputFile(".json"), help="Write the figures as JSON."),
-        click.option("--plot", "plot_path", type=OutputFile(".png", ".svg", ".pdf"), help="Draw the signals."),
+        click.option("--report", "report_path", type=OutputFile(".json"), help="JSON file for the figures."),
+        click.option(
+            "--plot",
+            "plot_path",
+            type=OutputFile(".png", ".svg", ".pdf"),
+            help="Picture of the signals: .png, .svg or .pdf.",
+        ),
     ),
 )
 def play(

@@ -19,6 +19,7 @@ from vibrocast.host.cli.options import (
     model_option,
     unit_option,
 )
+from vibrocast.host.cli.sections import MORE, SectionedCommand, section
 from vibrocast.host.cli.steps import encoded, files_of, reject_coding_options
 from vibrocast.host.playback import drive_signal
 from vibrocast.host.track_player import TrackOptions, read_source
@@ -36,7 +37,11 @@ class DriveOptions:
     gain_db: float
 
 
-@click.command()
+@click.command(
+    cls=SectionedCommand,
+    epilog="vibrocast render examples/oak.wav drive.wav --actuator lra\n"
+    "vibrocast render oak.vct drive.wav --actuator actuator.toml --gain-db 6",
+)
 @click.argument("file", type=INPUT)
 @click.argument("out", type=OutputFile(".wav"))
 @grouped("recording", RecordingOptions, unit_option, hand_speed_option)
@@ -49,18 +54,21 @@ class DriveOptions:
         "actuator_name",
         metavar="NAME|FILE",
         required=True,
-        help=f"Choose the actuator: {', '.join(ACTUATORS)} or a TOML file.",
+        help=f"Actuator: {', '.join(ACTUATORS)} or a TOML file.",
     ),
     click.option(
         "--dac-rate-hz",
         type=Whole("Hz", 1000, 384_000),
         default=48_000,
-        help="Set the sample rate of the drive signal.",
+        help="Sample rate of the drive signal.",
     ),
-    click.option(
-        "--full-scale-volts",
-        type=Number("V", MIN_FULL_SCALE_VOLTS, MAX_FULL_SCALE_VOLTS),
-        help="Give the volts at the actuator for 1.0. Default: its highest.",
+    section(
+        MORE,
+        click.option(
+            "--full-scale-volts",
+            type=Number("V", MIN_FULL_SCALE_VOLTS, MAX_FULL_SCALE_VOLTS),
+            help="Volts at the actuator for 1.0. Default: its highest.",
+        ),
     ),
     gain_option,
 )

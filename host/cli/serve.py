@@ -14,27 +14,35 @@ from vibrocast.host.cli.options import (
     rate_hz_option,
     unit_option,
 )
-from vibrocast.host.cli.sections import CONTROLLER, SectionedCommand, section
-from vibrocast.host.cli.sections import INPUT as INPUT_SECTION
+from vibrocast.host.cli.sections import CONTROLLER, MORE, SectionedCommand, section
 from vibrocast.host.lab_network import TIMEOUT_S, Markers, OscServer
 from vibrocast.host.session import connect
 from vibrocast.host.track_player import TrackOptions
 
 
-@click.command(cls=SectionedCommand)
-@click.argument("folder", type=INPUT)
-@section(INPUT_SECTION, grouped("recording", RecordingOptions, rate_hz_option, unit_option))
-@section(CONTROLLER, device_option)
-@click.option("--osc", "listen_at", required=True, metavar="[HOST:]PORT", help="Listen there. Default host: 127.0.0.1.")
-@click.option(
-    "--timeout",
-    "timeout_s",
-    type=Number("S", 0),
-    default=TIMEOUT_S,
-    show_default=True,
-    help="Stop what plays where no message came for so long; 0: never.",
+@click.command(
+    cls=SectionedCommand,
+    epilog="vibrocast serve textures --osc 9000\n"
+    "vibrocast serve textures --osc 0.0.0.0:9000 --device serial:/dev/ttyACM0",
 )
-@lsl_option
+@click.argument("folder", type=INPUT)
+@section(MORE, grouped("recording", RecordingOptions, rate_hz_option, unit_option))
+@section(CONTROLLER, device_option)
+@click.option(
+    "--osc", "listen_at", required=True, metavar="[HOST:]PORT", help="Where to listen. Default host: 127.0.0.1."
+)
+@section(
+    MORE,
+    click.option(
+        "--timeout",
+        "timeout_s",
+        type=Number("S", 0),
+        default=TIMEOUT_S,
+        show_default=True,
+        help="Seconds without a message after which playing stops; 0: never.",
+    ),
+)
+@section(MORE, lsl_option)
 def serve(
     folder: Path, address: str, listen_at: str, timeout_s: float, has_markers: bool, recording: RecordingOptions
 ) -> None:

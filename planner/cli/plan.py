@@ -15,6 +15,7 @@ from vibrocast.host.cli.devices import upload
 from vibrocast.host.cli.failure_trace import trace_failure
 from vibrocast.host.cli.option_types import FOLDER, INPUT
 from vibrocast.host.cli.options import checked_address
+from vibrocast.host.cli.sections import SectionedCommand
 from vibrocast.host.report import write_json
 from vibrocast.planner import choose, page, playing
 from vibrocast.planner.choose import TextureChoice
@@ -23,19 +24,24 @@ from vibrocast.planner.scene import Scene, read_scene
 CANDIDATES, PLAN, FORECAST = "candidates.csv", "plan.json", "forecast.json"
 
 
-@click.command()
+@click.command(
+    cls=SectionedCommand,
+    epilog="vibrocast plan examples/scenes/glove.toml\nvibrocast plan examples/scenes/glove.toml --out planned --play",
+)
 @click.argument("file", metavar="SCENE.toml", type=INPUT)
-@click.option("--out", type=FOLDER, help="Write choices, streams and candidates into this folder.")
+@click.option("--out", type=FOLDER, help="Folder for choices, streams and candidates.")
 @click.option("--upload", "uploads", is_flag=True, help="Upload the models that the choices need.")
 @click.option("--play", "plays", is_flag=True, help="Play the choices, and compare measurement with forecast.")
-@click.option("--texture", "names", multiple=True, metavar="NAME", help="Plan this texture. Default: all.")
+@click.option(
+    "--texture", "names", multiple=True, metavar="NAME", help="Texture to plan; may be repeated. Default: all."
+)
 @click.option(
     "--device",
     "addresses",
     multiple=True,
     callback=lambda ctx, parameter, values: tuple(checked_address(ctx, parameter, value) for value in values),
     metavar="ADDRESS",
-    help="Replace a controller's address. Default: the scene's.",
+    help="Address of a controller. Default: the scene's.",
 )
 def plan(
     file: Path, out: Path | None, uploads: bool, plays: bool, names: tuple[str, ...], addresses: tuple[str, ...]

@@ -13,6 +13,7 @@ from vibrocast.host import devices, session
 from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import FOLDER, INPUT, Whole
 from vibrocast.host.cli.options import device_option
+from vibrocast.host.cli.sections import MORE, SectionedCommand, section
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import Actuator
 from vibrocast.study import stimuli as stimuli_module
@@ -21,7 +22,7 @@ from vibrocast.study.study_file import Study, read_study
 from vibrocast.study.trials import Stimulus, StimulusPlayer
 
 study_argument = click.argument("study_path", metavar="STUDY", type=INPUT)
-out_option = click.option("--out", type=FOLDER, required=True, help="Keep stimuli and results in this folder.")
+out_option = click.option("--out", type=FOLDER, required=True, help="Folder for stimuli and results.")
 
 
 @click.group()
@@ -32,7 +33,11 @@ def study() -> None:
     """
 
 
-@study.command()
+@study.command(
+    cls=SectionedCommand,
+    epilog="vibrocast study check examples/studies/touch.toml\n"
+    "vibrocast study check examples/studies/touch.toml --device audio:default",
+)
 @study_argument
 @device_option
 def check(study_path: Path, address: str) -> None:
@@ -55,14 +60,21 @@ def check(study_path: Path, address: str) -> None:
     tell(f"{len(prepared)} stimuli can be compared on {actuator.name}")
 
 
-@study.command()
+@study.command(
+    cls=SectionedCommand,
+    epilog="vibrocast study run examples/studies/touch.toml --participant 1 --out answers\n"
+    "vibrocast study run examples/studies/touch.toml --participant 2 --out answers --terminal",
+)
 @study_argument
 @click.option(
-    "--participant", type=Whole("NUMBER", 1, 9999), required=True, help="Number the participant; give no names."
+    "--participant", type=Whole("NUMBER", 1, 9999), required=True, help="Number of the participant; give no names."
 )
 @click.option("--terminal", is_flag=True, help="Ask in the terminal. Default: in a browser.")
-@click.option("--host", default="127.0.0.1", help="Serve the pages at this address.")
-@click.option("--port", type=Whole("PORT", 0, 65_535), default=8017, help="Serve at this port.")
+@section(
+    MORE,
+    click.option("--host", default="127.0.0.1", help="Address of the pages."),
+    click.option("--port", type=Whole("PORT", 0, 65_535), default=8017, help="Port of the pages."),
+)
 @device_option
 @out_option
 def run(
@@ -108,13 +120,17 @@ def run(
             session.close()
 
 
-@study.command()
+@study.command(
+    cls=SectionedCommand,
+    epilog="vibrocast study simulate examples/studies/touch.toml --out simulated\n"
+    "vibrocast study simulate examples/studies/touch.toml --participants 40 --out simulated",
+)
 @study_argument
 @click.option(
     "--participants",
     type=Whole("NUMBER", 1, 1000),
     default=10,
-    help="Set the number of simulated participants.",
+    help="Number of simulated participants.",
 )
 @out_option
 def simulate(study_path: Path, participants: int, out: Path) -> None:
@@ -140,7 +156,10 @@ def simulate(study_path: Path, participants: int, out: Path) -> None:
     )
 
 
-@study.command()
+@study.command(
+    cls=SectionedCommand,
+    epilog="vibrocast study report answers\nvibrocast study report answers --json",
+)
 @click.argument("folder", type=INPUT)
 def report(folder: Path) -> None:
     """Analyse the answers of a study: tables, charts and one page.

@@ -5,6 +5,7 @@ import errno
 import json
 import os
 import re
+import shlex
 import signal
 import threading
 from collections.abc import Iterator
@@ -362,7 +363,7 @@ def test_interrupt_stops_the_actuator_and_leaves_the_port_usable(
         (("play", "{texture}", "--report", "{folder}/none/out.json"), "does not exist"),
         (("play", "{texture}", "--report", "{texture}"), ".json"),
         (("play", "{texture}", "--plot", "plot.bmp"), ".png"),
-        (("play", "{texture}", "--device", "hand"), "sim-usb"),
+        (("play", "{texture}", "--device", "hand"), "`vibrocast devices` lists"),
         (("play", "{texture}", "--device", "serial:/dev/x", "--device", "serial:/dev/x"), "given twice"),
         (("play", "{texture}", "--device", "sim", "--device", "host", "--plot", "a.png"), "for one controller"),
         (("play", "{texture}", "--actuator", "none"), "no actuator of that name"),
@@ -552,26 +553,43 @@ def test_an_actuator_is_shown_and_written_as_c(tmp_path: Path) -> None:
 def test_help_lists_options_by_section(name: str) -> None:
     known = (sections.INPUT, sections.CODING, sections.CONTROLLER, sections.PLAYBACK, sections.RUN, sections.OUTPUT)
     found = titles(succeeds(name, "--help"))
-    assert len(found) > 2 and set(found) <= {f"{title}:" for title in (*known, "Codecs", "Recordings", "Options")}
+    assert len(found) > 2 and set(found) <= {
+        f"{title}:" for title in (*known, "Codecs", "Recordings", "Options", "More options", "Examples")
+    }
+
+
+def commands(command: click.Command = main, path: str = "vibrocast") -> Iterator[tuple[str, click.Command]]:
+    """Yield every command with the words that call it, those with subcommands first."""
+    yield path, command
+    if isinstance(command, click.Group):
+        context = click.Context(command)
+        for name in command.list_commands(context):
+            found = command.get_command(context, name)
+            assert found is not None
+            yield from commands(found, f"{path} {name}")
 
 
 def test_a_scene_needs_few_options() -> None:
     """All commands have at most 165 options without --json; those that everyone uses have at most 19 each."""
-    ctx, counts = click.Context(main), {"": 0}
-
-    def count(name: str, command: click.Command) -> None:
-        options = [each for each in command.params if isinstance(each, click.Option) and "--json" not in each.opts]
-        counts[name] = len(options)
-        if isinstance(command, click.Group):
-            for inner in command.list_commands(ctx):
-                found = command.get_command(ctx, inner)
-                assert found is not None
-                count(f"{name} {inner}".strip(), found)
-
-    count("", main)
-    del counts["flash"]  # another name of `upload`
+    counts = {
+        path: sum(isinstance(each, click.Option) and "--json" not in each.opts for each in command.params)
+        for path, command in commands()
+    }
+    del counts["vibrocast flash"]  # another name of `upload`
     assert sum(counts.values()) <= 165
-    assert max(counts[name] for name in ("play", "live", "encode")) <= 19
+    assert max(counts[f"vibrocast {name}"] for name in ("play", "live", "encode")) <= 19
+
+
+def test_the_help_of_each_command_has_two_examples_that_it_parses() -> None:
+    for path, command in commands():
+        if isinstance(command, click.Group) or path == "vibrocast flash":
+            continue
+        examples = (command.epilog or "").splitlines()
+        assert len(examples) == 2, path
+        for example in examples:
+            words = shlex.split(example.partition(" > ")[0])
+            assert example.startswith(f"{path} ") or example == path, example
+            command.make_parser(click.Context(command)).parse_args(words[len(path.split()) :])
 
 
 @pytest.mark.parametrize(
@@ -593,11 +611,13 @@ def test_an_unusable_number_is_reported_in_one_line(arguments: list[str], error:
 @pytest.mark.usefixtures("simulated_time")
 def test_play_tells_what_is_coded_what_is_felt_and_what_the_actuator_follows(tmp_path: Path) -> None:
     report_path = tmp_path / "out.json"
-    coded, felt, actuator = succeeds("play", OAK, "--report", report_path).splitlines()[:3]
-    assert re.fullmatch(r"coded +SNR 14\.\d+ dB; removed: 0\.\d+ % of the energy below 20 Hz", coded)
+    coded, removed, felt, actuator, weighted = succeeds("play", OAK, "--report", report_path).splitlines()[:5]
+    assert re.fullmatch(r"coded +SNR 14\.\d+ dB", coded)
+    assert re.fullmatch(r"removed +0\.\d+ % of the energy below 20 Hz", removed)
     assert re.fullmatch(r"felt error +at most \+\d+ dB re threshold, at \d+ Hz; the texture there \+\d+ dB", felt)
     follows = r"piezo-stack follows within 1 dB from 20 to \d+ Hz"
-    assert re.fullmatch(rf"actuator +{follows}; weighted SNR [\d.]+ dB with the codec, [\d.]+ dB without.*", actuator)
+    assert re.fullmatch(rf"actuator +{follows}", actuator)
+    assert re.fullmatch(r" +weighted SNR [\d.]+ dB with the codec, [\d.]+ dB without.*", weighted)
     report = json.loads(report_path.read_text())
     skin = report["quality"]["skin"]
     assert skin["snr_db"] == pytest.approx(skin["decoded_snr_db"], abs=0.5)

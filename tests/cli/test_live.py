@@ -218,7 +218,7 @@ def test_sound_is_streamed_as_a_drive_signal_until_ctrl_c() -> None:
     result = live("audio:Microphone", *PATIENT)
     assert result.exit_code == 0, result.output
     assert "Microphone: sound from 40 to 800 Hz, compressed 4:1, 1 channel(s)\n" in result.stderr
-    assert re.search(r"^played +audio:Microphone, 0\.70 s, 1 channel\(s\), live$", result.stdout, re.M)
+    assert re.search(r"^played +audio:Microphone, 0\.70 s, 1 channel, live$", result.stdout, re.M)
 
 
 def test_what_a_computer_plays_is_streamed_from_the_monitor_of_its_card(pulseaudio: SoundServer) -> None:
@@ -274,7 +274,7 @@ def test_low_delay_means_blocks_of_2_ms() -> None:
         (("-", "--unit", "drive"), sound_file("WAV", "DOUBLE")[90:], "no 32-bit floats"),
         (("-",), bytes(16), "does not state its unit; give --unit"),
         (("-", "--unit", "m/s^2"), np.full(800, np.nan, "<f4").tobytes(), "NaN"),
-        (("nothing",), b"", "'nothing' is no source; give serial:PORT"),
+        (("nothing",), b"", "no texture nothing; `vibrocast generate --help` lists them"),
         (("rough", "--low-delay", "--rate-bps", 8000), b"", "sends each block at once"),
         (("rough", "--snr-db", 12), b"", "add --rate-bps"),
         (("rough", "--rate-bps", 20), b"", "choose 264 bit/s or more"),
@@ -331,7 +331,7 @@ def test_a_bench_file_gives_controller_and_limits(tmp_path: Path, put: Put) -> N
 
 
 def test_the_quality_of_the_codec_stands_next_to_that_at_the_skin() -> None:
-    told = r"coded +SNR [\d.]+ dB\nactuator .* weighted SNR [\d.]+ dB with the codec"
+    told = r"coded +SNR [\d.]+ dB\nactuator .*\n +weighted SNR [\d.]+ dB with the codec"
     assert re.search(told, succeeds("live", "wood", "--seconds", 1.5, *PATIENT))
     report = answer("live", "wood", "--seconds", 1.5, *PATIENT, "--rate-bps", 6000, "--snr-db", 12)
     quality = report["quality"]

@@ -93,7 +93,7 @@ def test_damaged_files_are_rejected(tmp_path: Path) -> None:
 
 
 def test_what_is_no_model_is_rejected(tmp_path: Path) -> None:
-    with pytest.raises(models.ModelError, match=r"give one of .*mdct-textures"):
+    with pytest.raises(models.ModelError, match=r"no model .*; `vibrocast models` lists them"):
         models.find(str(tmp_path / "missing"))
     (tmp_path / "text.vcmi").write_text("no image")
     with pytest.raises(ModelError, match=r"text.vcmi: not a model image"):

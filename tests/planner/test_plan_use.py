@@ -49,7 +49,7 @@ def test_a_choice_is_played_as_its_stream_was_coded(tmp_path: Path) -> None:
     ("arguments", "message"),
     [
         (("--texture", "oak"), "there is no texture 'oak'; choose from wood"),
-        (("--play", "--device", "nowhere"), "'nowhere' is no address; give sim"),
+        (("--play", "--device", "nowhere"), "no device nowhere; `vibrocast devices` lists"),
         (
             ("--play", "--device", "sim", "--device", "sim"),
             "the scene has 1 controllers, and --device is given 2 times",
