@@ -152,8 +152,8 @@ def measure_latency(
         recording = None if finish is None else finish()
     latency_s = playing.latency_s()
     if latency_s is None or report.live is None or report.timing.jitter_ms is None:
-        raise ControllerError(
-            "the stream never played: no packet came in time; check the link, and what else it carries"
+        raise FlawedError(
+            "the stream never played: no packet came in time; check the link, and what else it carries", report.doubt
         )
     # The first packet is left out: it waited for the start of the stream.
     asked = np.array([bool(number) for number in playing.clock.trips])

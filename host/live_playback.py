@@ -14,7 +14,7 @@ from vibrocast.codec.source import recording_format
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import State, Status, Tap
 from vibrocast.host import live, playback
-from vibrocast.host.controller import ANSWER_TIMEOUT_S, ConnectionLost, Controller
+from vibrocast.host.controller import ANSWER_TIMEOUT_S, Controller
 from vibrocast.host.picture import Trace
 from vibrocast.host.playback import Captured, Playback
 from vibrocast.host.report import LiveFigures, Minute, Provenance, Quality, Report, Timing, Wire
@@ -97,15 +97,10 @@ class DeviceClock:
         self._controller.sleep(max(0.0, until_s - self._controller.clock()))
 
     def fit(self) -> ClockFit:
-        """Return the line through the shortest round trips, each taken to be as long there as back.
+        """Return the line through the shortest of the round trips, of which there is one, each as long there as back.
 
-        Raises ControllerError where nothing was answered in time.
         Least squares, as in the clock filter of NTP (RFC 5905, section 10), which trusts the shortest of recent trips.
         """
-        if not self.trips:
-            raise ConnectionLost(
-                "the controller does not answer in time; check the cable, and that no other program uses it"
-            )
         sent_s, answered_s, device_s = np.array(
             [(sent_s, answered_s, status.device_time_us / 1e6) for sent_s, answered_s, status in self.trips.values()]
         ).T
@@ -366,6 +361,8 @@ class LivePlayback:
         that have been played, so that the earliest of some estimates is the best; clocks drift, so that the median of
         these is.
         """
+        if not self.clock.trips:
+            return None
         rate_hz = self.stream.format.rate_hz
         fit = self.clock.fit()
         starts_s = []
@@ -391,7 +388,7 @@ class LivePlayback:
     def _timing(self) -> tuple[float | None, float | None, float | None]:
         """Return latency and jitter of arrivals in ms, and the controller's drift in ppm; None: unknown."""
         trips = len(self.clock.trips)
-        latency_s = self.latency_s() if trips else None
+        latency_s = self.latency_s()
         latency_ms = None if latency_s is None else 1e3 * latency_s
         if trips < _MIN_TRIPS:
             return latency_ms, None, None
