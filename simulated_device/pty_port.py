@@ -3,6 +3,7 @@
 import contextlib
 import os
 import queue
+import re
 import select
 import tempfile
 import threading
@@ -10,10 +11,13 @@ import tty
 from collections.abc import Callable
 from pathlib import Path
 
+from vibrocast.files import runs
 from vibrocast.simulated_device.device import Device
 from vibrocast.simulated_device.real_time import PERIOD_S, RealTimePort
 
 _READ_BYTES = 65_536
+_OWNER = re.compile(r"vibrocast-(\d+)-")
+"""The process in the name of a port's folder."""
 
 
 class PtyPort(RealTimePort):
@@ -21,16 +25,20 @@ class PtyPort(RealTimePort):
 
     `name`: the port that a host opens; the link stays the same when the cable is pulled and plugged in again. A host
     may close and open it at any time. `link`: that name, None = in a temporary folder. Raises OSError if the system has
-    no pseudo-terminals, and FileExistsError where a file has this name.
+    no pseudo-terminals, and FileExistsError where a file has this name, or another running controller.
     """
 
     def __init__(self, controller: Device, link: Path | None = None) -> None:
         super().__init__(controller)
-        self._folder = tempfile.TemporaryDirectory(prefix="vibrocast-")
-        self.name = str(link or Path(self._folder.name) / "controller")
+        # Its name says whose it is: the system gives the pseudo-terminal of a killed process to another one.
+        self._folder = tempfile.TemporaryDirectory(prefix=f"vibrocast-{os.getpid()}-")
+        self._port = Path(self._folder.name) / "controller"
+        self.name = str(link or self._port)
         self._orders: queue.SimpleQueue[tuple[Callable[[], None], threading.Event]] = queue.SimpleQueue()
         self._master = self._slave = -1
         self._connect()
+        if link is not None:
+            self._link()
 
     def unplug(self) -> None:
         """Remove the port, as a pulled cable does. The controller runs on."""
@@ -46,6 +54,9 @@ class PtyPort(RealTimePort):
             super().close()
         finally:
             self._disconnect()
+            with contextlib.suppress(OSError):  # someone else may have deleted it
+                if os.readlink(self.name) == str(self._port):
+                    os.unlink(self.name)
             self._folder.cleanup()
 
     def _run(self) -> None:
@@ -68,17 +79,16 @@ class PtyPort(RealTimePort):
             self._master, self._slave = os.openpty()
             tty.setraw(self._slave)
             os.set_blocking(self._master, False)
-            self._link(os.ttyname(self._slave))
+            self._port.symlink_to(os.ttyname(self._slave))
 
-    def _link(self, port: str) -> None:
-        """Give a pseudo-terminal the name of this port, in place of a link that leads nowhere. Raises OSError.
-
-        A controller that was killed leaves such a link.
-        """
-        if os.path.islink(self.name) and not os.path.exists(self.name):
-            os.unlink(self.name)
+    def _link(self) -> None:
+        """Give this port its name, in place of a link that a killed controller has left. Raises OSError."""
+        if os.path.islink(self.name):
+            owner = _OWNER.search(os.readlink(self.name))
+            if not os.path.exists(self.name) or (owner is not None and not runs(int(owner[1]))):
+                os.unlink(self.name)
         try:
-            os.symlink(port, self.name)
+            os.symlink(self._port, self.name)
         except FileExistsError as error:
             problem = (
                 "a file has this name, or a controller runs behind it; end that or remove it, or choose another name"
@@ -90,8 +100,7 @@ class PtyPort(RealTimePort):
 
     def _disconnect(self) -> None:
         if self._master >= 0:
-            with contextlib.suppress(FileNotFoundError):  # someone else may have deleted it
-                os.unlink(self.name)
+            self._port.unlink(missing_ok=True)
             os.close(self._master)
             os.close(self._slave)
             self._master = self._slave = -1

@@ -33,7 +33,7 @@ def _remove_abandoned(target: Path) -> None:
     with suppress(OSError):  # a folder that can be written can perhaps not be listed
         for path in target.parent.iterdir():
             found = name.fullmatch(path.name)
-            if found is None or _runs(int(found[1])):
+            if found is None or runs(int(found[1])):
                 continue
             if found[2] == "before" and not target.exists():
                 path.rename(target)
@@ -43,7 +43,8 @@ def _remove_abandoned(target: Path) -> None:
                 path.unlink()
 
 
-def _runs(process: int) -> bool:
+def runs(process: int) -> bool:
+    """Return whether there is a process of this number."""
     import psutil  # which most files never need
 
     return bool(psutil.pid_exists(process))

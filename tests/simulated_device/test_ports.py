@@ -45,9 +45,13 @@ def usb_port() -> Iterator[UsbPort]:
         yield port
 
 
-def test_the_link_of_a_controller_that_was_killed_is_replaced_and_no_other(tmp_path: Path) -> None:
-    link = tmp_path / "port"
-    link.symlink_to(tmp_path / "gone")
+@pytest.mark.parametrize("another", [False, True], ids=["gone", "of another process"])
+def test_the_link_of_a_controller_that_was_killed_is_replaced_and_no_other(another: bool, tmp_path: Path) -> None:
+    """The system may have given its pseudo-terminal to another process."""
+    link, left = tmp_path / "port", tmp_path / f"vibrocast-{2**22 + 1}-left"  # more than any process has
+    link.symlink_to(left)
+    if another:
+        left.symlink_to("/dev/null")
     with PtyPort(Controller(), link) as port:
         with Host(SerialTransport(str(link))) as host:
             assert isinstance(host.request_status(), Status)
