@@ -3,7 +3,7 @@
 import contextlib
 import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +23,12 @@ from vibrocast.simulated_device.device import Device
 from vibrocast.simulated_device.memory_link import MemoryLink, SimulatedTime
 from vibrocast.textures import Recording
 
-ACTUATORS = (VOICE_COIL, PIEZO_STACK)
-"""With a DAC of 8000 and of 3000 Hz."""
+ACTUATORS = (
+    VOICE_COIL,
+    PIEZO_STACK,
+    replace(PIEZO_STACK, name=f"{PIEZO_STACK.name} at {VOICE_COIL.dac_rate_hz} Hz", dac_rate_hz=VOICE_COIL.dac_rate_hz),
+)
+"""With a DAC of 8000 Hz, of 3000 Hz, and of 8000 Hz again."""
 TARGET_MS = 10.0
 RATE_HZ = live.LOW_DELAY_RATE_HZ
 SECONDS = 1.0
