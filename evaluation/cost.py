@@ -17,6 +17,7 @@ from vibrocast import codec
 from vibrocast.codec import Framing, Setting, SignalFormat
 from vibrocast.evaluation import trained
 from vibrocast.models import Model
+from vibrocast.workers import end_with_parent
 
 T = TypeVar("T")
 
@@ -85,7 +86,7 @@ def peak_memory_bytes(codec_name: str, model: Model | None = None) -> int | None
     if sys.platform == "win32":
         return None
     # Not "spawn": on Linux, a child of a large process begins with its parent's peak; one of the fork server does not.
-    with ProcessPoolExecutor(1, multiprocessing.get_context("forkserver")) as fresh:
+    with ProcessPoolExecutor(1, multiprocessing.get_context("forkserver"), end_with_parent) as fresh:
         return fresh.submit(_memory_added, codec_name, model).result()
 
 

@@ -17,6 +17,7 @@ import click
 from studies import page
 from studies.faulty_bench import FAULTS, SOUND, Injected, faulty_bench, run_host
 from vibrocast import errors
+from vibrocast.workers import end_with_parent
 
 TABLE, CLEAN_TABLE = "injected_faults.csv", "clean_runs.csv"
 DEVICES = {
@@ -151,7 +152,7 @@ def notice(faults: Sequence[Injected], folder: Path, runs: int = RUNS) -> Iterat
             raise click.ClickException(f"the sound bench fails: {reason(said)}; use a less busy machine")
         earlier[names(place)] = sound
     # Processes, because a device must answer in time whatever the others compute.
-    with ProcessPoolExecutor(TOGETHER, multiprocessing.get_context("spawn")) as pool:
+    with ProcessPoolExecutor(TOGETHER, multiprocessing.get_context("spawn"), end_with_parent) as pool:
         running = [
             pool.submit(_noticed, FAULTS.index(fault), run, folder / f"{number}-{run}", earlier[names(fault.place)])
             for number, fault in enumerate(faults)

@@ -2,12 +2,15 @@
 
 import multiprocessing
 import os
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
+import psutil
 import pytest
 
 from vibrocast import workers
@@ -52,6 +55,23 @@ def check(outcomes: dict[int, int | Exception]) -> None:
 
 def test_on_cores_a_bad_task_costs_only_itself() -> None:
     check(dict(on_cores(tasks(), 2)))
+
+
+def test_a_process_of_a_pool_ends_with_the_process_that_is_killed() -> None:
+    program = """
+import multiprocessing, os, time
+from concurrent.futures import ProcessPoolExecutor
+from vibrocast.workers import end_with_parent
+
+pool = ProcessPoolExecutor(1, multiprocessing.get_context("forkserver"), end_with_parent)
+print(pool.submit(os.getpid).result(), flush=True)
+time.sleep(60)
+"""
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        worker = psutil.Process(int(process.stdout.readline()))
+        process.kill()
+    worker.wait(30)
 
 
 def note(path: Path, seconds: float) -> int:

@@ -182,10 +182,15 @@ def _threads(client: Any, address: str) -> int:
 def _prepare_process() -> None:
     """Keep a process to one core, and end it with the process that started it."""
     os.environ.update(dict.fromkeys(_THREADS_OF_LIBRARIES, "1"))
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    end_with_parent()
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
+    """From now on, end this process of a pool with the process that started it, even if that one is killed."""
+    threading.Thread(target=_wait_for_parent, daemon=True).start()
+
+
+def _wait_for_parent() -> None:
     parent = multiprocessing.parent_process()
     assert parent is not None, "a process of a pool was started by another"
     parent.join()
