@@ -74,7 +74,10 @@ CORTEX_M3 = Core("Cortex-M3", 72e6, cortex_m_flags(M3), arm_const.UC_CPU_ARM_COR
 RISC_V = Core(
     "RV32IMC",
     160e6,
-    ("-target", "riscv32-freestanding", "-mcpu=generic_rv32+m+c", "-ffreestanding", "-fno-builtin", "-g0"),
+    (
+        *("-target", "riscv32-freestanding", "-mcpu=generic_rv32+m+c", "-ffreestanding", "-fno-builtin"),
+        *("-fno-unwind-tables", "-g0"),
+    ),
     riscv_const.UC_CPU_RISCV32_SIFIVE_E31,
     arm=False,
 )
@@ -133,7 +136,7 @@ class EmulatedCore:
     def __init__(self, program: Path, core: Core) -> None:
         """Load a program of compile_core."""
         image = Elf(program)
-        self.flash_bytes = sum(segment.size_bytes for segment in image.segments)
+        self.flash_bytes = sum(len(segment.data) for segment in image.segments)
         self.symbols = image.symbols
         self._thumb = int(core.arm)
         self._registers = _ARM if core.arm else _RISC_V

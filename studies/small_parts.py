@@ -2,7 +2,7 @@
 
 import struct
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -50,11 +50,24 @@ class Cost:
 
 def compile_decoder(output: Path, processor: Core, codec_name: str, compiler: Sequence[str] = ZIG) -> Path:
     """Link the decoder of one codec with the reader of files, -Os; return the program. Raises as compile_core."""
-    options, further = ("-Os", "-g1", "-Wl,--gc-sections"), [Path(__file__).with_name("array_reader.c")]
-    if processor.arm or compiler != ZIG:
-        further.append(ROOT / "ports" / "cortex_m" / "memory.c")  # memcpy and memset as boards have them
     switches = {"VC_MAX_CHANNELS": 1, **only(codec_name.upper())}
-    return compile_core(output, processor, _FUNCTIONS, switches, options, further, compiler)
+    reader = Path(__file__).with_name("array_reader.c")
+    return compile_small(output, processor, _FUNCTIONS, switches, [reader], compiler)
+
+
+def compile_small(
+    output: Path,
+    processor: Core,
+    functions: Sequence[str],
+    switches: Mapping[str, int],
+    sources: Sequence[Path],
+    compiler: Sequence[str] = ZIG,
+    level: str = "-Os",
+) -> Path:
+    """Link functions of the core and of other sources, with memcpy as boards have it. As compile_core otherwise."""
+    if processor.arm or compiler != ZIG:
+        sources = [*sources, ROOT / "ports" / "cortex_m" / "memory.c"]
+    return compile_core(output, processor, functions, switches, (level, "-g1", "-Wl,--gc-sections"), sources, compiler)
 
 
 def run(core: EmulatedCore, processor: Core, file: bytes, image: bytes | None) -> tuple[int, float]:

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from studies import emulated_core, firmware, small_parts, worst_case
-from studies.emulated_core import CORES, Core, EmulatedCore, compile_core
+from studies import compilers, emulated_core, firmware, small_parts, worst_case
+from studies.emulated_core import CORES, RISC_V, ZIG, Core, EmulatedCore, compile_core
 from studies.small_parts import PROCESSORS, Cost
 from studies.worst_case import Turn
 from tests.codec.eva_models import model_with, random_image, with_extreme_weights
@@ -189,6 +189,24 @@ def test_squares_and_normalisation_are_alike_with_dsp_instructions_and_without(
             results.append(int16s(in_kernel_order(written, channels, portable)))
         results += [core.read(at_doubled, 4 * columns), core.read(at_scaled, 2 * stride * columns)]
     assert results[: len(results) // 2] == results[len(results) // 2 :]
+
+
+@pytest.mark.parametrize("core", [CORES["M0+"], RISC_V], ids=lambda core: core.title)
+def test_a_whole_controller_plays_at_the_stored_load(core: Core, tmp_path: Path) -> None:
+    """To a twentieth, as compilers differ."""
+    rows = points.read_rows(RESULTS / compilers.TABLE, compilers.Row)
+    stored = next(
+        row
+        for row in rows
+        if (row.processor, row.program, row.codec, row.level, row.compiler)
+        == (core.title, compilers.CONTROLLER, "slp", "-Os", "zig")
+    )
+    texture = textures.resample(textures.GENERATORS["rough"](3, compilers.SECONDS), compilers.RATE_HZ)
+    stream = encode_recording(texture, codec_name="slp", snr_db=compilers.SNR_DB, live=True).stream
+    program = compilers.compile_controller(tmp_path / "controller.elf", core, "slp", ZIG, "-Os")
+    emulated = EmulatedCore(program, core)
+    assert compilers.play(emulated, core, stream) == pytest.approx(stored.per_sample, rel=0.05)
+    assert emulated.flash_bytes == pytest.approx(stored.flash, rel=0.05)
 
 
 @pytest.mark.parametrize(
