@@ -237,7 +237,8 @@ def compare(before: Results, now: Results) -> list[Change]:
         earlier, later = ({value.name: value for value in run.figures_of(measurement)} for run in (before, now))
         if not earlier and not later:
             changes.append(Change(measurement, None, None, "in neither run"))
-        changes += [_change(earlier.get(name), later.get(name)) for name in {**earlier, **later}]
+        doubt = now.doubts.get(measurement, "")
+        changes += [_change(earlier.get(name), later.get(name), doubt) for name in {**earlier, **later}]
     return changes
 
 
@@ -246,8 +247,8 @@ def _as_described(value: Any) -> Any:
     return value.get("name") if isinstance(value, dict) else value
 
 
-def _change(earlier: Value | None, later: Value | None) -> Change:
-    """Return how a figure has changed; None: a run has not taken its measurement."""
+def _change(earlier: Value | None, later: Value | None, doubt: str) -> Change:
+    """Return how a figure has changed; None: a run has not taken its measurement, the later one with this doubt."""
     known = earlier or later
     assert known is not None, "a run has it"
     before, now = (None if each is None else each.value for each in (earlier, later))
@@ -262,8 +263,7 @@ def _change(earlier: Value | None, later: Value | None) -> Change:
         problem = None if now is True else "not known in the earlier run"
     elif FIGURES[known.key].is_worse(before, now):
         problem = "worse"
-    doubt = later.doubt if later else ""
-    return Change(known.name, before, now, problem, known.key in _COUNTED, doubt, known.key)
+    return Change(known.name, before, now, problem, known.key in _COUNTED, later.doubt if later else doubt, known.key)
 
 
 def _plain(value: Any) -> Any:

@@ -5,7 +5,9 @@ import math
 import random
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from vibrocast.device_protocol.frames import DELIMITER, FrameReader, write_frame
@@ -143,6 +145,17 @@ class Controller(Closing):
         """Begin to note whether this machine wakes up in time, and whether the controller's clock keeps up."""
         self.late_s = 0.0
         self._times_s: list[tuple[float, float]] = []
+        self._watched_from_s = time.monotonic(), _queued_s()
+
+    @property
+    def queued_s(self) -> tuple[float, float]:
+        """The seconds since `watch_time`, and those of them for which other programs kept this one from a processor.
+
+        The latter is 0 where the system does not count it (Linux does), and where time is simulated.
+        """
+        began_s, queued_s = self._watched_from_s
+        is_real = self.clock is time.monotonic
+        return time.monotonic() - began_s, max(0.0, _queued_s() - queued_s) if is_real else 0.0
 
     @property
     def watched_s(self) -> tuple[float, float]:
@@ -489,6 +502,15 @@ class Controller(Closing):
                 "wire is slower than what is sent; use a faster link, or a stream of fewer bits"
             )
         return ConnectionLost("the controller answers no more; check its power, its cable and its firmware")
+
+
+def _queued_s() -> float:
+    """Return for how long all threads of this process together have been ready to run, and had to wait."""
+    queued_ns = 0
+    for task in Path("/proc/self/task").glob("*/schedstat"):
+        with suppress(OSError, IndexError):  # the thread has ended
+            queued_ns += int(task.read_text().split()[1])  # Documentation/scheduler/sched-stats.rst of Linux
+    return queued_ns / 1e9
 
 
 _UPDATE = "update the older of vibrocast and the firmware"

@@ -202,7 +202,7 @@ class LivePlayback:
             yield block
             held_s += controller.waited_s - waited_s
             sent_s = controller.clock()
-            self._count_late(late_s, packets)
+            self._count_late(sent_s - due_s - held_s, packets)
             if stream.packets_sent > packets and sent_s >= self._ask_s:
                 last_s = due_s - (stream.packet_samples - stream.left_samples) / stream.format.rate_hz
                 samples_sent = stream.packets_sent * stream.packet_samples

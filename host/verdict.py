@@ -12,6 +12,8 @@ LATE_S = 0.05
 """A machine that wakes up later than this from a wait may itself have caused what looks like a fault."""
 _WORST_FIRST = (FAILED, REGRESSION, LIMIT_MISSED, HOST_BUSY)
 _MAX_SHOWN = 6
+# Of the time, and as at most one wait, that other programs may keep this one from a processor.
+_QUEUED_SHARE = 0.05
 # A controller whose clock has lost so much against this machine's is emulated, and too slow.
 _LEAST_SPEED, _LOST_S = 0.98, 0.2
 
@@ -90,6 +92,9 @@ def doubt_of(controller: Controller, margin_s: float = LATE_S) -> str:
     """
     if controller.late_s > margin_s:
         return f"this machine woke up {1e3 * controller.late_s:.0f} ms late"
+    seconds, queued_s = controller.queued_s
+    if queued_s > LATE_S + _QUEUED_SHARE * seconds:
+        return f"other programs kept this one from a processor for {queued_s:.1f} of {seconds:.1f} s"
     passed_s, device_s = controller.watched_s
     if passed_s - device_s > max(_LOST_S, (1 - _LEAST_SPEED) * passed_s):
         return f"the emulated controller ran at {100 * device_s / passed_s:.0f} % of its speed"
