@@ -245,8 +245,12 @@ def _free_slot(controller: Controller) -> int:
     """Return the slot to flash: one whose transfer was cut first, so that it is resumed."""
     free = [image for image in controller.description.images if image.state not in _RUNNING]
     if not free:
+        tested = [image.name for image in controller.description.images if image.state == SlotState.TESTING]
         raise ControllerError(
-            "the controller has no free slot: it takes no model images, or one is being tested; restart it"
+            f"no slot is free while {tested[0]} is on trial; upload it again, which confirms it, or restart the "
+            "controller"
+            if tested
+            else "the controller has no free slot for a model image; use another controller"
         )
     return min(free, key=lambda image: (image.state != SlotState.WRITING, image.state)).slot
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from vibrocast.files import atomic_write
 from vibrocast.simulated_device.callbacks import Callbacks
 
 SLOTS = 2
@@ -36,7 +37,8 @@ class FlashMemory:
                 raise ValueError(f"{path} has {held_bytes} bytes, not the {size_bytes} of this flash; delete it")
             self._data = bytearray(path.read_bytes())
         elif path is not None:
-            path.write_bytes(self._data)
+            with atomic_write(path) as partial:
+                partial.write_bytes(self._data)
         self._programmed = np.any(np.frombuffer(self._data, np.uint8).reshape(-1, write_bytes) != ERASED, axis=1)
 
     def __len__(self) -> int:

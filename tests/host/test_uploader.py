@@ -153,11 +153,16 @@ def test_image_left_on_trial_is_confirmed() -> None:
     assert not any(isinstance(message, FlashData) for message in scripted.handled)
 
 
-def test_controller_without_a_free_slot_is_an_error() -> None:
+@pytest.mark.parametrize(
+    ("images", "message"),
+    [((), "no free slot"), (IMAGES_ON_TRIAL, f"{IMAGES_ON_TRIAL[1].name} is on trial; upload it again")],
+    ids=["none", "on trial"],
+)
+def test_controller_without_a_free_slot_is_an_error(images: tuple[ImageDescription, ...], message: str) -> None:
     scripted = ScriptedController()
-    scripted.description = replace(scripted.description, images=())
-    with pytest.raises(ControllerError, match="no free slot"):
-        flash(scripted.connect(), IMAGE)
+    scripted.description = replace(scripted.description, images=images)
+    with pytest.raises(ControllerError, match=message):
+        flash(scripted.connect(), replace(ModelImage.unpack(IMAGE), version="1.1").pack())
 
 
 def test_a_model_stays_on_trial_and_the_one_before_comes_back() -> None:

@@ -4,7 +4,9 @@ The conformance suite states the requests, their answers and their errors.
 """
 
 import copy
+import errno
 import itertools
+import os
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -481,3 +483,14 @@ def test_a_board_without_flash_lists_no_slot_and_plays(monkeypatch: pytest.Monke
     bench.start_all(played)
     bench.run(500)
     assert bench.status().state == State.FINISHED
+
+
+def test_a_full_disk_leaves_no_half_of_a_new_flash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fill(path: Path, data: bytes) -> int:
+        path.touch()
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_bytes", fill)
+    with pytest.raises(OSError, match="No space left"):
+        FlashMemory(100, path=tmp_path / "flash")
+    assert not list(tmp_path.iterdir())
