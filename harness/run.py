@@ -11,6 +11,7 @@ from vibrocast.codec import CodecError
 from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.device_protocol.messages import MessageError
 from vibrocast.device_protocol.transports import TransportError
+from vibrocast.files import atomic_write
 from vibrocast.harness import measurements, page
 from vibrocast.harness.latency import FlawedError, Latency
 from vibrocast.harness.results import ACTUATOR, JSON, LINK_COUNTERS, NAMES, PAGE, Measured, Results, compare
@@ -144,7 +145,8 @@ def _written(folder: Path, results: Results, earlier: Results | None, bench: Ben
             table = ""
             if response := results.measured.response:
                 table = bench_file.actuator_toml(response.actuator, bench.first.name)
-                (folder / ACTUATOR).write_text(table, encoding="utf-8")
+                with atomic_write(folder / ACTUATOR) as partial:
+                    partial.write_text(table, encoding="utf-8")
             missed = [*bench.missed(results.figures()), *measurements.misfits(bench, results.measured.response)]
             results.missed[:] = [f"{text} (undecided: {doubt})" if doubt else text for text, doubt in missed]
             results.write(folder / JSON)
