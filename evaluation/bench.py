@@ -14,7 +14,6 @@ from vibrocast.evaluation import cost, kinds, speed
 from vibrocast.evaluation.cells import Cell, Measured, Method, coders
 from vibrocast.evaluation.comparison import TABLES, Measurements
 from vibrocast.evaluation.points import Failure, Point, Timing, read_rows, write_rows
-from vibrocast.files import atomic_write
 from vibrocast.progress import Update
 from vibrocast.textures import dataset
 from vibrocast.textures.dataset import DatasetEntry
@@ -216,5 +215,4 @@ def compared(
 def write(results: Path, measurements: Measurements) -> None:
     """Write all figures into a folder as CSV, each file whole or not at all. Raises OSError."""
     for name, kind in TABLES.items():
-        with atomic_write(results / f"{name}.csv") as partial:
-            write_rows(partial, getattr(measurements, name), kind)
+        write_rows(results / f"{name}.csv", getattr(measurements, name), kind)

@@ -93,8 +93,10 @@ def write(figure: "Figure", path: Path) -> None:
         with atomic_write(each) as partial, rc_context(_FILE):
             if each.suffix == ".pgf":
                 pgf.write(figure, partial)
-            else:
-                figure.savefig(partial, metadata=_METADATA.get(each.suffix))
+                continue
+            stored = io.BytesIO()
+            figure.savefig(stored, format=each.suffix[1:], metadata=_METADATA.get(each.suffix))
+            partial.write_bytes(stored.getbuffer())  # matplotlib's own writing of a PDF hides a full disk
 
 
 def inlined(figure: "Figure") -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol, Self, TypeVar, get_type_hints
 
 from vibrocast.errors import InputError, located
+from vibrocast.files import atomic_write
 from vibrocast.textures import Recording, TextureError
 from vibrocast.textures.dataset import DatasetEntry, printable
 
@@ -199,8 +200,11 @@ def check_imported(
 
 
 def write_rows(path: Path, rows: Iterable[Row], kind: type[Row]) -> None:
-    """Write rows of a dataclass as CSV; points with bits_per_sample behind the other columns. Raises OSError."""
-    with path.open("w", newline="", encoding="utf-8") as file:
+    """Write rows of a dataclass as CSV, whole or not at all; points with bits_per_sample behind the other columns.
+
+    Raises OSError.
+    """
+    with atomic_write(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file, lineterminator="\n")
         names = [field.name for field in fields(kind)]
         table.writerow([*names, "bits_per_sample"] if kind is Point else names)

@@ -9,6 +9,7 @@ from typing import Any, TypeVar, get_type_hints
 import polars as pl
 
 from vibrocast.evaluation.points import Record, Row
+from vibrocast.files import atomic_write
 
 Item = TypeVar("Item")
 Key = TypeVar("Key", bound=Hashable)
@@ -52,6 +53,7 @@ def grouped(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list
 
 
 def write_table(path: Path, table: pl.DataFrame) -> None:
-    """Write a table as CSV. Raises OSError."""
+    """Write a table as CSV, whole or not at all. Raises OSError."""
     as_python = pl.col(pl.Boolean).replace_strict({True: "True", False: "False"}, return_dtype=pl.String)
-    table.with_columns(as_python, pl.col(pl.String).replace("", None)).write_csv(path)
+    with atomic_write(path) as partial:
+        table.with_columns(as_python, pl.col(pl.String).replace("", None)).write_csv(partial)

@@ -31,7 +31,7 @@ from vibrocast.codec.encoding import middle
 from vibrocast.codec.source import live_format
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT
 from vibrocast.evaluation import trained
-from vibrocast.evaluation.points import Row, read_rows
+from vibrocast.evaluation.points import Row, read_rows, write_rows
 from vibrocast.evaluation.tables import as_rows, frame
 from vibrocast.firmware.build import size as firmware_size
 from vibrocast.host import hand_playback, live
@@ -390,7 +390,7 @@ def main(out: Path, from_tables: bool) -> None:
                 Decoding: list(measure_decoding(folder, DECODERS, kinds)),
             }
         for kind, rows in measured.items():
-            page.write_rows(TABLES / TABLE_NAMES[kind], rows, kind)
+            write_rows(TABLES / TABLE_NAMES[kind], rows, kind)
     page.write(out, "firmware", rendered(stored(Load), stored(Size), stored(ControllerLoad)), from_tables)
 
 

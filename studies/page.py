@@ -12,7 +12,6 @@ from vibrocast import pages, progress
 from vibrocast.errors import VibrocastError
 from vibrocast.evaluation import points
 from vibrocast.evaluation.points import Record, Row
-from vibrocast.files import atomic_write
 
 Item = TypeVar("Item")
 
@@ -62,12 +61,6 @@ def results_folder(out: Path) -> Path:
     return folder
 
 
-def write_rows(path: Path, rows: Iterable[Row], kind: type[Row]) -> None:
-    """Write rows of a dataclass as CSV, whole or not at all. Raises OSError."""
-    with atomic_write(path) as partial:
-        points.write_rows(partial, rows, kind)
-
-
 def rounded(row: Row, form: str) -> Row:
     """Return a row with its numbers in a form of Python's format strings, such as ".4g"."""
     values = {
@@ -91,5 +84,5 @@ def render(name: str, script: Mapping[str, Any], **values: object) -> str:
 def publish(out: Path, name: str, text: str, tables: Sequence[tuple[str, Sequence[Record], type[Record]]]) -> None:
     """Write a part of OUT/NAME.md, and each table of (file, rows, kind) in OUT/results. Raises OSError."""
     for file, rows, kind in tables:
-        write_rows(results_folder(out) / file, rows, kind)
+        points.write_rows(results_folder(out) / file, rows, kind)
     write(out, name, text)

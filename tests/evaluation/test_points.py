@@ -1,6 +1,9 @@
 """Tests of the CSV files of measurements."""
 
+import errno
 import math
+import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -53,6 +56,19 @@ def test_rejected_with_the_place(tmp_path: Path, text: str, message: str) -> Non
     (tmp_path / "points.csv").write_text(text)
     with pytest.raises(InputError, match=message):
         read_imported(tmp_path / "points.csv")
+
+
+def test_a_table_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
+    table = tmp_path / "failures.csv"
+    table.write_text("before")
+
+    def cut() -> Iterator[Failure]:
+        yield Failure("wood", "mdct", "", "")
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with pytest.raises(OSError, match=r"No space left .*failures\.csv"):
+        write_rows(table, cut(), Failure)
+    assert [(path, path.read_text()) for path in tmp_path.iterdir()] == [(table, "before")]
 
 
 def test_imported_seconds_of_a_recording_become_seconds_per_million_samples(tmp_path: Path) -> None:
