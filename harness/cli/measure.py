@@ -100,7 +100,7 @@ def measure(
 
     If you interrupt the command, it writes the results so far.
 
-    The exit code is 1 if a measurement failed, or the controller played something else than was sent. It is 5 if the
+    The exit code is 1 if a measurement failed, or the controller played anything other than was sent. It is 5 if the
     run is worse than the earlier one, or cannot be compared with it, and 4 if a limit of the bench file was missed. If
     several hold, it is the first of these. It is 6 if this machine may have caused all that is wrong.
     """

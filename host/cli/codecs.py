@@ -18,19 +18,16 @@ _COLUMNS = ("name", "codec", "width", "image bytes", "SNR dB", "bit/sample")
 )
 def codecs() -> None:
     """List the codecs and their parameters."""
-    facts = {
-        known.name: {
-            "summary": known.summary,
-            "rate control": "yes" if known.controls_rate else "no, all packets are of one quality",
-            **{
-                name: f"{parameter.meaning} ({parameter.range}; default {parameter.default})"
-                for name, parameter in known.parameters.items()
-            },
-        }
-        for known in codec.CODECS.values()
-    }
-    # Parameters are named as --setting takes them.
-    lines = {name: [f"{key}: {text}" for key, text in about.items()] for name, about in facts.items()}
+    facts, lines = {}, {}
+    for known in codec.CODECS.values():
+        control = "yes" if known.controls_rate else "no, all packets are of one quality"
+        about = {"summary": known.summary, "rate control": control}
+        lines[known.name] = [f"{name}: {text}" for name, text in about.items()]
+        for name, parameter in known.parameters.items():  # named as --setting takes them
+            values = f"{parameter.range}; default {parameter.default}"
+            about[name] = f"{parameter.meaning} ({values})"
+            lines[known.name] += [f"{name}: {parameter.meaning}", f"  {values}"]
+        facts[known.name] = about
     show(facts if wants_json() else lines)
     for name, cause in codec.CODECS.failures.items():
         click.echo(
