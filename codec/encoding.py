@@ -141,6 +141,9 @@ class _Task:
         self, recording: textures.Recording, stream_rate_hz: int, codec_name: str | None, options: EncodingOptions
     ) -> None:
         """Filter and resample the recording, and check the choices. Raises as `encode_recording`."""
+        if unknown := options.keys() - EncodingOptions.__annotations__.keys():
+            known = ", ".join(EncodingOptions.__annotations__)
+            raise TypeError(f"no option {', '.join(sorted(unknown))}; the options are {known}")
         self._rate_bps, self._snr_db = options.get("rate_bps"), options.get("snr_db")
         self._target = options.get("target")
         if self._rate_bps is not None and self._snr_db is not None:

@@ -61,7 +61,8 @@ class Spread:
 class Latency:
     """The delay of a live stream, from a block's last sample at the host to the DAC.
 
-    `report`: of the stream; it has latency, jitter, losses and the comparison. `parts`: by the names of PARTS.
+    `report`: of the stream; it has latency, jitter, losses and the comparison. `parts`: `wake`,
+    `encode`, `send`, `wire`, `buffer`, `codec`, `drive` and `dac`, as PARTS explains them.
     `blocks`: packets that were timed. `to_sensor_ms`: the same way on to a sensor's sample in this computer, with the
     actuator's and the sensor's own delay; None without such a sensor.
     """

@@ -361,15 +361,16 @@ def vibrocast_power_cycle(vibrocast_bench: Bench, vibrocast_device: Controller) 
 class _Judge:
     """Judges what a test measures by the limits of the bench file, and fails or skips the test by the verdict."""
 
-    def __init__(self, bench: Bench, kept: _Kept, tries: int) -> None:
-        self._bench, self._kept, self._tries = bench, kept, tries
+    def __init__(self, bench: Bench, kept: _Kept, wire: TimedTransport, tries: int) -> None:
+        self._bench, self._kept, self._wire, self._tries = bench, kept, wire, tries
 
     def __call__(
         self, take: Callable[[], _Measured], texture: str, limits: Mapping[str, float | None] | None = None
     ) -> _Measured:
         """Return what `take` measures of a texture. `limits`: hold in place of those of the bench file, by their names.
 
-        What this machine was too busy to decide is measured again, as often as the run allows, and then skipped.
+        What this machine was too busy to decide is measured again, as often as the run allows, and then skipped. It is
+        not measured again where the test has pulled the cable, which would stay in the next time.
         """
         from vibrocast.host.verdict import Verdict, judged, verdict_on
 
@@ -377,7 +378,7 @@ class _Judge:
             measured = take()
             values = list(measured.figures())
             found = judged(values, self._bench.missed(values, texture, limits))
-            if (verdict := verdict_on(found)) != Verdict.UNDECIDED:
+            if (verdict := verdict_on(found)) != Verdict.UNDECIDED or self._wire.was_pulled:
                 break
         self._kept.figures(values)
         if verdict != Verdict.PASSED:
@@ -386,25 +387,39 @@ class _Judge:
 
 
 @pytest.fixture
-def _vibrocast_judge(pytestconfig: pytest.Config, vibrocast_bench: Bench, _vibrocast_kept: _Kept) -> _Judge:
-    return _Judge(vibrocast_bench, _vibrocast_kept, pytestconfig.getoption("vibrocast_tries"))
+def _vibrocast_judge(
+    pytestconfig: pytest.Config, vibrocast_bench: Bench, vibrocast_wire: TimedTransport, _vibrocast_kept: _Kept
+) -> _Judge:
+    return _Judge(vibrocast_bench, _vibrocast_kept, vibrocast_wire, pytestconfig.getoption("vibrocast_tries"))
 
 
 @pytest.fixture
 def vibrocast_play(
     _vibrocast_judge: _Judge, _vibrocast_session: Session, _vibrocast_kept: _Kept
 ) -> Callable[..., Playback]:
-    """A function that encodes a texture, plays it and compares: `vibrocast_play(texture, limits=None, **options)`.
+    """A function that encodes a texture, plays it and compares.
 
-    The options are those of `vibrocast.codec.encoding.encode_recording`. It returns a Playback, whose `report` is a
-    Report. The test fails where the playback misses limits of the bench file, or the controller plays something else
-    than was sent though nothing was lost. `limits={"max_lost_percent": 10}` hold in place of those of the file.
+    `vibrocast_play(texture, limits=None, codec=None, model=None, **options)`: `codec` and `model` are names as in
+    `vibrocast.encode`, such as the one that `vibrocast_flash` uploaded. The options are those of
+    `vibrocast.codec.encoding.EncodingOptions`. It returns a Playback, whose `report` is a Report. The test fails where
+    the playback misses limits of the bench file, or the controller plays something else than was sent though nothing
+    was lost. `limits={"max_lost_percent": 10}` hold in place of those of the file, also of those for this texture.
     """
+    from vibrocast import models
     from vibrocast.codec.encoding import encode_recording
     from vibrocast.host import playback
+    from vibrocast.textures import Recording, arguments
 
-    def play_texture(texture: Recording, limits: Mapping[str, float | None] | None = None, **options: Any) -> Playback:
-        encoding = encode_recording(texture, live=True, **options)
+    def play_texture(
+        texture: Recording,
+        limits: Mapping[str, float | None] | None = None,
+        codec: str | None = None,
+        model: str | None = None,
+        **options: Any,
+    ) -> Playback:
+        arguments.of_type("texture", texture, Recording, "a Recording, as vibrocast_texture is")
+        taken = None if model is None else models.find(model)
+        encoding = encode_recording(texture, codec_name=codec, model=taken, live=True, **options)
 
         def take() -> Playback:
             played = playback.play(_vibrocast_session, texture.name, encoding.stream, encoding)
@@ -417,7 +432,9 @@ def vibrocast_play(
 
 
 @pytest.fixture
-def vibrocast_live(_vibrocast_judge: _Judge, _vibrocast_session: Session) -> Callable[..., Playback]:
+def vibrocast_live(
+    _vibrocast_judge: _Judge, _vibrocast_session: Session, _vibrocast_kept: _Kept
+) -> Callable[..., Playback]:
     """A function that streams a texture live.
 
     `vibrocast_live(texture, seconds=10.0, rate_hz=2800, limits=None, coding=None, playout_delay_s=None)`; the last two
@@ -435,7 +452,13 @@ def vibrocast_live(_vibrocast_judge: _Judge, _vibrocast_session: Session) -> Cal
         **options: Any,
     ) -> Playback:
         source = looped(texture, seconds, rate_hz)
-        return _vibrocast_judge(lambda: play_live(_vibrocast_session, source, **options), texture.name, limits)
+
+        def take() -> Playback:
+            played = play_live(_vibrocast_session, source, **options)
+            _vibrocast_kept.playback(played)
+            return played
+
+        return _vibrocast_judge(take, texture.name, limits)
 
     return stream
 
@@ -477,7 +500,7 @@ def vibrocast_flash(vibrocast_device: Controller) -> Iterator[Callable[[bytes | 
 
 @pytest.fixture
 def vibrocast_stroke(
-    vibrocast_bench: Bench, _vibrocast_judge: _Judge, _vibrocast_session: Session
+    vibrocast_bench: Bench, _vibrocast_judge: _Judge, _vibrocast_session: Session, _vibrocast_kept: _Kept
 ) -> Callable[..., Playback]:
     """A function that plays a height profile under a hand that strokes there and back.
 
@@ -502,7 +525,7 @@ def vibrocast_stroke(
         movement = hand_playback.back_and_forth(stroke_mm, hand_speed_mm_s, strokes)
 
         def take() -> Playback:
-            return hand_playback.play_and_compare(
+            played = hand_playback.play_and_compare(
                 _vibrocast_session,
                 profile.name,
                 encoding.stream,
@@ -510,6 +533,8 @@ def vibrocast_stroke(
                 encoding.recording,
                 provenance=Provenance(vibrocast_bench.sha256),
             )
+            _vibrocast_kept.playback(played)
+            return played
 
         return _vibrocast_judge(take, profile.name, limits)
 

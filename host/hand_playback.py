@@ -21,6 +21,7 @@ from vibrocast.host.playback import Captured, Playback
 from vibrocast.host.report import PositionFigures, Provenance, Quality, Report, Wire
 from vibrocast.host.session import Session
 from vibrocast.host.stream_session import StreamSession, configure_steps, read_capture
+from vibrocast.host.verdict import doubt_of
 from vibrocast.output import profile as rendering
 from vibrocast.output.actuator import SKIN_OVERSAMPLING, Codes
 from vibrocast.textures import Recording
@@ -255,6 +256,7 @@ def play_and_compare(
         lost_packets=played.status.lost_packets,
         dac_equals_offline=as_computed(session, played, codes),
         comparison_note=session.unknown_note,
+        doubt=doubt_of(session.controller),
         position=PositionFigures(
             length_mm=length_mm,
             bits_per_mm=8 * stream.size_bytes / length_mm,

@@ -73,7 +73,7 @@ class LiveResult:
     apart, the source had paused, or the connection was lost. `seconds`: of signal. `payload_bytes`: of all packets that
     were sent. `wire_bytes`: all that went to the controller with them, frames and requests included. `pauses`: of the
     source, in which silence was played. `left_out_packets`: too old when the source gave them after a pause.
-    `device_restarts`: of the controller, which lost its session.
+    `reconnects`: of the link. `device_restarts`: of the controller, which lost its session.
     """
 
     status: Status
@@ -89,6 +89,7 @@ class LiveResult:
     wire_bytes: int
     pauses: int
     left_out_packets: int
+    reconnects: int
     device_restarts: int
 
     @property
@@ -162,7 +163,7 @@ class LiveStream:
         self.policy = policy = coding.policy
         self.payload_bytes = self.frame_bytes = self.dropped_packets = 0
         self._given_samples = self._given_before = self._unplayed_packets = 0
-        self.pauses = self._left_out_packets = self._left_out_silence = 0
+        self.pauses = self.reconnects = self._left_out_packets = self._left_out_silence = 0
         self._last_samples = np.zeros(signal_format.channels)
         self._silent_samples = 0  # since the source gave its last ones
         self._heard_s = math.inf
@@ -563,6 +564,7 @@ class LiveStream:
             wire_bytes=wire_bytes,
             pauses=self.pauses,
             left_out_packets=self._left_out_packets,
+            reconnects=self.reconnects,
             device_restarts=self.controller.device_restarts - self._device_restarts_before,
         )
 
@@ -606,6 +608,7 @@ def play(
                 stream.send(block)
             except (TransportError, ConnectionLost):
                 _go_on(stream, reconnect_s)
+                stream.reconnects += 1
             if progress is not None:
                 progress(stream.status)
         return stream.finish()

@@ -327,6 +327,7 @@ class LivePlayback:
             underruns=result.underruns,
             packets=result.packets,
             lost_packets=result.lost_packets,
+            reconnects=result.reconnects,
             decoded_equals_offline=decoded,
             dac_equals_offline=dac,
             comparison_note=self.session.unknown_note,

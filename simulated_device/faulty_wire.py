@@ -292,6 +292,7 @@ class FaultyTransport(Closing):
         self._transport = transport
         self._out_from_s = self._out_until_s = 0.0
         self._pull: tuple[float, float] | None = None  # of a cable that is to be pulled
+        self.was_pulled = False
 
     def damage(self, *, seed: int = 0, **faults: Any) -> None:
         """From now on, have these faults of a Fault, such as `lost` or `delay_ms`; without arguments, none.
@@ -306,6 +307,7 @@ class FaultyTransport(Closing):
 
     def pull_cable(self, seconds: float, after_s: float = 0.0) -> None:
         """Pull the cable `after_s` after the host's next byte, 0 = now, and plug it in again `seconds` later."""
+        self.was_pulled = True
         self._pull = after_s, seconds
         if not after_s:
             self._begin_pull()

@@ -184,6 +184,10 @@ def test_a_cable_pulled_meanwhile_is_survived(vibrocast_play, vibrocast_wire, vi
     vibrocast_wire.pull_cable(0.2, after_s=0.3)
     assert vibrocast_play(vibrocast_texture).report.reconnects == 1
 
+def test_a_live_stream_survives_it_too(vibrocast_live, vibrocast_wire, vibrocast_texture):
+    vibrocast_wire.pull_cable(0.2, after_s=0.3)
+    assert vibrocast_live(vibrocast_texture, seconds=1.0).report.reconnects == 1
+
 def test_a_slow_wire_delays(vibrocast_wire, vibrocast_device):
     import time
     vibrocast_wire.damage(delay_ms=40, bits_per_second=1e5, direction="to_controller")
@@ -191,7 +195,7 @@ def test_a_slow_wire_delays(vibrocast_wire, vibrocast_device):
     vibrocast_device.request_status()
     assert time.monotonic() - began_s > 0.04
 """
-    users_run(pytester, test, SIM + ONE + "[limits]\nmax_lost_percent = 100\n").assert_outcomes(passed=3)
+    users_run(pytester, test, SIM + ONE + "[limits]\nmax_lost_percent = 100\n").assert_outcomes(passed=4)
 
 
 @pytest.mark.slow
@@ -245,8 +249,13 @@ def test_live(vibrocast_live, vibrocast_texture):
 def test_latency(vibrocast_latency, vibrocast_texture):
     assert vibrocast_latency(vibrocast_texture, seconds=1.0).total_ms > 0
 
-def test_images(vibrocast_flash, vibrocast_device):
+def test_images(vibrocast_flash, vibrocast_play, vibrocast_texture, vibrocast_device):
     vibrocast_flash("eva-16-1")
+    assert vibrocast_play(vibrocast_texture, model="eva-16-1").report.model == "eva-16-1"
+    with pytest.raises(TypeError, match="no option codek; the options are model, "):
+        vibrocast_play(vibrocast_texture, codek="eva")
+    with pytest.raises(textures.TextureError, match="a Recording"):
+        vibrocast_play("rough")
     assert vibrocast_flash(models.find("eva-16-2").image).state == SlotState.CONFIRMED
 
 def test_strokes(vibrocast_stroke):
