@@ -99,7 +99,7 @@ def test_gain_is_the_next_number_of_eight_bits(peak: float) -> None:
 
 
 def test_unknown_codecs_are_named() -> None:
-    with pytest.raises(CodecError, match="no codec .mp3"):
+    with pytest.raises(CodecError, match="no codec 'mp3'"):
         codec.encode(texture(100), RATE_HZ, {"step": 0.3}, codec="mp3")
     for identifier, flaw in ((14, "number 14"), (12, "has the former codec lapped, which only earlier versions play")):
         with pytest.raises(CodecError, match=flaw):
