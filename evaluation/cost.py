@@ -106,11 +106,6 @@ def _peak_resident_bytes() -> int:
     return peak if sys.platform == "darwin" else 1024 * peak
 
 
-def decoder_bytes(codec_name: str) -> int | None:
-    """Return the bytes of the codec's decoder (see docs/reference/metrics.md), or None where they are unknown."""
-    return _decoder_size(codec_name).bytes
-
-
 def measure_costs(
     wanted: Mapping[str, tuple[str, Sequence[Model]]],
     progress: Callable[[float, str], None] = lambda part, details: None,
@@ -122,7 +117,7 @@ def measure_costs(
     """
     costs = []
     for place, (name, (codec_name, models)) in enumerate(wanted.items(), 1):
-        size = _decoder_size(codec_name)
+        size = decoder_size(codec_name)
         cost = CodecCost(name, size.bytes, None, size.note, coder=codec_name)
         if models:
             note = f"{size.note}; model: {len(models)} images" if len(models) > 1 else size.note
@@ -136,7 +131,8 @@ def measure_costs(
     return costs
 
 
-def _decoder_size(codec_name: str) -> DecoderSize:
+def decoder_size(codec_name: str) -> DecoderSize:
+    """Return the size of a codec's decoder (see docs/reference/metrics.md)."""
     return _decoder_sizes().get(codec_name, DecoderSize(None, "decoder not counted"))
 
 

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
 
 from vibrocast.evaluation.points import read_rows
 from vibrocast.evaluation.stability.trials import Outcome
@@ -12,12 +11,20 @@ from vibrocast.evaluation.stability.trials import Outcome
 TABLE = Path(__file__).parent / "known_causes.csv"
 
 
-class Explanation(NamedTuple):
-    """A failure in plain words, why it happens, and what to do about it. The page lists failures that have words."""
+@dataclass(frozen=True)
+class Explanation:
+    """A failure in plain words, why it happens, and what to do about it. The page lists failures that have words.
+
+    `map`, `method`, `case`: of the cells that it explains, patterns as of file names. `outcomes`: letters of Outcome.
+    """
 
     failure: str = ""
     cause: str = ""
     remedy: str = ""
+    map: str = ""
+    method: str = ""
+    case: str = ""
+    outcomes: str = ""
 
 
 CRASH = Explanation("The program crashes", "a fault in the program", "Report it")
@@ -25,26 +32,10 @@ _LOST = Explanation("Quality is lost", "", "Use a finer setting or another codec
 _UNKNOWN = {Outcome.REJECTED: Explanation("Rejected", "", "Do as the error says"), Outcome.HOLDS: Explanation()}
 
 
-@dataclass(frozen=True)
-class KnownCause:
-    """Why cells have an outcome, and the remedy.
-
-    `map`, `method`, `case`: patterns, as of file names. `outcomes`: letters of Outcome. Others: as in Explanation.
-    """
-
-    map: str
-    method: str
-    case: str
-    outcomes: str
-    failure: str
-    cause: str
-    remedy: str
-
-
 @cache
-def known_causes() -> tuple[KnownCause, ...]:
+def known_causes() -> tuple[Explanation, ...]:
     """Return the rows of the table, in their order: of several that are about a cell, the first counts."""
-    return tuple(read_rows(TABLE, KnownCause))
+    return tuple(read_rows(TABLE, Explanation))
 
 
 def explanation(map_name: str, method: str, case: str, outcome: str, effect: str) -> Explanation:
@@ -54,5 +45,5 @@ def explanation(map_name: str, method: str, case: str, outcome: str, effect: str
     for known in known_causes():
         pairs = ((map_name, known.map), (method, known.method), (case, known.case))
         if Outcome(outcome).letter in known.outcomes and all(fnmatchcase(*pair) for pair in pairs):
-            return Explanation(known.failure, known.cause, known.remedy)
+            return known
     return _UNKNOWN.get(Outcome(outcome), _LOST)

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
@@ -211,9 +212,8 @@ def table(trials: Sequence[Trial], measured: Sequence[Measured]) -> Cells:
 def explained(name: str, cells: Cells) -> Cells:
     """Return the cells of a map, with what is known of each outcome, and whether it is sound."""
     known = [explanation(name, *cell) for cell in cells.select("method", "case", "outcome", "effect").iter_rows()]
-    columns = {"failure": 0, "cause": 1, "remedy": 2}
     return cells.with_columns(
-        *(pl.Series(column, [each[place] for each in known], pl.String) for column, place in columns.items()),
+        *(pl.Series(each, map(attrgetter(each), known), pl.String) for each in ("failure", "cause", "remedy")),
         sound=pl.col("outcome") == pl.col("required"),
     )
 
@@ -253,10 +253,10 @@ def with_methods(cells: Cells, noun: str = "codec") -> str:
     return f"with {listed(sound)} only"
 
 
-def hardest(cells: Cells, most: int = 3) -> str:
-    """Return the cases at which most methods are not sound, with their counts, in words."""
+def hardest(cells: Cells) -> str:
+    """Return the three cases at which most methods are not sound, with their counts, in words."""
     unsound = cells.filter(~pl.col("sound")).group_by("case", maintain_order=True).agg(pl.n_unique("method"))
-    ranked = unsound.sort("method", descending=True, maintain_order=True).head(most).rows()
+    ranked = unsound.sort("method", descending=True, maintain_order=True).head(3).rows()
     if not ranked:
         return "none of them is hard for any"
     of = f" of {cells['method'].n_unique()} codecs"

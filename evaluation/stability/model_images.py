@@ -32,24 +32,18 @@ def _stream(rate_point: RatePoint) -> Stream:
     return encoded(texture(), RATE_HZ, rate_point, live=True)
 
 
-def _with_payload(rate_point: RatePoint, payload: bytes) -> bytes:
-    """Return a model's image, packed again with another payload: its CRC is right."""
-    return replace(ModelImage.unpack(rate_point.trained.image), payload=payload).pack()
-
-
-def _changed(rate_point: RatePoint, place_percent: float) -> bytes:
-    """Return a model's payload with one byte changed at a place."""
-    payload = bytearray(rate_point.trained.tables)
-    payload[round(place_percent / 100 * (len(payload) - 1))] ^= 0x55
-    return bytes(payload)
+def _changed(data: bytes, place_percent: float) -> bytes:
+    """Return an image or its payload with one byte changed at a place."""
+    place = round(place_percent / 100 * (len(data) - 1))
+    return data[:place] + bytes((data[place] ^ 0x55,)) + data[place + 1 :]
 
 
 def measure_changed(trial: Trial) -> Measured:
     """Decode with a changed payload that no CRC or hash reveals, and compare the samples. Raises CodecError."""
     rate_point = trial.rate_point
     stream, runtime = _stream(rate_point), trial.case.removeprefix(CHANGED).removeprefix(", ")
-    payloads = rate_point.trained.tables, _changed(rate_point, trial.value)
-    expected, came = (_decoded(stream, payload, runtime) for payload in payloads)
+    tables = rate_point.trained.tables
+    expected, came = (_decoded(stream, payload, runtime) for payload in (tables, _changed(tables, trial.value)))
     snr_db = codec.snr_db(expected, came)
     assert snr_db is not None, "a texture is not silent"
     if math.isinf(snr_db):
@@ -72,43 +66,29 @@ def measure_cut(trial: Trial) -> Measured:
     return Measured(Outcome.HOLDS, {})
 
 
-def _use_another_hash(rate_point: RatePoint) -> None:
-    """Give a changed image, whose CRC is right, for a stream of the right one. Raises CodecError."""
-    stream = _stream(rate_point)
-    Stream(stream.header, stream.packets, _with_payload(rate_point, _changed(rate_point, 50.0))).decode()
-
-
-def _use_another_crc(rate_point: RatePoint) -> None:
-    """Read an image with one byte changed. Raises ModelError."""
-    image = bytearray(rate_point.trained.image)
-    image[len(image) // 2] ^= 0x55
-    ModelImage.unpack(bytes(image))
-
-
-def _use_none(rate_point: RatePoint) -> None:
-    """Decode without the image. Raises CodecError."""
-    stream = _stream(rate_point)
-    Stream(stream.header, stream.packets).decode()
+def _with_another_hash(rate_point: RatePoint) -> bytes:
+    """Return a model's image, packed again with a changed payload: its CRC is right."""
+    return replace(ModelImage.unpack(rate_point.trained.image), payload=_changed(rate_point.trained.tables, 50)).pack()
 
 
 def _play(rate_point: RatePoint, image: bytes | None) -> None:
     """Play on a controller that has another image, or none. Raises ControllerError."""
-    stream = _stream(rate_point)
     link = MemoryLink(Controller(flash=flash_with(image)))
-    play(Host(link, link.clock, link.sleep), stream)
+    play(Host(link, link.clock, link.sleep), _stream(rate_point))
 
 
-def _play_another(rate_point: RatePoint) -> None:
-    image = rate_point.trained.image
-    _play(rate_point, next(model.image for model in models.shipped() if model.image != image))
+def _another(image: bytes) -> bytes:
+    return next(model.image for model in models.shipped() if model.image != image)
 
 
-WRONG: Mapping[str, Callable[[RatePoint], None]] = {
-    "byte changed, CRC wrong": _use_another_crc,
-    "byte changed, hash wrong": _use_another_hash,
-    "no image for the decoder": _use_none,
+WRONG: Mapping[str, Callable[[RatePoint], object]] = {
+    "byte changed, CRC wrong": lambda rate_point: ModelImage.unpack(_changed(rate_point.trained.image, 50)),
+    "byte changed, hash wrong": lambda rate_point: replace(
+        _stream(rate_point), image=_with_another_hash(rate_point)
+    ).decode(),
+    "no image for the decoder": lambda rate_point: replace(_stream(rate_point), image=None).decode(),
     "no image on the controller": lambda rate_point: _play(rate_point, None),
-    "other image on the controller": _play_another,
+    "other image on the controller": lambda rate_point: _play(rate_point, _another(rate_point.trained.image)),
 }
 """Uses of a wrong image that are rejected."""
 

@@ -8,9 +8,8 @@ import numpy as np
 import polars as pl
 from scipy.fft import idct
 
-from vibrocast import codec
 from vibrocast.codec.interface import Setting
-from vibrocast.evaluation.cells import RatePoint
+from vibrocast.evaluation.cells import RatePoint, methods
 from vibrocast.evaluation.stability import maps
 from vibrocast.evaluation.stability.filters import FILTERS
 from vibrocast.evaluation.stability.maps import Cells, Map, Row, Scope
@@ -92,18 +91,10 @@ def _swept(method: str, points: Iterable[tuple[float, RatePoint]]) -> Iterator[T
 
 def _rate_points(scope: Scope) -> Iterator[Trial]:
     for method in scope.methods:
-        rate_point_sets: dict[str, Sequence[RatePoint]] = {method.name: method.rate_points}
-        if not method.models:
-            known = codec.CODECS[method.name]
-            rate_point_sets = {
-                name: [RatePoint(method.name, setting) for setting in own.settings]
-                for name, own in known.rate_point_sets.items()
-                if not own.is_variant
-            }
-        for name, points in rate_point_sets.items():
+        for each in [method] if method.models else methods([method.name]):
+            points = each.rate_points
             if len(points) > 1:
-                numbered = list(enumerate(points, 1))
-                yield from _swept(name, scope.some(numbered, len(points) // 2))
+                yield from _swept(each.name, scope.some(list(enumerate(points, 1)), len(points) // 2))
 
 
 def _of_dct(

@@ -69,5 +69,5 @@ def test_costs_of_a_codec_that_fails_say_so(monkeypatch: pytest.MonkeyPatch) -> 
     broken, mdct = cost.measure_costs({"broken": ("broken", []), "mdct": ("mdct", [])})
     assert (broken.decoder_bytes, broken.peak_memory_bytes) == (None, None)
     assert broken.note == "decoder not counted; memory not measured: no such library"
-    assert (mdct.codec, mdct.decoder_bytes, mdct.peak_memory_bytes) == ("mdct", cost.decoder_bytes("mdct"), 7)
+    assert (mdct.codec, mdct.decoder_bytes, mdct.peak_memory_bytes) == ("mdct", cost.decoder_size("mdct").bytes, 7)
     assert "Cortex-M4" in mdct.note

@@ -77,7 +77,7 @@ def test_a_family_costs_its_images_without_their_graphs() -> None:
     (family,) = cost.measure_costs(cells.coders(cells.families([member(0), member(1)])))
     assert (family.codec, family.coder, family.width) == ("steps", "eva", 16)
     assert family.model_bytes == 2 * trained.flash_bytes(member(0))
-    assert family.decoder_bytes == cost.decoder_bytes("eva")
+    assert family.decoder_bytes == cost.decoder_size("eva").bytes
     assert family.flash_bytes == (family.decoder_bytes or 0) + family.model_bytes
     assert "2 images" in family.note
 
