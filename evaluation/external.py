@@ -9,7 +9,6 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -32,8 +31,6 @@ _PLACEHOLDER = re.compile(r"\{(\w*)\}")
 _PLACEHOLDERS = ("input", "output", "input_folder", "output_folder", "scratch_folder", "setting", "rate_hz")
 
 Command = tuple[str, ...]
-
-
 _COMMANDS = "a list of a program and its arguments, or a list of such lists"
 _Part = Annotated[str, Meta(pattern=r"\A[^\x00]*\Z")]
 _Commands = Annotated[
@@ -41,7 +38,9 @@ _Commands = Annotated[
 ]
 
 
-class _ProgramTable(Table, frozen=True, kw_only=True):
+class ProgramTable(Table, frozen=True):
+    """A table of the list: `Program` has what the keys mean."""
+
     encoder: _Commands
     decoder: _Commands
     settings: Annotated[tuple[str | int | float, ...], Meta(min_length=1, description="a list of texts or numbers")] = (
@@ -53,9 +52,8 @@ class _ProgramTable(Table, frozen=True, kw_only=True):
     timeout_s: Annotated[float, Meta(ge=1)] = 60.0
 
 
-@dataclass(frozen=True)
-class Program:
-    """A codec in programs of their own; the fields are the keys of the TOML file that lists them.
+class Program(ProgramTable, frozen=True, kw_only=True):
+    """A codec in programs of their own.
 
     `name`: of the curve. `file`: where it was listed. `encoder`, `decoder`: commands, run one after another, their
     arguments with {input}, {output}, {input_folder}, {output_folder}, {scratch_folder} (empty at first), {setting} and
@@ -69,10 +67,6 @@ class Program:
     encoder: tuple[Command, ...]
     decoder: tuple[Command, ...]
     settings: tuple[str, ...] = ("",)
-    label_rate_hz: int | None = None
-    delay_samples: int | None = None
-    coded_suffix: str = ".bin"
-    timeout_s: float = 60.0
 
 
 class Run(NamedTuple):
@@ -130,10 +124,9 @@ def _program(path: Path, name: str, table: object) -> Program:
     with located(f"[{name}]"):
         if not isinstance(table, dict):
             raise ValueError(f"it must be a table of its own: begin it with [{name}]")
-        read = convert(table, _ProgramTable)
-        commands = {key: _commands(key, getattr(read, key)) for key in ("encoder", "decoder")}
-        settings = tuple(map(str, read.settings))
-        return Program(name, path, **{**structs.asdict(read), **commands, "settings": settings})
+        read = structs.asdict(convert(table, ProgramTable))
+        commands = {key: _commands(key, read[key]) for key in ("encoder", "decoder")}
+        return Program(**{**read, **commands, "settings": tuple(map(str, read["settings"]))}, name=name, file=path)
 
 
 def _commands(key: str, parts: tuple[str | Command, ...]) -> tuple[Command, ...]:

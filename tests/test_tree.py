@@ -29,7 +29,7 @@ TOML_FILES: dict[str, tuple[type, ...]] = {
     "Actuator": (actuator_files.ActuatorTable,),
     "Training": (configuration.Configuration,),
     "Study": (study_file.StudyTables,),
-    "Programs": (external._ProgramTable,),
+    "Programs": (external.ProgramTable,),
 }
 
 

@@ -2,11 +2,11 @@
 
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from tests.codec.signals import RATE_HZ, texture
 from vibrocast.codec import Signal
@@ -54,7 +54,8 @@ def python(script: str, *arguments: str) -> tuple[Command, ...]:
     return ((sys.executable, "-c", script, *arguments),)
 
 
-COPIER = Program("copier", Path("mine.toml"), python(COPY, "{input}", "{output}"), python(COPY, "{input}", "{output}"))
+COPIED = python(COPY, "{input}", "{output}")
+COPIER = Program(name="copier", file=Path("mine.toml"), encoder=COPIED, decoder=COPIED)
 
 
 def coder(delay: int = 0, speed: int = 1) -> Program:
