@@ -15,15 +15,11 @@ from vibrocast.codec.interface import (
     Codec,
     CodecError,
     Decoded,
-    Encoder,
     Framing,
-    Model,
     Parameter,
-    RateControl,
     RatePoints,
     Setting,
     Signal,
-    SignalFormat,
     check_channels,
     checked_parts,
     number,
@@ -65,21 +61,19 @@ class Plan:
 
 @dataclass(frozen=True)
 class Library:
-    """The names of libav's encoder and decoder of a codec, and how they differ from the others.
+    """The name of libav's encoder and decoder of a codec, and how they differ from the others.
 
-    `plan(setting, packet_samples)`. `decimation`: keep every n-th decoded sample. `continuous`: frames have no bounds,
-    so those of a packet are decoded at once. `full_scale_bits`: 16, or fewer if the codec needs headroom.
-    `decoder_options(frame_bytes)`.
+    `plan(setting, packet_samples)`. `decimation`: keep every n-th decoded sample. `continuous`: frames of eight samples
+    have no bounds, so those of a packet are decoded at once. `full_scale_bits`: 16, or fewer if the codec needs
+    headroom.
     """
 
-    encoder: str
-    decoder: str
+    name: str
     plan: Callable[[Setting, int], Plan]
     sample_format: str = "s16"
     decimation: int = 1
     continuous: bool = False
     full_scale_bits: int = 16
-    decoder_options: Callable[[int], Mapping[str, str]] = lambda frame_bytes: {}
 
 
 class LibavEncoder:
@@ -101,9 +95,7 @@ class LibavEncoder:
             )
         fields = (plan.delay_samples, plan.frame_samples, self._packet_frames, plan.frame_bytes)
         self.configuration = b"".join(map(pack_varint, fields))
-        self._contexts = [
-            _open(library.encoder, "w", plan.options, sample_format=library.sample_format) for _ in range(channels)
-        ]
+        self._contexts = [_open(library.name, "w", plan.options, library.sample_format) for _ in range(channels)]
         self._taken: list[NDArray[np.int16]] = []
 
     def encode(self, samples: Signal) -> list[bytes]:
@@ -163,8 +155,8 @@ class LibavDecoder:
             reader.varint(_FIELD_BITS) for _ in range(4)
         )
         self.packet_samples = packet_frames * self._frame_samples
-        options = library.decoder_options(self._frame_bytes)
-        self._contexts = [_open(library.decoder, "r", options) for _ in range(channels)]
+        options = {"bits_per_coded_sample": str(self._frame_bytes)} if library.continuous else {}
+        self._contexts = [_open(library.name, "r", options) for _ in range(channels)]
 
     def decode(self, packet: bytes) -> Decoded:
         """Decode the next packet to int16 (packet_samples, channels); silence follows the frames of a shorter one."""
@@ -237,10 +229,6 @@ def _plan_amr(setting: Setting, packet_samples: int) -> Plan:
     return Plan(160, 40, {"b": str(_AMR_BITS_PER_SECOND[mode])}, _AMR_FRAME_BYTES[mode])
 
 
-def _plan_g723_1(setting: Setting, packet_samples: int) -> Plan:
-    return Plan(240, 60, {"b": "6300"}, 24)
-
-
 def _plan_g726(setting: Setting, packet_samples: int) -> Plan:
     bits = int(number(setting, "bits_per_sample"))
     # Eight samples fill whole bytes.
@@ -266,20 +254,17 @@ def _codec(
     parameters: Mapping[str, Parameter],
     rate_point_set: tuple[Setting, ...],
 ) -> Codec:
-    def make_encoder(
-        setting: Setting,
-        signal_format: SignalFormat,
-        framing: Framing,
-        model: Model | None,
-        rate_control: RateControl | None = None,
-    ) -> Encoder:
-        return LibavEncoder(library, library.plan(setting, framing.packet_samples), framing, signal_format.channels)
-
-    def make_decoder(configuration: bytes, channels: int, tables: bytes | None) -> LibavDecoder:
-        return LibavDecoder(library, configuration, channels)
-
-    rate_point_sets = {name: RatePoints(rate_point_set)}
-    return Codec(name, identifier, summary, parameters, rate_point_sets, make_encoder, make_decoder)
+    return Codec(
+        name,
+        identifier,
+        summary,
+        parameters,
+        {name: RatePoints(rate_point_set)},
+        make_encoder=lambda setting, signal_format, framing, *_: LibavEncoder(
+            library, library.plan(setting, framing.packet_samples), framing, signal_format.channels
+        ),
+        make_decoder=lambda configuration, channels, _: LibavDecoder(library, configuration, channels),
+    )
 
 
 CODECS = (
@@ -287,7 +272,7 @@ CODECS = (
         "opus",
         5,
         "Opus (RFC 6716), its low-delay MDCT coder, by libopus",
-        Library("libopus", "libopus", _plan_opus, decimation=6),
+        Library("libopus", _plan_opus, decimation=6),
         {
             "bit_rate_bps": Parameter(
                 "mean bit rate, in bit/s at 8000 samples/s", 16_000, low=500, high=128_000, whole=True
@@ -300,7 +285,7 @@ CODECS = (
         "amr-nb",
         6,
         "AMR narrow-band (3GPP TS 26.071), ACELP speech codec, by libopencore",
-        Library("libopencore_amrnb", "libopencore_amrnb", _plan_amr),
+        Library("libopencore_amrnb", _plan_amr),
         {
             "mode": Parameter(
                 "0 to 7 = 4.75, 5.15, 5.9, 6.7, 7.4, 7.95, 10.2 or 12.2 kbit/s at 8000 samples/s", 7, 0, 7, True
@@ -312,7 +297,7 @@ CODECS = (
         "g723-1",
         7,
         "ITU-T G.723.1, multi-pulse speech codec of 6.3 kbit/s at 8000 samples/s",
-        Library("g723_1", "g723_1", _plan_g723_1),
+        Library("g723_1", lambda setting, packet_samples: Plan(240, 60, {"b": "6300"}, 24)),
         {},
         ({},),
     ),
@@ -320,14 +305,7 @@ CODECS = (
         "g726",
         8,
         "ITU-T G.726, adaptive differential PCM",
-        Library(
-            "g726",
-            "g726",
-            _plan_g726,
-            continuous=True,
-            full_scale_bits=_G726_FULL_SCALE_BITS,
-            decoder_options=lambda frame_bytes: {"bits_per_coded_sample": str(frame_bytes)},
-        ),
+        Library("g726", _plan_g726, continuous=True, full_scale_bits=_G726_FULL_SCALE_BITS),
         {"bits_per_sample": Parameter("bits per coded sample", 4, low=2, high=5, whole=True)},
         tuple({"bits_per_sample": bits} for bits in range(2, 6)),
     ),
@@ -335,7 +313,7 @@ CODECS = (
         "wavpack",
         9,
         "WavPack, lossless linear prediction, after rounding the samples to fewer bits",
-        Library("wavpack", "wavpack", _plan_wavpack, sample_format="s16p"),
+        Library("wavpack", _plan_wavpack, sample_format="s16p"),
         {"bits_per_sample": Parameter("bits kept of each sample; 16 = lossless", 8, 2, 16, True)},
         tuple({"bits_per_sample": bits} for bits in _WAVPACK_BITS_PER_SAMPLE),
     ),
@@ -343,7 +321,7 @@ CODECS = (
         "flac",
         10,
         "FLAC (RFC 9639), lossless linear prediction of the 16-bit samples",
-        Library("flac", "flac", _plan_flac),
+        Library("flac", _plan_flac),
         {},
         ({},),
     ),
