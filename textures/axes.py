@@ -13,20 +13,11 @@ DFT321, NORM, NONE = "dft321", "norm", "none"
 REDUCTIONS = (DFT321, NORM, NONE)
 
 
-def order_of_axes(names: Sequence[str]) -> list[int] | None:
-    """Return which of three columns is X, Y and Z; None if their names do not say that they are axes.
-
-    The names differ only in that letter, in any case: x, y, z; ax, ay, az; acc_x, acc_y, acc_z.
-    """
-    lowered = [name.lower() for name in names]
-    if len(lowered) != len(AXES):
-        return None
-    for place in range(len(lowered[0])):
-        letters = [name[place : place + 1] for name in lowered]
-        others = {name[:place] + name[place + 1 :] for name in lowered}
-        if len(others) == 1 and sorted(letters) == ["x", "y", "z"]:
-            return [letters.index(axis.lower()) for axis in AXES]
-    return None
+def are_axes(names: Sequence[str]) -> bool:
+    """Return whether three names in small letters differ in one alone, which is x, y and z in this order."""
+    first, *others = names
+    places = [place for place, letter in enumerate(first) if letter == "x"]
+    return any(others == [first[:place] + axis + first[place + 1 :] for axis in "yz"] for place in places)
 
 
 def reduced(contents: Contents, reduce: str | None, path: Path) -> Contents:

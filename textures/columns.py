@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vibrocast.textures.axes import AXES, order_of_axes
+from vibrocast.textures.axes import AXES, are_axes
 from vibrocast.textures.recording import (
     FILE_UNITS,
     SECONDS,
@@ -137,7 +137,7 @@ def signal_of(
         unit = known_unit(unit, f"{path}: column {table.names[channels[0]]!r}", FILE_UNITS)
     if table.unit not in (None, unit):
         raise TextureError(f"{path}: a comment says {table.unit}, and the columns {unit}; correct one of them")
-    axes = AXES if order_of_axes([table.words[column] for column in channels]) == [0, 1, 2] else ()
+    axes = AXES if are_axes([table.words[column] for column in channels]) else ()
     samples = table.values if channels == list(range(len(table.names))) else table.values[:, channels]
     stated_hz, notes = table.rate_hz, table.notes
     times = [

@@ -17,7 +17,7 @@ from vibrocast.textures import files, p1918
 from vibrocast.textures.files import KEYED_SUFFIXES, SUFFIXES
 from vibrocast.textures.profiles import Profile
 from vibrocast.textures.recording import TextureError, known_unit, unusable
-from vibrocast.textures.text import holds_numbers
+from vibrocast.textures.text import column_names
 
 PARTS = ("all", "train", "test")
 SPLITS = ("auto", "recording", "material", "subject")
@@ -264,7 +264,7 @@ def _no_recording(path: Path) -> str:
         with path.open(encoding="utf-8-sig", errors="replace") as file:
             if "file" in _fields(file.readline(MAX_HEADER_CHARACTERS)):
                 return "a manifest; give it in place of the folder to use it"
-    if path.suffix.lower() in files.TEXT_SUFFIXES and path.is_file() and not holds_numbers(path):
+    if path.suffix.lower() in files.TEXT_SUFFIXES and path.is_file() and column_names(path) is None:
         return "text without numbers"
     return ""
 

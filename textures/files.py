@@ -145,14 +145,13 @@ def from_array(
     samples: ArrayLike,
     rate_hz: float | None,
     unit: str | None,
-    full_scale: float | None = None,
     name: str = "samples",
     columns: str | int | Sequence[str | int] | None = None,
 ) -> Recording:
     """Return samples (n,) or (n, channels), integers or floats of any size, as a recording.
 
     A DataFrame of pandas or Polars is a table with column names, as a text file is. `rate_hz`, `unit` (one of
-    INPUT_UNITS), `full_scale`, `columns`: as for a file in `load`; without a unit, the samples are in "full scale".
+    INPUT_UNITS), `columns`: as for a file in `load`; without a unit, the samples are in "full scale".
     Raises TextureError.
     """
     chosen, path = names_of(columns), Path(name)
@@ -172,7 +171,7 @@ def from_array(
         raise TextureError("`rate_hz` is missing", action="pass the sample rate of the samples", parameter="rate_hz")
     if unit is None and contents.unit is None:
         unit = "full scale"
-    output_unit, scale = _scale(contents, unit, full_scale, path)
+    output_unit, scale = _scale(contents, unit, None, path)
     return Recording(contents.samples * scale, rate_hz, output_unit, name, contents.axes, notes=contents.notes)
 
 
@@ -191,7 +190,7 @@ def load_profile(path: str | Path) -> Profile:
 
 def is_profile(path: Path) -> bool:
     """Return whether a file names a column of positions, as a height profile does. Raises TextureError, OSError."""
-    return path.suffix.lower() in TEXT_SUFFIXES and path.is_file() and POSITION_NAME in column_names(path)
+    return path.suffix.lower() in TEXT_SUFFIXES and path.is_file() and POSITION_NAME in (column_names(path) or ())
 
 
 def save_profile(path: str | Path, profile: Profile) -> None:

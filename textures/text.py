@@ -87,22 +87,13 @@ def read_table(path: Path, skip_lines: int = 0) -> Table:
         ) from error
 
 
-def holds_numbers(path: Path) -> bool:
-    """Return whether a text file holds lines of numbers in one layout. Raises OSError."""
-    with path.open(encoding=ENCODING, errors="replace") as file:
-        try:
-            return _head(file, path, 0).lines >= 0
-        except TextureError:
-            return False
-
-
-def column_names(path: Path) -> list[str]:
-    """Return the names of a text file's columns, in small letters; none where it has none. Raises OSError."""
+def column_names(path: Path) -> list[str] | None:
+    """Return the names of a text file's columns, in small letters; None where it holds no numbers. Raises OSError."""
     with path.open(encoding=ENCODING, errors="replace") as file:
         try:
             return [name.lower() for name, _ in _head(file, path, 0).fields]
         except TextureError:
-            return []
+            return None
 
 
 def write_table(path: Path, recording: Recording) -> None:

@@ -28,7 +28,7 @@ READERS: Mapping[str, Callable[[bytes], Clip]] = {
 """The reader of each suffix. It may raise any error for a file of another kind."""
 WRITERS = {
     ".ahap": Writer(ahap.write, (ahap.LOWEST_HZ, ahap.HIGHEST_HZ)),
-    ".haptic": Writer(haptic.write, haptic.GENERIC.frequency_hz),
+    ".haptic": Writer(haptic.write, haptic.FREQUENCY_HZ),
 }
 SUFFIXES = tuple(READERS)
 MAX_BYTES = 5_000_000
