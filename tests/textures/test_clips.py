@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.signal import hilbert
 
 from tests.textures.hmpg_writer import hmpg, packet, unit
-from vibrocast.textures import Recording, TextureError, clips, dataset, load
+from vibrocast.textures import Recording, TextureError, clips, load
 from vibrocast.textures.clips import synthesis
 
 RATE_HZ = 8000
@@ -465,12 +465,6 @@ def test_a_clip_is_rendered_at_your_rate_and_scaled_to_your_unit(loaded: Callabl
 def test_what_exceeds_full_scale_is_limited(loaded: Callable[..., Recording]) -> None:
     samples = loaded(".ahap", ahap(HUM, HUM)).samples
     assert samples.max() == 1 and np.mean(samples == 1) > 0.1
-
-
-def test_a_folder_of_clips_is_a_data_set(tmp_path: Path) -> None:
-    (tmp_path / "a.ahap").write_text(json.dumps(ahap(HUM)))
-    (entry,) = dataset.entries(tmp_path)
-    assert entry.path == tmp_path / "a.ahap"
 
 
 def encoded(*entries: Json) -> bytes:

@@ -119,13 +119,6 @@ def test_a_lossy_sound_file_is_read(tmp_path: Path) -> None:
     assert np.std(recording.samples[:, 0] - tone) < 0.1 * np.std(tone)
 
 
-def test_a_sound_file_under_the_suffix_of_another_is_rejected(tmp_path: Path) -> None:
-    soundfile.write(tmp_path / "a.flac", NOISE, 2800)
-    (tmp_path / "a.flac").rename(tmp_path / "a.wav")
-    with pytest.raises(TextureError, match=r"FLAC in a \.wav file; correct its suffix, or convert it"):
-        load(tmp_path / "a.wav", unit="drive")
-
-
 @pytest.mark.parametrize("suffix", [".wav", ".csv", ".npy", ".mat", ".h5", ".CSV", ".NPY", ".MAT", ".H5"])
 @pytest.mark.parametrize(("unit", "rate_hz"), [("m/s^2", 2800), ("um", 44_100), ("full scale", 1000)])
 @pytest.mark.parametrize("channels", [1, 2, 3])
@@ -469,7 +462,7 @@ def test_a_damaged_file_loads_or_is_rejected(
 
 
 @given(data=st.binary(max_size=400), head=st.sampled_from(HEADS))
-@pytest.mark.parametrize("name", ["any.wav", "any.npy", "any.npz", "any.mat", "any.h5"])
+@pytest.mark.parametrize("name", ["any.wav", "any.npy", "any.npz", "any.mat", "any.h5", "any.txt"])
 def test_any_bytes_are_rejected(tmp_path_factory: pytest.TempPathFactory, name: str, head: bytes, data: bytes) -> None:
     path = tmp_path_factory.getbasetemp() / name
     path.write_bytes(head + data)

@@ -113,6 +113,8 @@ def test_interpolation_is_exact_for_parabolas() -> None:
         ("t", 1e3, "%.2f", 1.7e12, 800),
         ("epoch", 1, "%.6f", 1.7e9, 3200),
         ("elapsed_s", 1, "%.6f", 0, 3200),
+        ("time", 1, "%.6f", 3, 10_000),
+        ("T", 1, "%.6f", 3, 10_000),
         ("seconds_elapsed", 1, "%.6f", 7, 50),
         ("millis", 1e3, "%.3f", 0, 800),
         ("time_us", 1e6, "%d", 2**32 - 10_000, 800),
