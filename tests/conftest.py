@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
+from tests.browser import browser as browser
 from tests.sound_server import mortal_sound_server as mortal_sound_server
 from tests.sound_server import pulseaudio as pulseaudio
 from tests.sound_server import sound_server as sound_server

@@ -3,19 +3,15 @@
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 
 import pytest
+from playwright.sync_api import Browser, expect
 
 from tests.command import OAK, run
 from tests.harness.test_wire_command import needs_terminals, serving
-from tests.study.stub_run import chromium
 
-pytestmark = [
-    needs_terminals,
-    pytest.mark.slow,
-    pytest.mark.skipif(chromium() is None, reason="needs Chromium: Debian's package chromium"),
-]
+pytestmark = [needs_terminals, pytest.mark.slow]
 
 
 @contextmanager
@@ -26,12 +22,8 @@ def watched(device: str = "sim") -> Iterator[tuple[str, str]]:
         yield page.removeprefix("page: "), process.stderr.readline().strip()
 
 
-def test_the_page_shows_signals_spectra_buffer_counters_and_state() -> None:
-    from playwright.sync_api import expect, sync_playwright
-
-    with watched() as (page_address, device), sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium(), args=["--no-sandbox"])
-        page = browser.new_page()
+def test_the_page_shows_signals_spectra_buffer_counters_and_state(browser: Browser) -> None:
+    with watched() as (page_address, device), closing(browser.new_page()) as page:
         problems: list[str] = []
         page.on("pageerror", lambda error: problems.append(str(error)))
         page.on("console", lambda message: problems.append(message.text) if message.type == "error" else None)
@@ -47,7 +39,6 @@ def test_the_page_shows_signals_spectra_buffer_counters_and_state() -> None:
             assert points is not None and len(points.split()) > 5
         expect(page.locator("#hints")).to_have_text("Nothing unusual.")
         expect(page.locator("#counters")).to_contain_text("samples decoded wrongly0")
-        browser.close()
         assert not problems
 
 

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from playwright.sync_api import Browser, Page, expect
 
 import vibrocast
 from tests.device_protocol.test_messages import GOLDEN
-from tests.study.stub_run import chromium
 from vibrocast import codec
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol import messages
@@ -28,10 +28,6 @@ from vibrocast.simulated_device.controller import Controller, Settings
 from vibrocast.simulated_device.socket_port import SocketPort
 
 pytest.importorskip("mkdocs", reason="needs the extra docs")
-if chromium() is None:
-    pytest.skip("needs Chromium: Debian's package chromium", allow_module_level=True)
-from playwright.sync_api import Browser, Page, expect, sync_playwright
-
 from studies import browser_page
 
 pytestmark = pytest.mark.slow
@@ -97,15 +93,6 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = folder / "tutorials" / "browser.html"
     made.write_text(f'<!doctype html><html lang="en"><meta charset="utf-8"><body>{player}</body></html>', "utf-8")
     return made
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        # Chromium has no sandbox as root, which tests in a container are.
-        browser = playwright.chromium.launch(executable_path=chromium(), args=["--no-sandbox"])
-        yield browser
-        browser.close()
 
 
 @contextmanager

@@ -1,7 +1,6 @@
 """A run of given screens, with an actuator that only notes when it moves and rests: stands in for a real session."""
 
 import json
-import shutil
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -236,8 +235,3 @@ def served(run: Session, aids: Aids | None = None) -> Iterator[tuple[str, str]]:
         run.abort()
         thread.join(20)
         assert not thread.is_alive()
-
-
-def chromium() -> str | None:
-    """Return the path of Chromium; None where it is not installed."""
-    return next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)

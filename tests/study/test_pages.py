@@ -11,16 +11,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from playwright.sync_api import Browser, Page, expect
 
-from tests.study.stub_run import CONDITIONS, GRADES, LOST, WELCOME, StubRun, chromium, mushra, served, trial
-from vibrocast.study.trials import Break, Choices, Message, Question, Screen, Trial
-
-if chromium() is None:
-    pytest.skip("needs Chromium: Debian's package chromium", allow_module_level=True)
-
-from playwright.sync_api import Browser, Page, expect, sync_playwright
-
+from tests.study.stub_run import CONDITIONS, GRADES, LOST, WELCOME, StubRun, mushra, served, trial
 from vibrocast.study.server import CALL_THE_EXPERIMENTER, Aids
+from vibrocast.study.trials import Break, Choices, Message, Question, Screen, Trial
 
 pytestmark = pytest.mark.usefixtures("no_lingering")
 SIZES = ((1024, 768), (768, 1024), (1280, 800))
@@ -60,15 +55,6 @@ SCREENS: tuple[Screen, ...] = (
 
 
 ANSWERS = "[data-choice], [data-slider]"
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        # Chromium has no sandbox as root, which tests in a container are.
-        browser = playwright.chromium.launch(executable_path=chromium(), args=["--no-sandbox"])
-        yield browser
-        browser.close()
 
 
 @contextmanager

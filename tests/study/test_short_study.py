@@ -3,12 +3,13 @@
 import csv
 import json
 import re
+from contextlib import closing
 from pathlib import Path
 
 import pytest
+from playwright.sync_api import Browser, expect
 
 from tests.command import ROOT, started, succeeds
-from tests.study.stub_run import chromium
 
 STUDY = ROOT / "examples" / "studies" / "textures_short.toml"
 
@@ -38,11 +39,9 @@ def test_simulated_observers_take_part_and_are_reported(tmp_path: Path) -> None:
     assert len(document["findings"]) == 12
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(chromium() is None, reason="needs Chromium: Debian's package chromium")
-def test_a_scripted_participant_takes_part_in_chromium(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from playwright.sync_api import expect, sync_playwright
-
+def test_a_scripted_participant_takes_part_in_chromium(
+    browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     out = tmp_path / "short"
     monkeypatch.setenv("PYTHONUNBUFFERED", "1")
     process = started("study", "run", shortened(tmp_path), "--participant", 7, "--port", 0, "--out", out)
@@ -50,9 +49,7 @@ def test_a_scripted_participant_takes_part_in_chromium(tmp_path: Path, monkeypat
     try:
         address = process.stdout.readline().removeprefix("participant: ").strip()
         assert address.startswith("http://127.0.0.1:")
-        with sync_playwright() as playwright:
-            browser = playwright.chromium.launch(executable_path=chromium(), args=["--no-sandbox"])
-            page = browser.new_page()
+        with closing(browser.new_page()) as page:
             page.set_default_timeout(20_000)
             page.goto(address)
             page.get_by_role("button", name="Start the sound").click()
@@ -83,7 +80,6 @@ def test_a_scripted_participant_takes_part_in_chromium(tmp_path: Path, monkeypat
             page.fill("input", "nothing")
             page.click("button.main")
             expect(page.get_by_text("Thank you")).to_be_visible()
-            browser.close()
         assert process.wait(20) == 0
     finally:
         process.kill()
