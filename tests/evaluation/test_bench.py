@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.codec.eva_models import tiny_model
 from tests.evaluation.conftest import here
 from vibrocast import codec, workers
 from vibrocast.codec import CodecError, metrics
@@ -116,16 +117,16 @@ def test_a_damaged_journal_costs_only_the_lines_that_are_damaged(
 
 
 @pytest.mark.slow
-def test_on_all_cores_and_on_a_cluster_the_figures_are_the_same(
-    folder: Path, tmp_path: Path, whole: dict[str, bytes]
-) -> None:
+def test_on_all_cores_and_on_a_cluster_the_figures_are_the_same(folder: Path, tmp_path: Path) -> None:
     distributed: Any = pytest.importorskip("distributed")
-    results = bench.results_folder(tmp_path / "cores")
-    assert written(results, run(folder, results, partial(workers.on_cores, processes=2))) == whole
+    chosen = [*METHODS, *cells.families([tiny_model()])]
+    alone, results = (bench.results_folder(tmp_path / name) for name in ("alone", "cores"))
+    whole = written(alone, run(folder, alone, chosen=chosen))
+    assert written(results, run(folder, results, partial(workers.on_cores, processes=2), chosen)) == whole
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as cluster:
         work = partial(workers.on_cluster, address=cluster.scheduler_address, version=workers.program_version)
         results = bench.results_folder(tmp_path / "cluster")
-        assert written(results, run(folder, results, work)) == whole
+        assert written(results, run(folder, results, work, chosen)) == whole
 
 
 @pytest.mark.parametrize(

@@ -1,25 +1,21 @@
 """Tests of the benchmark over trained models: families as curves, what decides their figures, their speed and size."""
 
-from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.codec.eva_models import tiny_model
-from vibrocast import codec, workers
+from vibrocast import codec
 from vibrocast.codec.eva_image import EvaImage
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.errors import InputError
-from vibrocast.evaluation import bench, cells, cost, speed, trained
-from vibrocast.evaluation.cells import Cell, Measured, Method, RatePoint
+from vibrocast.evaluation import cells, cost, speed, trained
+from vibrocast.evaluation.cells import Cell, Method, RatePoint
 from vibrocast.evaluation.points import Failure, Point
 from vibrocast.evaluation.speed import Speed
 from vibrocast.models import Model
 from vibrocast.textures import Recording
-from vibrocast.textures.dataset import DatasetEntry
 from vibrocast.textures.generate import wood
 
 RECORDING = wood(1, 0.5)
@@ -111,26 +107,3 @@ def test_speed_is_timed_at_the_setting_nearest_to_the_ratio_by_every_runtime(mon
     assert {each.codec for each in others} == {"broken", "steps"}
     silent = Recording(np.zeros((600, 1)), 2800.0, "um", "silent")
     assert speed.measure([method], points, [silent], 1) == []
-
-
-@pytest.mark.slow
-def test_figures_of_models_are_the_same_however_a_run_is_cut_or_spread(tmp_path: Path) -> None:
-    (method,) = cells.families([member(0), member(1)])
-    traces = [DatasetEntry("wood", tmp_path / "wood.wav")]
-
-    def run(name: str, work: Callable[[Iterator[bench.Task]], bench.Outcomes]) -> list[Measured | Failure]:
-        with bench.Journal(tmp_path / name) as journal:
-            return bench.run(traces, lambda _: RECORDING, [method], 0, journal, work, lambda _: None)
-
-    def cut(pieces: Iterator[bench.Task]) -> bench.Outcomes:
-        key, work = next(pieces)
-        yield key, work()
-        raise KeyboardInterrupt
-
-    spread = partial(workers.on_cores, processes=2)
-    whole = run("whole", spread)
-    settings = [each.point.setting for each in whole if isinstance(each, Measured)]
-    assert settings == ["level=1 model=step-0", "level=1 model=step-1"]
-    with pytest.raises(KeyboardInterrupt):
-        run("cut", cut)
-    assert run("cut", spread) == whole
