@@ -51,4 +51,4 @@ def test_the_page_is_for_this_machine_and_changes_nothing() -> None:
             assert error.value.code == status
         with pytest.raises(urllib.error.HTTPError) as refused:
             urllib.request.urlopen(page_address, data=b"stop", timeout=5)
-        assert refused.value.code == 501
+        assert refused.value.code == 415
