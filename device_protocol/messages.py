@@ -507,6 +507,16 @@ class HelloResponse(Message):
         if len(self.public_key) not in (0, KEY_BYTES):
             raise ValueError(f"a public key has {KEY_BYTES} bytes, not {len(self.public_key)}")
 
+    @property
+    def image_lines(self) -> list[str]:
+        """One line for people about each slot that holds a model image."""
+        return [
+            f"slot {image.slot}: {image.name} {image.version}, {image.state.name.lower()}, {image.sha256.hex()[:16]}"
+            + (f", number {image.number}" if image.number else "")
+            for image in self.images
+            if image.state != SlotState.EMPTY
+        ]
+
 
 @dataclass(frozen=True)
 class CodingDescription:

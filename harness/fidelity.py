@@ -8,11 +8,11 @@ import numpy as np
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.harness.sensors import Recorder, recorded
 from vibrocast.host import playback, player
+from vibrocast.host.devices import Session
 from vibrocast.host.figures import Value
 from vibrocast.host.picture import third_octave_levels
+from vibrocast.host.playback import compare_skin, displacement_above_20_hz, high_passed
 from vibrocast.host.report import Report
-from vibrocast.host.session import Session
-from vibrocast.host.skin_quality import compare_skin, displacement_above_20_hz, high_passed
 from vibrocast.textures import Recording
 
 

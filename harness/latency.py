@@ -11,12 +11,11 @@ from vibrocast.device_protocol.messages import Status
 from vibrocast.harness.sensors import Recorder, TimedRecording, recorded
 from vibrocast.host import live
 from vibrocast.host.controller import ControllerError
+from vibrocast.host.devices import Session
 from vibrocast.host.figures import Value
 from vibrocast.host.live_playback import ClockFit, LivePlayback
-from vibrocast.host.playback import displacement_um
+from vibrocast.host.playback import align, displacement_above_20_hz, displacement_um, high_passed
 from vibrocast.host.report import Report
-from vibrocast.host.session import Session
-from vibrocast.host.skin_quality import align, displacement_above_20_hz, high_passed
 from vibrocast.output.actuator import Actuator
 from vibrocast.output.rendering import Drive
 from vibrocast.textures import Recording

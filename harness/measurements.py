@@ -13,8 +13,8 @@ from vibrocast.harness.sensors import Recorder, behind, recorder
 from vibrocast.host import bench_file, devices, player
 from vibrocast.host.bench_file import Bench, InputSensor
 from vibrocast.host.controller import Controller
+from vibrocast.host.devices import Session
 from vibrocast.host.figures import Noted
-from vibrocast.host.session import Session
 from vibrocast.host.track_player import PlayedList, TrackOptions, play_list
 from vibrocast.textures import Recording
 

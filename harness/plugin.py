@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from vibrocast.harness.timed_transport import TimedTransport
     from vibrocast.host.bench_file import Bench
     from vibrocast.host.controller import Controller
+    from vibrocast.host.devices import Session
     from vibrocast.host.figures import Value
     from vibrocast.host.playback import Playback
-    from vibrocast.host.session import Session
     from vibrocast.textures import Profile, Recording
 
 
@@ -258,10 +258,10 @@ def vibrocast_wire(
     import contextlib
     import time
 
+    from vibrocast.device_protocol.trace import tracer
     from vibrocast.device_protocol.transports import TransportError
     from vibrocast.harness.timed_transport import TimedTransport
     from vibrocast.host import devices
-    from vibrocast.host.tracing import tracer
 
     first = vibrocast_bench.first
     until_s = time.monotonic() + pytestconfig.getoption("vibrocast_wait_s")
@@ -294,7 +294,7 @@ def _vibrocast_session(
     from vibrocast.device_protocol.transports import TransportError
     from vibrocast.host.bench_file import check_actuator
     from vibrocast.host.controller import Controller, ControllerError
-    from vibrocast.host.session import session_with
+    from vibrocast.host.devices import session_with
 
     first = vibrocast_bench.first
     opened = session_with(Controller(vibrocast_wire), first.address, vibrocast_bench.actuator(first.name))
@@ -372,7 +372,7 @@ class _Judge:
         What this machine was too busy to decide is measured again, as often as the run allows, and then skipped. It is
         not measured again where the test has pulled the cable, which would stay in the next time.
         """
-        from vibrocast.host.verdict import Verdict, judged, verdict_on
+        from vibrocast.host.figures import Verdict, judged, verdict_on
 
         for _ in range(max(1, self._tries)):
             measured = take()

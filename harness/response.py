@@ -10,7 +10,7 @@ from vibrocast import codec, textures
 from vibrocast.harness.sensors import Recorder, recorded
 from vibrocast.host import player
 from vibrocast.host.controller import Controller, ControllerError
-from vibrocast.host.skin_quality import AlignmentError
+from vibrocast.host.playback import AlignmentError
 from vibrocast.output.actuator import Actuator, analog_response
 from vibrocast.textures import Recording
 

@@ -17,9 +17,8 @@ from vibrocast.harness.load import Gap, Load, Throughput
 from vibrocast.harness.measurements import Together, misfits
 from vibrocast.harness.response import Response
 from vibrocast.host.bench_file import Bench
-from vibrocast.host.figures import FIGURES, Noted, Value
+from vibrocast.host.figures import FIGURES, Finding, Noted, Value, findings, judged
 from vibrocast.host.report import Provenance
-from vibrocast.host.verdict import Finding, findings, judged
 
 PAGE, JSON, ACTUATOR = "measured.html", "measured.json", "actuator.toml"
 FORMAT, SCHEMA = "vibrocast measurements", 3

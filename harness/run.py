@@ -19,9 +19,8 @@ from vibrocast.harness.sensors import SensorError
 from vibrocast.host import bench_file
 from vibrocast.host.bench_file import Bench
 from vibrocast.host.controller import ConnectionLost, Controller, ControllerError
+from vibrocast.host.playback import AlignmentError
 from vibrocast.host.report import Provenance
-from vibrocast.host.skin_quality import AlignmentError
-from vibrocast.host.verdict import doubt_of
 
 # Measured again where they have become worse: the computer may have been busy with something else.
 _TIMED = NAMES[:5]
@@ -105,7 +104,7 @@ def _measure(bench: Bench, names: Collection[str], results: Results) -> None:
                         controller.stop()
                     raise
                 finally:
-                    if doubt := doubt_of(controller):
+                    if doubt := controller.doubt():
                         results.doubts[name] = doubt
     if "together" in _possible(bench, names):
         with progress.bar("together"):

@@ -32,9 +32,9 @@ from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.device_protocol.trace import TracedFrame
 from vibrocast.harness.web_server import Page, Refused, Request, json_page
 from vibrocast.host.controller import MAX_DAC_RATE_HZ, ControllerError
+from vibrocast.host.devices import actuator_model
 from vibrocast.host.picture import third_octave_levels
 from vibrocast.host.playback import DECODED_FULL_SCALE, displacement_um
-from vibrocast.host.session import actuator_model
 from vibrocast.output.actuator import SKIN_OVERSAMPLING, Actuator
 
 Integers = NDArray[np.int16]

@@ -16,9 +16,9 @@ from msgspec import field as table_field
 from vibrocast import textures
 from vibrocast.device_protocol.transports import SERIAL_FORM, TransportError, serial_port
 from vibrocast.errors import InputError, located
-from vibrocast.host import devices, session
+from vibrocast.host import devices
+from vibrocast.host.devices import Session
 from vibrocast.host.figures import BenchLimits, Noted, Value, missed
-from vibrocast.host.session import Session
 from vibrocast.output.actuator import Actuator
 from vibrocast.output.actuator_files import ActuatorTable
 from vibrocast.textures import Recording, sensitivity
@@ -359,10 +359,10 @@ def choose_controller(bench: Bench | None, device: str | None) -> Bench:
 def connect(bench: Bench | None, controller: BenchController, actuator: Actuator | None = None) -> Iterator[Session]:
     """Open a session with a controller; `actuator`: behind it, None = the bench's, or as the controller says.
 
-    Raises as `host.session.connect`, and InputError where it drives another actuator than the bench has there.
+    Raises as `host.devices.open_session`, and InputError where it drives another actuator than the bench has there.
     """
     behind = actuator if bench is None else actuator or bench.actuator(controller.name)
-    with session.connect(controller.address, actuator=behind) as opened:
+    with devices.open_session(controller.address, actuator=behind) as opened:
         if bench is not None:
             check_actuator(bench, controller, opened)
         yield opened

@@ -34,11 +34,11 @@ from vibrocast.device_protocol.messages import (
     pack,
     unpack,
 )
+from vibrocast.device_protocol.trace import TappedTransport
 from vibrocast.device_protocol.transports import Closing, DeviceGone, Transport, TransportError, selectable
 from vibrocast.errors import NO_DEVICE, VibrocastError
 from vibrocast.host import event_loop
 from vibrocast.host.event_loop import Steps
-from vibrocast.host.tracing import TappedTransport
 from vibrocast.progress import notes
 
 if TYPE_CHECKING:
@@ -58,6 +58,12 @@ BOOT_S = 5.0
 MIN_PAYLOAD_LIMIT_BYTES = 256
 MIN_WATCHDOG_MS = 50
 MAX_DAC_RATE_HZ = 1_000_000
+LATE_S = 0.05
+"""A machine that wakes up later than this from a wait may itself have caused what looks like a fault."""
+# Of the time, and as at most one wait, that other programs may keep this one from a processor.
+_QUEUED_SHARE = 0.05
+# A controller whose clock has lost so much against this machine's is emulated, and too slow.
+_LEAST_SPEED, _LOST_S = 0.98, 0.2
 
 _RECONNECT_PAUSE_S = 0.1
 # An answer that takes longer waits behind what the wire has not carried yet: a controller answers at once.
@@ -147,23 +153,22 @@ class Controller(Closing):
         self._times_s: list[tuple[float, float]] = []
         self._watched_from_s = time.monotonic(), _queued_s()
 
-    @property
-    def queued_s(self) -> tuple[float, float]:
-        """The seconds since `watch_time`, and those of them for which other programs kept this one from a processor.
+    def doubt(self, margin_s: float = LATE_S) -> str:
+        """Return why this machine may have changed times since `watch_time`; empty where it kept them.
 
-        The latter is 0 where the system does not count it (Linux does), and where time is simulated.
+        `margin_s`: it may be so late.
         """
+        if self.late_s > margin_s:
+            return f"this machine woke up {1e3 * self.late_s:.0f} ms late"
         began_s, queued_s = self._watched_from_s
-        is_real = self.clock is time.monotonic
-        return time.monotonic() - began_s, max(0.0, _queued_s() - queued_s) if is_real else 0.0
-
-    @property
-    def watched_s(self) -> tuple[float, float]:
-        """The seconds between the first and the last watched Status: here, and by the controller's clock."""
-        if not self._times_s:
-            return 0.0, 0.0
-        (here_s, there_s), (now_s, device_s) = self._times_s[0], self._times_s[-1]
-        return now_s - here_s, device_s - there_s
+        seconds, queued_s = time.monotonic() - began_s, _queued_s() - queued_s
+        if self.clock is time.monotonic and queued_s > LATE_S + _QUEUED_SHARE * seconds:
+            return f"other programs kept this one from a processor for {queued_s:.1f} of {seconds:.1f} s"
+        if self._times_s:
+            passed_s, device_s = (last - first for first, last in zip(self._times_s[0], self._times_s[-1], strict=True))
+            if passed_s - device_s > max(_LOST_S, (1 - _LEAST_SPEED) * passed_s):
+                return f"the emulated controller ran at {100 * device_s / passed_s:.0f} % of its speed"
+        return ""
 
     def _note_time(self, status: Status) -> None:
         """Keep the first and the last time of the controller, which a restart begins again."""
@@ -505,7 +510,10 @@ class Controller(Closing):
 
 
 def _queued_s() -> float:
-    """Return for how long all threads of this process together have been ready to run, and had to wait."""
+    """Return for how long all threads of this process together have been ready to run, and had to wait.
+
+    0 where the system does not count it; Linux does.
+    """
     queued_ns = 0
     for task in Path("/proc/self/task").glob("*/schedstat"):
         with suppress(OSError, IndexError):  # the thread has ended

@@ -10,11 +10,13 @@ from dataclasses import asdict, dataclass, replace
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
 
+import numpy as np
 import usb.core
 import usb.util
 
 from vibrocast import extras
 from vibrocast.device_protocol.messages import ActuatorDescription, HelloResponse, SlotState
+from vibrocast.device_protocol.trace import TappedTransport
 from vibrocast.device_protocol.transports import (
     SERIAL_FORM,
     USB_FORM,
@@ -28,15 +30,14 @@ from vibrocast.device_protocol.transports import (
     usb_address,
 )
 from vibrocast.host.controller import Controller, ControllerError
-from vibrocast.host.tracing import TappedTransport
+from vibrocast.output.actuator import ACTUATORS, MAX_FULL_SCALE_VOLTS, MIN_FULL_SCALE_VOLTS, Actuator
 from vibrocast.simulated_device.device import Device
 
 if TYPE_CHECKING:
-    from vibrocast.output.actuator import Actuator
     from vibrocast.output.sound_card import Card
     from vibrocast.simulated_device.controller import Controller as SimulatedController
 
-_Session = TypeVar("_Session")
+_Opened = TypeVar("_Opened")
 
 GROUP = "vibrocast.devices"
 _ENTRIES = {entry.name: entry for entry in sorted(entry_points(group=GROUP))}
@@ -106,10 +107,106 @@ def firmware_device(address: str) -> FirmwareDevice:
 
 
 @contextlib.contextmanager
-def connect(address: str, runtime: str | None = None, actuator: "Actuator | None" = None) -> Iterator[Controller]:
+def connect(address: str, runtime: str | None = None, actuator: Actuator | None = None) -> Iterator[Controller]:
     """Open a session with the controller at `address`, as `reach` does. Raises TransportError and ControllerError."""
     with reach(address, runtime, actuator) as transport:
         yield Controller(transport)
+
+
+@dataclass(frozen=True)
+class Session:
+    """An open session with the controller at an address, for whatever plays.
+
+    `driven`: the actuator by which the controller computes its DAC's codes; `skin`: the one that moves the skin.
+    `unknown_note`: why the controller's codes cannot be compared with those computed here; None if they can.
+    """
+
+    controller: Controller
+    address: str
+    driven: Actuator
+    skin: Actuator
+    unknown_note: str | None = None
+
+
+def session_with(controller: Controller, address: str, actuator: Actuator | None = None) -> Session:
+    """Return the session with a controller; `actuator`: the one behind it, None = as the controller says.
+
+    A controller that takes any actuator drives this one, and so does one that describes it. For others it is the model
+    of the skin alone. Raises ControllerError where no actuator can be as the controller says.
+    """
+    described = controller.description.actuator
+    skin = None if actuator is None else behind_dac(address, actuator, described)
+    if skin is not None and (takes_actuator(address) or description_of(skin) == described):
+        return Session(controller, address, skin, skin)
+    driven = actuator_model(described)
+    unknown = f"the limits of {described.name} are unknown; give its file as --actuator"
+    return Session(controller, address, driven, skin or driven, None if known_model(described) else unknown)
+
+
+@contextlib.contextmanager
+def open_session(address: str, runtime: str | None = None, actuator: Actuator | None = None) -> Iterator[Session]:
+    """Open a session as `connect` does, and as `session_with` says. Raises as both."""
+    with connect(address, runtime, actuator) as controller:
+        yield session_with(controller, address, actuator)
+
+
+def description_of(actuator: Actuator) -> ActuatorDescription:
+    """Return how a controller describes an actuator that it drives."""
+    lower_hz, upper_hz = actuator.band_hz
+    return ActuatorDescription(
+        name=actuator.name,
+        stroke_um=float(np.float32(actuator.stroke_um)),
+        volts=float(np.float32(actuator.volts)),
+        lower_hz=float(np.float32(lower_hz)),
+        upper_hz=float(np.float32(upper_hz)),
+        slew_volts_per_second=float(np.float32(actuator.slew_volts_per_second)),
+        dac_bits=actuator.dac_bits,
+        dac_rate_hz=actuator.dac_rate_hz,
+    )
+
+
+def known_model(description: ActuatorDescription) -> Actuator | None:
+    """Return which of ACTUATORS a controller describes, with its DAC and volts at full scale; None if none of them."""
+    known = ACTUATORS.get(description.name)
+    if known is None or not 0 < description.volts < math.inf:
+        return None
+    # The shortest number of those that are sent as this one, which has seven digits.
+    volts = float(str(np.float32(description.volts)))
+    if volts != float(str(np.float32(known.volts))):
+        known = known.with_full_scale(volts / 2)
+    known = replace(known, dac_bits=description.dac_bits, dac_rate_hz=description.dac_rate_hz)
+    return known if description_of(known) == description else None
+
+
+def actuator_model(description: ActuatorDescription) -> Actuator:
+    """Return the model of the actuator that a controller describes: the known one, or one built from its band.
+
+    That is a low-pass, or a resonance where it does not reach down to rest. Raises ControllerError where no actuator
+    can be such.
+    """
+    if known := known_model(description):
+        return known
+    lower_hz, upper_hz = description.lower_hz, description.upper_hz
+    if not (
+        0 < description.stroke_um < math.inf
+        and 0 < description.volts < math.inf
+        and 0 <= description.slew_volts_per_second < math.inf
+        and 0 <= lower_hz < upper_hz < math.inf
+    ):
+        raise ControllerError(f"the controller announces an impossible actuator ({description}); update its firmware")
+    resonance_hz = math.sqrt(lower_hz * upper_hz)
+    return Actuator(
+        name=description.name,
+        stroke_um=description.stroke_um,
+        volts=description.volts,
+        corner_hz=resonance_hz or upper_hz,
+        quality=resonance_hz / (upper_hz - lower_hz) if resonance_hz else None,
+        slew_volts_per_second=description.slew_volts_per_second or description.volts * description.dac_rate_hz,
+        volts_limit=description.volts / 2,
+        power_limit=1.0,
+        dac_bits=description.dac_bits,
+        dac_rate_hz=description.dac_rate_hz,
+    )
 
 
 def unique_names(addresses: Sequence[str]) -> dict[str, str]:
@@ -124,13 +221,13 @@ def unique_names(addresses: Sequence[str]) -> dict[str, str]:
 
 @contextlib.contextmanager
 def open_all(
-    sessions: Mapping[str, AbstractContextManager[_Session]],
-) -> Iterator[tuple[dict[str, _Session], dict[str, Exception]]]:
+    sessions: Mapping[str, AbstractContextManager[_Opened]],
+) -> Iterator[tuple[dict[str, _Opened], dict[str, Exception]]]:
     """Open sessions, such as `connect` gives; yield those that are open, and by name why others are not.
 
     Those that fail while they are closed are among the latter too, then.
     """
-    opened: dict[str, _Session] = {}
+    opened: dict[str, _Opened] = {}
     failures: dict[str, Exception] = {}
     try:
         for name, session in sessions.items():
@@ -148,7 +245,7 @@ def open_all(
 
 
 @contextlib.contextmanager
-def reach(address: str, runtime: str | None = None, actuator: "Actuator | None" = None) -> Iterator[Transport]:
+def reach(address: str, runtime: str | None = None, actuator: Actuator | None = None) -> Iterator[Transport]:
     """Open the way to the controller at `address`: one of SIMULATED, or hardware as FORMS says.
 
     A controller that is simulated or on a sound card lives as long as the way is open. `runtime`: by which it
@@ -178,7 +275,7 @@ def reach(address: str, runtime: str | None = None, actuator: "Actuator | None" 
         yield TappedTransport(stack.enter_context(transport), address)
 
 
-def simulated(runtime: str | None = None, actuator: "Actuator | None" = None) -> "SimulatedController":
+def simulated(runtime: str | None = None, actuator: Actuator | None = None) -> "SimulatedController":
     """Return the simulated controller, decoding by `runtime` and with `actuator`, as in `reach`."""
     # Takes longer to load than all the rest, and only here is it needed.
     from vibrocast.simulated_device.controller import Controller, Settings
@@ -197,13 +294,13 @@ def takes_actuator(address: str) -> bool:
     return address in IN_THIS_PROCESS or is_sound_card(address)
 
 
-def on_sound_card(actuator: "Actuator", rate_hz: int, full_scale_volts: float | None = None) -> "Actuator":
+def on_sound_card(actuator: Actuator, rate_hz: int, full_scale_volts: float | None = None) -> Actuator:
     """Return an actuator whose DAC is a sound card; None = the actuator's highest volts are digital full scale."""
     volts = actuator.volts / 2 if full_scale_volts is None else full_scale_volts
     return replace(actuator.with_full_scale(volts), dac_bits=16, dac_rate_hz=rate_hz)
 
 
-def behind_dac(address: str, actuator: "Actuator", dac: ActuatorDescription) -> "Actuator":
+def behind_dac(address: str, actuator: Actuator, dac: ActuatorDescription) -> Actuator:
     """Return an actuator with the DAC that the controller at an address describes; of a sound card, with its volts."""
     if is_sound_card(address):
         actuator = actuator.with_full_scale(_volts(address, actuator))
@@ -217,10 +314,8 @@ def _parsed(address: str) -> re.Match[str]:
     return match
 
 
-def _volts(address: str, actuator: "Actuator") -> float:
+def _volts(address: str, actuator: Actuator) -> float:
     """Return the actuator's volts at digital full scale of a sound card. Raises TransportError."""
-    from vibrocast.output.actuator import MAX_FULL_SCALE_VOLTS, MIN_FULL_SCALE_VOLTS
-
     text = _parsed(address)["volts"]
     if text is None:
         return actuator.volts / 2
@@ -236,7 +331,7 @@ def _volts(address: str, actuator: "Actuator") -> float:
     return volts
 
 
-def sound_card_of(address: str, actuator: "Actuator | None") -> "tuple[Card, tuple[int, ...], Actuator]":
+def sound_card_of(address: str, actuator: Actuator | None) -> "tuple[Card, tuple[int, ...], Actuator]":
     """Return the card at an address, its channels from 1, and the actuator as the card drives it.
 
     Raises TransportError and MissingExtraError.
@@ -259,7 +354,7 @@ def sound_card_of(address: str, actuator: "Actuator | None") -> "tuple[Card, tup
     return card, tuple(channels), on_sound_card(actuator, card.rate_hz, volts)
 
 
-def _sound_card(address: str, runtime: str | None, actuator: "Actuator | None") -> Transport:
+def _sound_card(address: str, runtime: str | None, actuator: Actuator | None) -> Transport:
     """Return the controller on a sound card, not yet running. Raises TransportError and MissingExtraError."""
     from vibrocast.simulated_device.sound_card_port import SoundCardPort
 
@@ -369,16 +464,6 @@ def slots(hello: HelloResponse) -> list[dict[str, Any]]:
     ]
 
 
-def model_images(hello: HelloResponse) -> list[str]:
-    """Return one line for each slot that holds a model image."""
-    return [
-        f"slot {image.slot}: {image.name} {image.version}, {image.state.name.lower()}, {image.sha256.hex()[:16]}"
-        + (f", number {image.number}" if image.number else "")
-        for image in hello.images
-        if image.state != SlotState.EMPTY
-    ]
-
-
 def facts(controller: Controller) -> dict[str, Any]:
     """Return what a controller is and what it is doing, ready for JSON. Raises as `Controller.request_status`."""
     status = controller.request_status()
@@ -402,7 +487,7 @@ def described(hello: HelloResponse) -> dict[str, Any]:
         "serial_number": hello.serial_number or "none",
         "protocol": f"{hello.major}.{hello.minor}",
         "codecs": [name for _, name in hello.codecs],
-        "model_images": model_images(hello),
+        "model_images": hello.image_lines,
         "public_key": hello.public_key.hex() or "none: model images need no signature",
         "actuator": actuator,
         "limits": asdict(hello.limits),

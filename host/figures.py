@@ -1,10 +1,12 @@
-"""The figures of all reports: one table of their labels, units and tolerances; and the limits that judge them."""
+"""The figures of all reports: one table of labels, units and tolerances; limits that judge them; and the verdict."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from enum import Enum
 from typing import Annotated, NamedTuple
 
+from vibrocast.errors import FAILED, HOST_BUSY, LIMIT_MISSED, REGRESSION
 from vibrocast.toml_tables import Table, within
 
 
@@ -192,3 +194,74 @@ def missed(limits: BenchLimits, values: Iterable[Value]) -> list[Noted]:
 def lost_percent(lost: int, packets: int) -> float:
     """Return the share of packets that were lost; 0 without packets."""
     return 100 * lost / packets if packets else 0.0
+
+
+_WORST_FIRST = (FAILED, REGRESSION, LIMIT_MISSED, HOST_BUSY)
+_MAX_SHOWN = 6
+
+
+class Verdict(Enum):
+    """The verdict on a run. UNDECIDED: this machine may have caused all that is wrong."""
+
+    PASSED = "passed"
+    FAILED = "failed"
+    UNDECIDED = "undecided"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What a run has failed for, with the exit code of its kind (vibrocast.errors) and a doubt as of Noted."""
+
+    text: str
+    exit_code: int
+    doubt: str = ""
+
+    def __str__(self) -> str:
+        return f"undecided, because {self.doubt}: {self.text}" if self.doubt else self.text
+
+
+def findings(exit_code: int, problem: str, noted: Iterable[Noted], action: str) -> list[Finding]:
+    """Return one finding of a kind for all that has the same doubt; none where nothing is noted."""
+    texts: dict[str, list[str]] = {}
+    for text, doubt in noted:
+        texts.setdefault(doubt, []).append(text)
+    return [
+        Finding(f"{problem}: {_shown(each)}; {'repeat on a less busy machine' if doubt else action}", exit_code, doubt)
+        for doubt, each in texts.items()
+    ]
+
+
+def judged(
+    values: Iterable[Value], misses: Iterable[Noted], where: str = "see [limits] in the bench file"
+) -> list[Finding]:
+    """Return what is wrong with figures: bits that differ though nothing was lost, and limits missed.
+
+    `misses`: as `missed` returns them. `where`: what to do about them.
+    """
+    differing = [Noted(f"not {value.name}") for value in values if value.value is False]
+    return [
+        *findings(
+            FAILED,
+            "the controller played something else than was sent, though nothing was lost",
+            differing,
+            "its memory, its firmware or its actuator differs: flash the firmware again, and check the actuators given",
+        ),
+        *findings(LIMIT_MISSED, "limits missed", misses, where),
+    ]
+
+
+def _shown(texts: Sequence[str]) -> str:
+    more = f"; and {len(texts) - _MAX_SHOWN} more" if len(texts) > _MAX_SHOWN else ""
+    return "; ".join(texts[:_MAX_SHOWN]) + more
+
+
+def exit_code_of(found: Iterable[Finding]) -> int:
+    """Return the exit code of the worst finding; 0 without any."""
+    codes = {HOST_BUSY if each.doubt else each.exit_code for each in found}
+    return next((code for code in _WORST_FIRST if code in codes), 0)
+
+
+def verdict_on(found: Iterable[Finding]) -> Verdict:
+    """Return the verdict on a run of which all this was found."""
+    code = exit_code_of(found)
+    return {0: Verdict.PASSED, HOST_BUSY: Verdict.UNDECIDED}.get(code, Verdict.FAILED)

@@ -15,13 +15,11 @@ from vibrocast.device_protocol.messages import Position, State, Status, Tap
 from vibrocast.errors import InputError
 from vibrocast.host import playback
 from vibrocast.host.controller import Controller, ControllerError
-from vibrocast.host.limits import playable
+from vibrocast.host.devices import Session
 from vibrocast.host.picture import Trace
 from vibrocast.host.playback import Captured, Playback
 from vibrocast.host.report import PositionFigures, Provenance, Quality, Report, Wire
-from vibrocast.host.session import Session
-from vibrocast.host.stream_session import StreamSession, configure_steps, read_capture
-from vibrocast.host.verdict import doubt_of
+from vibrocast.host.stream_session import StreamSession, configure_steps, playable, read_capture
 from vibrocast.output import profile as rendering
 from vibrocast.output.actuator import SKIN_OVERSAMPLING, Codes
 from vibrocast.textures import Recording
@@ -256,7 +254,7 @@ def play_and_compare(
         lost_packets=played.status.lost_packets,
         dac_equals_offline=as_computed(session, played, codes),
         comparison_note=session.unknown_note,
-        doubt=doubt_of(session.controller),
+        doubt=session.controller.doubt(),
         position=PositionFigures(
             length_mm=length_mm,
             bits_per_mm=8 * stream.size_bytes / length_mm,
@@ -316,7 +314,7 @@ def as_computed(session: Session, played: Played, computed: Codes) -> bool | Non
     first, codes = played.captured
     # Stop comes when it comes: from there on the output goes to rest.
     compared = len(codes) - round(_BEHIND_S * session.driven.dac_rate_hz)
-    if compared <= 0 or not session.is_known:
+    if compared <= 0 or session.unknown_note is not None:
         return None
     if Captured(first, codes[:compared]).ends(computed[: first + compared]):
         return True

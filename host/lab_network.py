@@ -9,7 +9,7 @@ from typing import Any
 
 from vibrocast import extras
 from vibrocast.errors import InputError
-from vibrocast.host.session import Session
+from vibrocast.host.devices import Session
 from vibrocast.host.track_player import BackgroundPlayer, Command, Event, TrackOptions, tracks_of
 
 TIMEOUT_S = 30.0

@@ -17,10 +17,9 @@ from vibrocast.device_protocol.messages import EndStream, Start, State, Status
 from vibrocast.device_protocol.transports import DeviceGone, TransportError
 from vibrocast.errors import InputError
 from vibrocast.host.controller import ANSWER_TIMEOUT_S, ConnectionLost, Controller, ControllerError
-from vibrocast.host.limits import check_limits, check_packet
 from vibrocast.host.link import STATUS_INTERVAL_S, Link, frame_bytes
 from vibrocast.host.player import RECONNECT_S
-from vibrocast.host.stream_session import configure_steps, stopped_on_error
+from vibrocast.host.stream_session import check_limits, check_packet, configure_steps, stopped_on_error
 
 # How long a packet lies on the controller before it is needed: sending may be late by this. All of it is delay.
 PLAYOUT_DELAY_S = 0.01

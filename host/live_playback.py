@@ -15,13 +15,11 @@ from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import State, Status, Tap
 from vibrocast.host import live, playback
 from vibrocast.host.controller import ANSWER_TIMEOUT_S, Controller
+from vibrocast.host.devices import Session
 from vibrocast.host.picture import Trace
-from vibrocast.host.playback import Captured, Playback
+from vibrocast.host.playback import COMPARED_S, Captured, Playback
 from vibrocast.host.report import LiveFigures, Minute, Provenance, Quality, Report, Timing, Wire
-from vibrocast.host.session import Session
-from vibrocast.host.skin_quality import COMPARED_S
 from vibrocast.host.stream_session import read_capture
-from vibrocast.host.verdict import doubt_of
 from vibrocast.output.rendering import render
 from vibrocast.textures import Recording
 
@@ -296,7 +294,7 @@ class LivePlayback:
         def ends(tap: Tap, computed: NDArray[np.int16]) -> bool:
             return Captured(*read_capture(controller, tap, header.channels, newest)).ends(computed)
 
-        return ends(Tap.DECODED, offline), ends(Tap.DAC, codes) if self.session.is_known else None
+        return ends(Tap.DECODED, offline), ends(Tap.DAC, codes) if self.session.unknown_note is None else None
 
     def report(
         self,
@@ -353,7 +351,7 @@ class LivePlayback:
         late, losses = self._late_packets, result.lost_packets + result.underruns
         if late > (_HOSTS_SHARE * losses if losses else _LATE_SHARE * result.packets):
             return f"this machine handled {late} packets too late"
-        return doubt_of(self.stream.controller, math.inf)
+        return self.stream.controller.doubt(math.inf)
 
     def latency_s(self) -> float | None:
         """Return the time from when a sample was taken until the skin moves by it; None where nothing is known of it.

@@ -14,13 +14,14 @@ from vibrocast.device_protocol.messages import CaptureData, State, Status, Statu
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host.controller import ANSWER_TIMEOUT_S, ConnectionLost, Controller, ControllerError
 from vibrocast.host.event_loop import Steps
-from vibrocast.host.limits import check_limits, check_packet
 from vibrocast.host.stream_session import (
     READ_BACK_S,
     SLOWEST_BYTES_PER_S,
     Capture,
     CaptureOverwritten,
     StreamSession,
+    check_limits,
+    check_packet,
     configure_steps,
     queue_steps,
 )

@@ -13,7 +13,6 @@ from typing import Any
 from vibrocast.codec.threshold import FeltError
 from vibrocast.files import atomic_write
 from vibrocast.host.figures import FIGURES, Value, lost_percent
-from vibrocast.host.skin_quality import SkinQuality
 from vibrocast.output.sound_card import CardUse
 
 UP_TO_DAC_CALL = "checked up to the call of the DAC function"
@@ -102,6 +101,27 @@ class Touch:
 
     level_db: float
     frequency_hz: float
+
+
+@dataclass(frozen=True)
+class SkinQuality:
+    """Quality at the skin, as displacement from 20 to 1000 Hz.
+
+    Each SNR is 10 log10(sum x^2 / sum (x - y)^2), by `codec.threshold.skin_snr_db`. `decoded_snr_db` is that of the
+    decoded signal against the texture, `snr_db` that of the skin against the texture. `playing_snr_db` compares the
+    skin with the decoded signal, which leaves the codec out. The `weighted_` ones count each frequency in parts of the
+    threshold of touch. `gain`: of the skin over the decoded signal, weighted alike; lag and gain are removed before an
+    SNR is taken. `st_sim`: of the skin against the texture. None: not known, or an exact copy.
+    """
+
+    snr_db: float | None
+    decoded_snr_db: float | None
+    playing_snr_db: float | None
+    st_sim: float | None
+    gain: float | None
+    weighted_snr_db: float | None
+    weighted_decoded_snr_db: float | None
+    weighted_playing_snr_db: float | None
 
 
 @dataclass(frozen=True, kw_only=True)

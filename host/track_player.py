@@ -28,12 +28,12 @@ from vibrocast.errors import InputError
 from vibrocast.files import read_input
 from vibrocast.host import event_loop, playback, player, uploader
 from vibrocast.host.controller import ConnectionLost, Controller, ControllerError
+from vibrocast.host.devices import Session
 from vibrocast.host.event_loop import Steps
-from vibrocast.host.limits import CARRIED_STEP, check_limits, check_unit, fitted, packet_limit, playable
 from vibrocast.host.playback import Playback, output_delay_s
 from vibrocast.host.player import RECONNECT_S
 from vibrocast.host.report import Provenance
-from vibrocast.host.session import Session
+from vibrocast.host.stream_session import CARRIED_STEP, check_limits, check_unit, fitted, packet_limit, playable
 from vibrocast.textures import dataset
 
 _Key = TypeVar("_Key", bound=Hashable)

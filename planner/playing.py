@@ -11,15 +11,15 @@ from vibrocast.codec import Signal, metrics
 from vibrocast.codec.rate_control import added_bytes
 from vibrocast.codec.source import recording_format
 from vibrocast.device_protocol.messages import State
+from vibrocast.device_protocol.trace import TappedTransport
 from vibrocast.errors import InputError
-from vibrocast.host import devices, hand_playback, live, session, uploader
+from vibrocast.host import devices, hand_playback, live, uploader
 from vibrocast.host.bench_file import Bench, check_actuator
 from vibrocast.host.controller import Controller
+from vibrocast.host.devices import Session
 from vibrocast.host.figures import FIGURES, Figure
 from vibrocast.host.live_playback import LivePlayback
 from vibrocast.host.report import Report
-from vibrocast.host.session import Session
-from vibrocast.host.tracing import TappedTransport
 from vibrocast.output.actuator import Actuator
 from vibrocast.planner.choose import TextureChoice, spqi
 from vibrocast.planner.scene import Scene
@@ -56,7 +56,7 @@ class InstructionCounter:
 
 @contextlib.contextmanager
 def opened(address: str, actuator: Actuator | None) -> Iterator[tuple[Session, InstructionCounter]]:
-    """Open a session with the controller at an address; `actuator`: behind it. Raises as `session.connect`.
+    """Open a session with the controller at an address; `actuator`: behind it. Raises as `devices.open_session`.
 
     One that this program simulates is played in simulated time, in which no busy computer makes a packet late; an
     emulated processor counts its instructions, which takes several times as long. A trace has the times of this
@@ -64,7 +64,7 @@ def opened(address: str, actuator: Actuator | None) -> Iterator[tuple[Session, I
     """
     emulated = devices.is_emulated(address)
     if not emulated and address not in devices.IN_THIS_PROCESS:
-        with session.connect(address, actuator=actuator) as real:
+        with devices.open_session(address, actuator=actuator) as real:
             yield real, InstructionCounter(real.controller)
         return
     from vibrocast.simulated_device.memory_link import MemoryLink
@@ -73,7 +73,7 @@ def opened(address: str, actuator: Actuator | None) -> Iterator[tuple[Session, I
     link = MemoryLink(board or devices.simulated(actuator=actuator))
     controller = Controller(TappedTransport(link, address), link.clock, link.sleep)
     count = board and (lambda: board.processor.counter.instructions)
-    yield session.session_with(controller, address, actuator), InstructionCounter(controller, count or None)
+    yield devices.session_with(controller, address, actuator), InstructionCounter(controller, count or None)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from vibrocast.harness.latency import Latency, measure_latency
 from vibrocast.harness.sensors import TimedRecording
 from vibrocast.host import live
 from vibrocast.host.controller import Controller as Host
-from vibrocast.host.session import session_with
+from vibrocast.host.devices import session_with
 from vibrocast.output.actuator import PIEZO_STACK, VOICE_COIL, Actuator, Codes
 from vibrocast.output.actuator_constants import board_source
 from vibrocast.simulated_device.controller import Controller, Settings

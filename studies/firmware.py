@@ -35,8 +35,8 @@ from vibrocast.evaluation.points import Row, read_rows, write_rows
 from vibrocast.evaluation.tables import as_rows, frame
 from vibrocast.firmware.build import size as firmware_size
 from vibrocast.host import hand_playback, live
+from vibrocast.host.devices import Session
 from vibrocast.host.live_playback import LivePlayback
-from vibrocast.host.session import Session
 from vibrocast.models import Model
 from vibrocast.planner import costs, playing
 from vibrocast.planner.costs import board_cores, quiet_part

@@ -17,11 +17,10 @@ from vibrocast.device_protocol.messages import State, Status
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import hand_playback, playback, player
 from vibrocast.host.controller import ControllerError
+from vibrocast.host.devices import Session
 from vibrocast.host.hand_playback import Movement, back_and_forth
-from vibrocast.host.limits import carried, check_limits, fitted
 from vibrocast.host.report import Report
-from vibrocast.host.session import Session
-from vibrocast.host.stream_session import configure_steps
+from vibrocast.host.stream_session import carried, check_limits, configure_steps, fitted
 from vibrocast.output.actuator import Actuator, Codes
 from vibrocast.output.rendering import render
 from vibrocast.output.sound_card import Card

@@ -20,7 +20,7 @@ from vibrocast.codec.threshold import MAX_HZ, MIN_HZ, read_threshold, threshold_
 from vibrocast.device_protocol.messages import Status
 from vibrocast.errors import InputError, located
 from vibrocast.files import atomic_folder
-from vibrocast.host.limits import check_unit
+from vibrocast.host.stream_session import check_unit
 from vibrocast.output.actuator import SKIN_OVERSAMPLING, Actuator, Codes
 from vibrocast.output.rendering import LimitCounts, render
 from vibrocast.study.study_file import REFERENCE, Condition, Study

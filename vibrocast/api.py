@@ -17,10 +17,10 @@ from vibrocast.codec.stream import Stream as Stream
 from vibrocast.codec.stream import read_stream
 from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.errors import VibrocastError as VibrocastError
-from vibrocast.host import devices, playback, player, session, uploader
-from vibrocast.host.limits import check_unit
+from vibrocast.host import devices, playback, player, uploader
+from vibrocast.host.devices import Session
 from vibrocast.host.report import Report as Report
-from vibrocast.host.session import Session
+from vibrocast.host.stream_session import check_unit
 from vibrocast.host.track_player import BackgroundPlayer, Command, Event, Source, TrackOptions, tracks_of
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import Actuator as Actuator
@@ -406,7 +406,7 @@ def connect(
     if runtime not in (None, *RUNTIMES):
         raise CodecError(f"`runtime` is {runtime!r}", action=f"pass one of {', '.join(RUNTIMES)}", parameter="runtime")
     chosen = None if actuator is None else _actuator(actuator)
-    with session.connect(address, runtime, chosen) as opened:
+    with devices.open_session(address, runtime, chosen) as opened:
         connection = Connection(opened)
         try:
             yield connection

@@ -13,7 +13,7 @@ import click
 
 from vibrocast import progress, textures
 from vibrocast.device_protocol.messages import Start, Status, pack
-from vibrocast.device_protocol.trace import TracedFrame, read_trace
+from vibrocast.device_protocol.trace import TracedFrame, read_trace, tracer
 from vibrocast.device_protocol.transports import Transport, TransportError
 from vibrocast.errors import InputError
 from vibrocast.files import plain
@@ -24,7 +24,6 @@ from vibrocast.host.cli.answers import tell, wants_json
 from vibrocast.host.cli.option_types import INPUT, Number, OutputFile
 from vibrocast.host.cli.options import checked_address, given_once, link_option, tell_address
 from vibrocast.host.cli.sections import SectionedCommand
-from vibrocast.host.tracing import tracer
 
 if TYPE_CHECKING:
     from vibrocast.simulated_device.faulty_wire import Fault

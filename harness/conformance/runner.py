@@ -15,8 +15,7 @@ from vibrocast.harness.conformance import fixtures
 from vibrocast.harness.conformance.probe import NotConforming, Probe, Undecided, Unreachable
 from vibrocast.harness.conformance.report import Finding, Outcome, Report, Requirement
 from vibrocast.harness.conformance.tapped_link import TappedLink
-from vibrocast.host.controller import ControllerError
-from vibrocast.host.verdict import LATE_S
+from vibrocast.host.controller import LATE_S, ControllerError
 
 _FOLDER = Path(__file__).parent
 # The user's pytest configuration takes no part.

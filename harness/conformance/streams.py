@@ -17,7 +17,7 @@ from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.harness.conformance.probe import ANSWER_S, NotConforming, Probe, same_samples
 from vibrocast.host import player
 from vibrocast.host.controller import Controller
-from vibrocast.host.session import known_model
+from vibrocast.host.devices import known_model
 from vibrocast.output.actuator import Actuator
 
 RATE_HZ = 2800

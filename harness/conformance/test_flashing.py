@@ -46,7 +46,7 @@ from vibrocast.harness.conformance.streams import (
     need_since,
     stream_for,
 )
-from vibrocast.host.session import description_of
+from vibrocast.host.devices import description_of
 from vibrocast.output.actuator_constants import image as actuator_image
 
 _REQUESTS_OF_AN_UPLOAD = 7

@@ -12,7 +12,7 @@ from vibrocast.harness.conformance.fixtures import long, section
 from vibrocast.harness.conformance.probe import ANSWER_S, NotConforming, Probe, Undecided, same_samples
 from vibrocast.harness.conformance.streams import dac_samples, known_actuator, lasting_stream, need_capture
 from vibrocast.harness.sensors import AROUND_S, SensorError, TimedRecording
-from vibrocast.host.skin_quality import AlignmentError, align, displacement_above_20_hz
+from vibrocast.host.playback import AlignmentError, align, displacement_above_20_hz
 from vibrocast.textures import Recording
 
 _OUTPUT_S = 0.03

@@ -121,7 +121,7 @@ def writing_trace(path: Path | None) -> AbstractContextManager[None]:
     """Return what writes the frames of a block into a file; None = nowhere."""
     if path is None:
         return contextlib.nullcontext()
-    from vibrocast.host.tracing import tracer
+    from vibrocast.device_protocol.trace import tracer
 
     return tracer.writing(path)
 

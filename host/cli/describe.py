@@ -10,8 +10,7 @@ from vibrocast.device_protocol.coded_stream import packet_sequence
 from vibrocast.host.cli.answers import wants_json
 from vibrocast.host.cli.steps import show
 from vibrocast.host.figures import FIGURES
-from vibrocast.host.report import UP_TO_DAC_CALL, ActuatorUse, LiveFigures, Quality, Report, Touch
-from vibrocast.host.skin_quality import SkinQuality
+from vibrocast.host.report import UP_TO_DAC_CALL, ActuatorUse, LiveFigures, Quality, Report, SkinQuality, Touch
 from vibrocast.output.actuator import FOLLOWED_DB
 from vibrocast.output.sound_card import CardUse
 

@@ -141,7 +141,7 @@ def on_all(work: Work, addresses: Sequence[str]) -> None:
 
 def list_slots(controller: Controller, tell_part: Callable[[int, int], None]) -> tuple[str, dict[str, object]]:
     """Return what the slots hold."""
-    lines = devices.model_images(controller.description) or ["no model image in any slot"]
+    lines = controller.description.image_lines or ["no model image in any slot"]
     return "\n".join(lines), {"slots": devices.slots(controller.description)}
 
 

@@ -21,7 +21,7 @@ def keep_trace(ctx: click.Context) -> None:
     path = ctx.meta.get(_KEY)
     if path is None:
         return
-    from vibrocast.host.tracing import tracer
+    from vibrocast.device_protocol.trace import tracer
 
     if tracer.frames:
         with contextlib.suppress(OSError):  # the failure itself is the news

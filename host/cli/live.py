@@ -34,7 +34,7 @@ from vibrocast.host.cli.sections import CODING, CONTROLLER, INPUT, MORE, Section
 from vibrocast.host.live_playback import LivePlayback
 from vibrocast.host.report import Provenance, Report
 from vibrocast.host.serial_sensor import SerialSensor
-from vibrocast.host.standard_input import StandardInput
+from vibrocast.host.sources import StandardInput
 from vibrocast.output import actuator_files
 from vibrocast.textures.recording import MAX_CHANNELS
 

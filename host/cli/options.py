@@ -23,8 +23,7 @@ from vibrocast.host.bench_file import Bench, BenchController, read_bench
 from vibrocast.host.cli.answers import wants_json
 from vibrocast.host.cli.errors import CommandError
 from vibrocast.host.cli.option_types import INPUT, Number, OutputFile, Whole, positive
-from vibrocast.host.figures import BenchLimits, Value, missed
-from vibrocast.host.verdict import Finding, exit_code_of, judged
+from vibrocast.host.figures import BenchLimits, Finding, Value, exit_code_of, judged, missed
 from vibrocast.output import actuator_constants, actuator_files
 from vibrocast.output.actuator import Actuator
 

@@ -43,11 +43,11 @@ from vibrocast.host.cli.options import (
 from vibrocast.host.cli.sections import CODING, CONTROLLER, MORE, OUTPUT, PLAYBACK, SectionedCommand, section
 from vibrocast.host.cli.steps import encoded_profile, files_of, lines_of, reject_coding_options, show
 from vibrocast.host.controller import ControllerError
+from vibrocast.host.devices import Session
 from vibrocast.host.lab_network import Markers
 from vibrocast.host.playback import Playback
 from vibrocast.host.player import RECONNECT_S
 from vibrocast.host.report import Provenance, UnfinishedReport, write_json
-from vibrocast.host.session import Session
 from vibrocast.host.track_player import Event, PlayedList, Remote, TrackOptions, play_list, tracks_of
 from vibrocast.output import actuator_files
 from vibrocast.output.actuator import ACTUATORS

@@ -15,8 +15,8 @@ from vibrocast.host.cli.options import (
     unit_option,
 )
 from vibrocast.host.cli.sections import CONTROLLER, MORE, SectionedCommand, section
+from vibrocast.host.devices import open_session
 from vibrocast.host.lab_network import TIMEOUT_S, Markers, OscServer
-from vibrocast.host.session import connect
 from vibrocast.host.track_player import TrackOptions
 
 
@@ -58,7 +58,7 @@ def serve(
         raise InputError(
             f"--osc {listen_at}: no port; give a number such as 9000, or 0.0.0.0:9000 for the whole network"
         )
-    with connect(address) as session:
+    with open_session(address) as session:
         tell = Markers(session.address).tell if has_markers else None
         options = TrackOptions(facts=recording.facts())
         server = OscServer(session, folder, (host, int(port)), options, timeout_s=timeout_s, tell=tell)

@@ -9,7 +9,7 @@ import click
 from vibrocast import extras, progress
 from vibrocast.errors import InputError
 from vibrocast.files import atomic_write
-from vibrocast.host import devices, session
+from vibrocast.host import devices
 from vibrocast.host.cli.answers import tell
 from vibrocast.host.cli.option_types import FOLDER, INPUT, Whole
 from vibrocast.host.cli.options import device_option
@@ -236,7 +236,7 @@ def open_player(
         finally:
             player.close()
         return
-    with session.connect(address, actuator=actuator) as opened:
+    with devices.open_session(address, actuator=actuator) as opened:
         on_controller = ControllerPlayer(opened) if hand is None else HandPlayer(opened, hand, read.stimulus_seconds)
         on_controller.prepare(prepared)
         yield on_controller

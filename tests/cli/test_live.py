@@ -26,7 +26,7 @@ from vibrocast.errors import LIMIT_MISSED
 from vibrocast.host import live_playback
 from vibrocast.host.controller import Controller as Session
 from vibrocast.host.report import Minute
-from vibrocast.host.standard_input import StandardInput
+from vibrocast.host.sources import StandardInput
 from vibrocast.output.actuator import Codes
 from vibrocast.output.sound_card import Playback, find
 from vibrocast.simulated_device.controller import Controller

@@ -22,7 +22,7 @@ from vibrocast.codec.rotation import COMMON, OWN, Rotation
 from vibrocast.codec.source import Source
 from vibrocast.host import playback, uploader
 from vibrocast.host.controller import Controller
-from vibrocast.host.session import session_with
+from vibrocast.host.devices import session_with
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.memory_link import MemoryLink
 

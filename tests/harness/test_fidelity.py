@@ -8,8 +8,8 @@ import pytest
 
 from tests.harness.test_response import bench
 from vibrocast.harness import fidelity
-from vibrocast.host.session import session_with
-from vibrocast.host.skin_quality import displacement_above_20_hz
+from vibrocast.host.devices import session_with
+from vibrocast.host.playback import displacement_above_20_hz
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.textures import GENERATORS, Recording
 

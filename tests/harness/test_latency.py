@@ -16,9 +16,9 @@ from vibrocast.harness.results import Measured, Results, warnings
 from vibrocast.harness.sensors import TimedRecording
 from vibrocast.host import live
 from vibrocast.host.controller import Controller
+from vibrocast.host.devices import session_with
 from vibrocast.host.live_playback import DeviceClock
 from vibrocast.host.report import Timing
-from vibrocast.host.session import session_with
 from vibrocast.output.actuator import PIEZO_STACK, Codes
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings

@@ -10,10 +10,10 @@ from tests.conftest import session
 from vibrocast import textures
 from vibrocast.device_protocol.messages import Message, SinglePacket
 from vibrocast.harness.latency import looped, measure_latency
+from vibrocast.host.devices import Session, session_with
 from vibrocast.host.figures import BenchLimits, missed
 from vibrocast.host.live_playback import play_live
 from vibrocast.host.report import Report
-from vibrocast.host.session import Session, session_with
 from vibrocast.simulated_device.controller import Controller as SimulatedController
 from vibrocast.simulated_device.controller import Settings
 from vibrocast.simulated_device.device import Device

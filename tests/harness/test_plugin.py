@@ -319,7 +319,7 @@ def test_the_example_of_the_page_passes_on_a_healthy_board(device: str, pytester
 def test_a_busy_machine_decides_nothing_and_a_run_without_its_bench_fails(pytester: pytest.Pytester) -> None:
     test = """
 def test_it(vibrocast_play, vibrocast_wire, vibrocast_texture, monkeypatch):
-    monkeypatch.setattr("vibrocast.host.playback.doubt_of", lambda *_: "this machine woke up late")
+    monkeypatch.setattr("vibrocast.host.controller.Controller.doubt", lambda *_: "this machine woke up late")
     vibrocast_wire.damage(lost=0.3, direction="to_controller", seed=1)
     vibrocast_play(vibrocast_texture)
     assert False, "never reached"

@@ -12,7 +12,7 @@ from vibrocast.harness import response
 from vibrocast.harness.response import Samples
 from vibrocast.harness.sensors import Recorder
 from vibrocast.host.controller import Controller
-from vibrocast.host.skin_quality import AlignmentError
+from vibrocast.host.playback import AlignmentError
 from vibrocast.output.actuator import (
     LRA,
     PIEZO_STACK,

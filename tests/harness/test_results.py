@@ -15,8 +15,7 @@ from vibrocast.errors import FAILED, HOST_BUSY, REGRESSION, InputError
 from vibrocast.harness import page, results
 from vibrocast.harness.results import Results
 from vibrocast.host.bench_file import Bench, BenchController
-from vibrocast.host.figures import FIGURES, BenchLimits, missed
-from vibrocast.host.verdict import exit_code_of
+from vibrocast.host.figures import FIGURES, BenchLimits, exit_code_of, missed
 from vibrocast.planner.forecast import Forecast
 
 

@@ -16,11 +16,10 @@ from vibrocast import textures
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.device_protocol.frames import DELIMITER, write_frame
 from vibrocast.device_protocol.messages import CaptureData, Configure, HelloResponse, Message, PacketMessage, pack
-from vibrocast.device_protocol.trace import TracedFrame, read_trace
+from vibrocast.device_protocol.trace import TracedFrame, read_trace, tracer
 from vibrocast.harness.wire_view import WireView
 from vibrocast.host import devices, playback
-from vibrocast.host.session import session_with
-from vibrocast.host.tracing import tracer
+from vibrocast.host.devices import session_with
 
 
 def frame(message: Message, from_host: bool = True, time_ns: int = 0) -> TracedFrame:

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from vibrocast.host.skin_quality import AlignmentError, align
+from vibrocast.host.playback import AlignmentError, align
 
 RATE_HZ = 2800
 RNG = np.random.default_rng(1)

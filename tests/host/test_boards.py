@@ -14,7 +14,7 @@ from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import Stream
 from vibrocast.host import devices, playback
 from vibrocast.host.controller import Controller
-from vibrocast.host.session import session_with
+from vibrocast.host.devices import session_with
 from vibrocast.simulated_device.memory_link import MemoryLink
 from vibrocast.simulated_device.serial_port import has_pseudo_terminals
 

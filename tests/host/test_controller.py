@@ -29,7 +29,6 @@ from vibrocast.device_protocol.messages import (
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host.controller import ConnectionLost, Controller, ControllerError
 from vibrocast.host.stream_session import Capture
-from vibrocast.host.verdict import doubt_of
 
 IDLE_STATUS = Status(State.IDLE, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
 
@@ -136,10 +135,10 @@ def test_a_machine_that_ran_other_programs_meanwhile_is_in_doubt_unless_time_is_
     queued_s = 1.0
     monkeypatch.setattr("vibrocast.host.controller._queued_s", lambda: queued_s)
     real, simulated = Controller(ScriptedController()), ScriptedController().connect()
-    assert not doubt_of(real)
+    assert not real.doubt()
     queued_s = 9.0
-    assert doubt_of(real).startswith("other programs kept this one from a processor for 8.0 of ")
-    assert not doubt_of(simulated)
+    assert real.doubt().startswith("other programs kept this one from a processor for 8.0 of ")
+    assert not simulated.doubt()
 
 
 def test_reconnect_waits_until_the_cable_is_back_and_gives_up_in_time() -> None:

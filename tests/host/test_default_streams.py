@@ -9,8 +9,7 @@ from vibrocast.codec.core import decoding_cycles
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.host import devices
 from vibrocast.host.controller import Controller
-from vibrocast.host.limits import fitted
-from vibrocast.host.stream_session import configure_steps
+from vibrocast.host.stream_session import configure_steps, fitted
 from vibrocast.simulated_device.memory_link import MemoryLink
 from vibrocast.textures import Recording
 

@@ -21,8 +21,8 @@ from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.errors import InputError
 from vibrocast.host import hand_playback
 from vibrocast.host.controller import Controller, ControllerError
-from vibrocast.host.limits import playable
-from vibrocast.host.session import session_with
+from vibrocast.host.devices import session_with
+from vibrocast.host.stream_session import playable
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.simulated_device.controller import Settings
 from vibrocast.simulated_device.faulty_wire import Fault

@@ -16,8 +16,8 @@ from tests.conftest import linked, noise, texture
 from vibrocast import textures
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.errors import InputError
+from vibrocast.host.devices import session_with
 from vibrocast.host.lab_network import Markers, OscServer, files_by_name
-from vibrocast.host.session import session_with
 from vibrocast.host.track_player import Event, TrackOptions, TrackPlayer
 
 os.environ.setdefault("LSLAPICFG", str(Path(__file__).with_name("lsl.cfg")))  # liblsl reads it when it is loaded

@@ -15,11 +15,10 @@ from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import Stream, read_stream
 from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.device_protocol.messages import CodecDescription, Configure, Error, ErrorCode
-from vibrocast.host import limits, playback
+from vibrocast.host import playback, stream_session
 from vibrocast.host.controller import Controller, ControllerError
-from vibrocast.host.limits import check_limits, fitted
-from vibrocast.host.session import session_with
-from vibrocast.host.stream_session import configure_steps
+from vibrocast.host.devices import session_with
+from vibrocast.host.stream_session import check_limits, configure_steps, fitted
 from vibrocast.simulated_device.controller import Settings
 
 BUFFER_SAMPLES = 4096
@@ -129,7 +128,7 @@ def rejecting(limit_kilocycles_per_s: int) -> Controller:
 def test_a_stream_that_takes_too_long_to_decode_is_rejected_with_what_can_be_decoded(
     codec_name: str, limit_kilocycles_per_s: int, advice: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(limits, "decoding_cycles", cycles_of)
+    monkeypatch.setattr(stream_session, "decoding_cycles", cycles_of)
     model = None if codec_name == "mdct" else models.find(codec_name)
     stream = encode_recording(RECORDING, model=model, live=True).stream
     session = rejecting(limit_kilocycles_per_s)
@@ -138,7 +137,7 @@ def test_a_stream_that_takes_too_long_to_decode_is_rejected_with_what_can_be_dec
 
 
 def test_other_rejections_stay_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(limits, "decoding_cycles", cycles_of)
+    monkeypatch.setattr(stream_session, "decoding_cycles", cycles_of)
     stream = encode_recording(RECORDING, live=True).stream
     for session in (rejecting(0), rejecting(10_000)):
         with pytest.raises(ControllerError, match="too much; `vibrocast status` lists its limits"):

@@ -18,10 +18,10 @@ from vibrocast.device_protocol.messages import CaptureData, Gain, Message, Pause
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.host import devices, playback, uploader
 from vibrocast.host.controller import Controller, ControllerError
+from vibrocast.host.devices import actuator_model, session_with
 from vibrocast.host.event_loop import Steps
 from vibrocast.host.playback import Playback
 from vibrocast.host.player import Progress
-from vibrocast.host.session import actuator_model, session_with
 from vibrocast.host.stream_session import Capture
 from vibrocast.output.actuator import LRA, PIEZO_STACK, VOICE_COIL, Actuator
 from vibrocast.output.actuator_constants import constants, image

@@ -9,8 +9,7 @@ import pytest
 from vibrocast import textures
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.host import playback
-from vibrocast.host.devices import connect
-from vibrocast.host.session import session_with
+from vibrocast.host.devices import connect, session_with
 
 DATA = Path(__file__).parents[2] / ".." / "shared" / "data"
 EXCERPT_S = 0.5

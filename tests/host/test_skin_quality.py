@@ -8,8 +8,8 @@ from tests.conftest import RATE_HZ, linked, noise, texture
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.threshold import PHYSICAL_UNITS, felt_error, read_threshold, skin_snr_db, threshold_amplitude
 from vibrocast.host import playback
-from vibrocast.host.session import session_with
-from vibrocast.host.skin_quality import AlignmentError, compare_channels, compare_skin, limit_note
+from vibrocast.host.devices import session_with
+from vibrocast.host.playback import AlignmentError, compare_channels, compare_skin, limit_note
 from vibrocast.output.actuator import ACTUATORS, PIEZO_STACK, VOICE_COIL, followed_band_hz, octave_gains_db
 from vibrocast.simulated_device.controller import Settings
 

@@ -12,8 +12,8 @@ from vibrocast.codec.source import live_format
 from vibrocast.device_protocol.messages import State
 from vibrocast.host import live, playback, uploader
 from vibrocast.host.controller import Controller
+from vibrocast.host.devices import session_with
 from vibrocast.host.live import LiveStream
-from vibrocast.host.session import session_with
 from vibrocast.simulated_device.controller import Settings
 from vibrocast.simulated_device.faulty_wire import Fault
 from vibrocast.simulated_device.memory_link import MemoryLink

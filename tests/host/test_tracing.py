@@ -10,23 +10,22 @@ from tests.command import fails, run, succeeds
 from tests.conftest import noise, texture
 from vibrocast import textures
 from vibrocast.device_protocol.messages import HelloResponse
-from vibrocast.device_protocol.trace import TracedFrame, read_trace
-from vibrocast.host import devices, tracing
-from vibrocast.host.tracing import Tracer
+from vibrocast.device_protocol.trace import TracedFrame, Tracer, read_trace, tracer
+from vibrocast.host import devices
 
 
 def test_no_more_than_the_last_frames_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tracing, "KEPT_BYTES", 1000)
-    tracer = Tracer()
+    monkeypatch.setattr("vibrocast.device_protocol.trace.KEPT_BYTES", 1000)
+    kept = Tracer()
     for number in range(100):
-        tracer.note(TracedFrame(number, True, "x", bytes(300)))
-    assert [frame.time_ns for frame in tracer.frames] == [97, 98, 99]
-    assert len(tracer.take()) == 3 and tracer.frames == ()
+        kept.note(TracedFrame(number, True, "x", bytes(300)))
+    assert [frame.time_ns for frame in kept.frames] == [97, 98, 99]
+    assert len(kept.take()) == 3 and kept.frames == ()
 
 
 @pytest.mark.parametrize("address", ["sim", "sim-usb"])
 def test_every_address_is_tapped(address: str, tmp_path: Path) -> None:
-    with tracing.tracer.writing(tmp_path / "trace.jsonl"), devices.connect(address) as controller:
+    with tracer.writing(tmp_path / "trace.jsonl"), devices.connect(address) as controller:
         controller.request_status()
     found = [frame.message() for frame in read_trace(tmp_path / "trace.jsonl")]
     names = [type(each[1]).__name__ for each in found if each is not None]

@@ -18,8 +18,8 @@ from vibrocast.codec.encoding import begin_encoding, encode_recording
 from vibrocast.device_protocol.messages import State
 from vibrocast.errors import InputError
 from vibrocast.host.cli.controls import KEYS, Control, _commands
+from vibrocast.host.devices import session_with
 from vibrocast.host.event_loop import run_all
-from vibrocast.host.session import session_with
 from vibrocast.host.track_player import (
     WORDS,
     Command,

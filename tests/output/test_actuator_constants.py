@@ -11,7 +11,7 @@ from tests.conftest import texture
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.harness.boards.host_process import HostProcess
 from vibrocast.host import playback
-from vibrocast.host.session import connect
+from vibrocast.host.devices import open_session
 from vibrocast.output.actuator import (
     LRA,
     PIEZO_STACK,
@@ -75,7 +75,7 @@ def test_firmware_plays_by_a_boards_own_source(tmp_path: Path) -> None:
     source = tmp_path / "own.c"
     source.write_text(board_source(actuator))
     stream = encode_recording(texture(np.sin(np.arange(1000) / 3)), live=True).stream
-    with HostProcess(actuator=source) as process, connect(f"serial:{process.name}", actuator=actuator) as session:
+    with HostProcess(actuator=source) as process, open_session(f"serial:{process.name}", actuator=actuator) as session:
         assert session.controller.description.actuator.name == actuator.name
         assert playback.play(session, "sine", stream).report.dac_equals_offline is True
 

@@ -10,7 +10,7 @@ from vibrocast.codec.encoding import SLOWEST_MM_S, encode_profile, encode_record
 from vibrocast.codec.stream import Stream
 from vibrocast.host import hand_playback, playback
 from vibrocast.host.controller import Controller as HostController
-from vibrocast.host.session import Session, session_with
+from vibrocast.host.devices import Session, session_with
 from vibrocast.output.actuator import VOICE_COIL, Actuator, Codes
 from vibrocast.output.code_queue import CodeQueue
 from vibrocast.output.rendering import render

@@ -9,7 +9,7 @@ import pytest
 
 from tests.study.small_study import text_of
 from vibrocast.device_protocol.transports import SerialTransport, TransportError
-from vibrocast.host import session
+from vibrocast.host import devices
 from vibrocast.host.controller import Controller, ControllerError
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.simulated_device.controller import Controller as SimulatedController
@@ -24,7 +24,7 @@ from vibrocast.study.trials import Stimulus
 
 @pytest.fixture
 def player() -> Iterator[ControllerPlayer]:
-    with session.connect("sim", actuator=PIEZO_STACK) as opened:
+    with devices.open_session("sim", actuator=PIEZO_STACK) as opened:
         player = ControllerPlayer(opened)
         yield player
         player.close()
@@ -60,7 +60,7 @@ def test_each_presentation_is_noted_with_its_stream_and_another_one_or_a_stop_en
 
 def test_a_stimulus_plays_by_the_position_of_the_hand(made: tuple[Stimulus, ...]) -> None:
     hand = Hand(speed_mm_s=50, stroke_mm=10, plays=True)
-    with session.connect("sim", actuator=PIEZO_STACK) as opened:
+    with devices.open_session("sim", actuator=PIEZO_STACK) as opened:
         player = HandPlayer(opened, hand, 0.5)
         player.prepare(made[:1])
         # One stroke a beat of 0.2 s, for 0.5 s.
@@ -104,7 +104,7 @@ def test_a_stream_that_no_controller_decodes_goes_in_another_coding(player: Cont
 @pytest.mark.skipif(not has_pseudo_terminals(), reason="this system has no pseudo-terminals")
 def test_a_pulled_cable_is_an_error_and_never_a_hang(made: tuple[Stimulus, ...]) -> None:
     with PtyPort(SimulatedController()) as port, SerialTransport(port.name) as transport:
-        player = ControllerPlayer(session.session_with(Controller(transport), f"serial:{port.name}"))
+        player = ControllerPlayer(devices.session_with(Controller(transport), f"serial:{port.name}"))
         player.start(made[0])
         port.unplug()
         with pytest.raises((TransportError, ControllerError)):
