@@ -47,7 +47,7 @@ from vibrocast.codec.interface import (
 )
 from vibrocast.codec.threshold import DETECTION_THRESHOLD, read_threshold, threshold_amplitude
 from vibrocast.device_protocol.coded_stream import MAX_PACKET_BYTES, PROFILE_UNIT
-from vibrocast.device_protocol.encoding import pack_varint
+from vibrocast.device_protocol.layout import pack_varint
 from vibrocast.firmware.native_core import ffi, library
 
 NAME = "dct"

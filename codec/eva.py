@@ -35,7 +35,7 @@ from vibrocast.codec.interface import (
     Steps,
     numbers,
 )
-from vibrocast.device_protocol.encoding import pack_varint
+from vibrocast.device_protocol.layout import pack_varint
 from vibrocast.firmware.native_core import ffi, library
 
 NAME = "eva"

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast.codec.interface import RUNTIMES, CodecError, LearnedTransform
-from vibrocast.device_protocol.encoding import Reader
+from vibrocast.device_protocol.layout import Reader
 
 LAYOUT_VERSION = 2
 MAX_CHANNELS = 128

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast.codec.interface import CodecError
-from vibrocast.device_protocol.encoding import Reader
+from vibrocast.device_protocol.layout import Reader
 
 SIGNAL = "signal"
 """Name of a graph's samples, float32 (batch, 1, 16 n)."""

@@ -392,6 +392,25 @@ class Codec:
         """Whether there are no built-in tables."""
         return self.tables is not None and self.tables.built_in is None
 
+    def check_model(self, given: bool) -> None:
+        """Raise CodecError where the codec takes no model and one is given, or needs one."""
+        if given and self.tables is None:
+            raise CodecError(f"the codec {self.name} takes no model image; leave it out")
+        if self.needs_model and not given:
+            raise CodecError(f"the codec {self.name} needs a model; give one of its model images")
+
+    def decoder(
+        self, configuration: bytes, channels: int, tables: bytes | None = None, runtime: str | None = None
+    ) -> Decoder:
+        """Make the decoder of a stream from its header's fields. Raises CodecError when they do not fit the codec.
+
+        `runtime`: one of RUNTIMES, for tables that either can decode; None = as the tables say.
+        """
+        self.check_model(tables is not None)
+        if runtime is not None and tables is not None and self.tables is not None and self.tables.with_runtime:
+            tables = self.tables.with_runtime(tables, runtime)
+        return self.make_decoder(configuration, channels, tables)
+
     @property
     def rate_points(self) -> tuple[Setting, ...]:
         """The settings of the first curve."""

@@ -43,7 +43,7 @@ from vibrocast.codec.interface import (
 from vibrocast.codec.rotation import MAX_DELAY, Rotation, aligned, candidates
 from vibrocast.codec.threshold import FLAT, parsed_shape
 from vibrocast.device_protocol.coded_stream import packet_sequence
-from vibrocast.device_protocol.encoding import pack_varint, unpack_varint
+from vibrocast.device_protocol.layout import pack_varint, unpack_varint
 from vibrocast.firmware.native_core import ffi, library
 
 NAME = "mdct"

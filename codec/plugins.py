@@ -19,7 +19,7 @@ from vibrocast.codec.interface import (
     check_channels,
     number,
 )
-from vibrocast.device_protocol.encoding import pack_varint
+from vibrocast.device_protocol.layout import pack_varint
 
 GROUP = "vibrocast.codecs"
 IDENTIFIER = 15

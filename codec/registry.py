@@ -88,28 +88,13 @@ def codec_by_identifier(identifier: int, configuration: bytes = b"") -> Codec:
 def decoder(
     identifier: int, configuration: bytes, channels: int, tables: bytes | None = None, runtime: str | None = None
 ) -> Decoder:
-    """Make the decoder of a stream from its header's fields. Raises CodecError when they do not fit a codec.
-
-    `runtime`: one of RUNTIMES, for tables that either can decode; None = as the tables say.
-    """
-    codec = codec_by_identifier(identifier, configuration)
-    check_model(codec, tables is not None)
-    if runtime is not None and tables is not None and codec.tables is not None and codec.tables.with_runtime:
-        tables = codec.tables.with_runtime(tables, runtime)
-    return codec.make_decoder(configuration, channels, tables)
+    """Make the decoder of a stream from its header's fields, as `Codec.decoder` does. Raises CodecError."""
+    return codec_by_identifier(identifier, configuration).decoder(configuration, channels, tables, runtime)
 
 
 def check_tables(identifier: int, tables: bytes) -> None:
     """Raise CodecError for the payload of a model image that a codec's decoders reject."""
     codec = codec_by_identifier(identifier)
-    check_model(codec, given=True)
+    codec.check_model(given=True)
     assert codec.tables is not None, f"{codec.name} takes a model"
     codec.tables.check(tables)
-
-
-def check_model(codec: Codec, given: bool) -> None:
-    """Raise CodecError where a codec takes no model and one is given, or needs one."""
-    if given and codec.tables is None:
-        raise CodecError(f"the codec {codec.name} takes no model image; leave it out")
-    if codec.needs_model and not given:
-        raise CodecError(f"the codec {codec.name} needs a model; give one of its model images")

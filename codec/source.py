@@ -26,7 +26,7 @@ from vibrocast.codec.interface import (
     parts,
     peak_of,
 )
-from vibrocast.codec.registry import DEFAULT_CODEC, check_model, codec_by_name
+from vibrocast.codec.registry import DEFAULT_CODEC, codec_by_name
 from vibrocast.codec.stream import MAX_GAIN, Stream, gain_for, image_hash
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT, StreamHeader
 from vibrocast.models import Model
@@ -175,7 +175,7 @@ class Source:
         if not all(np.all(np.isfinite(samples[part])) for part in parts(len(samples))):
             raise CodecError("the signal holds NaN or infinity; repair the recording first")
         known = codec_by_name(codec)
-        check_model(known, model is not None)
+        known.check_model(model is not None)
         known.forget()
         if framing is None:
             framing = live_framing(rate_hz) if live else file_framing(known, len(samples), rate_hz, samples.shape[1])

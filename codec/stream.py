@@ -11,7 +11,7 @@ import numpy as np
 
 from vibrocast import models, textures
 from vibrocast.codec.interface import Codec, CodecError, Decoded, Decoder, Setting, Signal
-from vibrocast.codec.registry import codec_by_identifier, decoder
+from vibrocast.codec.registry import codec_by_identifier
 from vibrocast.codec.threshold import FeltError
 from vibrocast.device_protocol import coded_stream
 from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader
@@ -131,7 +131,7 @@ class Stream:
         with atomic_write(arguments.file_path("path", path)) as partial:
             partial.write_bytes(bytes(self))
 
-    @property
+    @cached_property
     def size_bytes(self) -> int:
         """The size of the whole .vct file in bytes."""
         return len(bytes(self))
@@ -166,17 +166,21 @@ class Stream:
     @cached_property
     def _layout(self) -> tuple[int, int]:
         """The samples of packets and of the delay, also of a stream whose image is not here. Raises CodecError."""
-        made = _decoder_of(self.header, self.tables if self._codec.needs_model else None, self.runtime)
+        made = self._decoder(self.header, self.tables if self.codec.needs_model else None)
         return made.packet_samples, made.delay_samples
 
-    @property
-    def _codec(self) -> Codec:
+    @cached_property
+    def codec(self) -> Codec:
+        """The codec."""
         return codec_by_identifier(self.header.codec_identifier, self.header.configuration)
+
+    def _decoder(self, header: StreamHeader, tables: bytes | None) -> Decoder:
+        return self.codec.decoder(header.configuration, header.channels, tables, self.runtime)
 
     @property
     def codec_name(self) -> str:
         """The name of the codec."""
-        return self._codec.name
+        return self.codec.name
 
     @property
     def model_name(self) -> str | None:
@@ -206,7 +210,7 @@ class Stream:
         Raises:
             CodecError: The codec is unknown, or it needs an image that is not here.
         """
-        return _decoder_of(self.header, self.tables, self.runtime)
+        return self._decoder(self.header, self.tables)
 
     def decode_integers(self, progress: Callable[[float], None] | None = None) -> Decoded:
         """Decode to the integers that a controller computes.
@@ -281,7 +285,7 @@ class Stream:
         Raises:
             CodecError: No stream has that level.
         """
-        return replace(self, header=with_gain(self.header, gain_db))
+        return self if gain_db == 0 else replace(self, header=with_gain(self.header, gain_db))
 
     def repacked(self, packet_samples: int, packet_bytes: int = coded_stream.MAX_PACKET_BYTES) -> "Stream":
         """Return the stream in shorter packets, without quantising it again.
@@ -309,14 +313,13 @@ class Stream:
 
     def _split(self, packet_samples: int) -> "Stream":
         """Return the stream in packets of at most `packet_samples` per channel. Raises as `repacked`."""
-        chosen = self._codec
-        if chosen.repack is None:
-            raise CodecError(f"the packets of the codec {chosen.name} cannot be split; encode the recording again")
-        configuration, packets = chosen.repack(
+        if self.codec.repack is None:
+            raise CodecError(f"the packets of the codec {self.codec.name} cannot be split; encode the recording again")
+        configuration, packets = self.codec.repack(
             self.header.configuration, self.header.channels, self.tables, self.packets, packet_samples
         )
         header = replace(self.header, configuration=configuration)
-        decoder = _decoder_of(header, self.tables)
+        decoder = self._decoder(header, self.tables)
         end = None if header.samples is None else -(-(header.samples + decoder.delay_samples) // decoder.packet_samples)
         return replace(self, header=header, packets=tuple(packets[:end]))
 
@@ -388,10 +391,6 @@ def with_gain(header: StreamHeader, gain_db: float) -> StreamHeader:
         return replace(header, gains=tuple(nearest_gain(gain * factor) for gain in header.gains))
     except CodecError as error:
         raise beyond from error
-
-
-def _decoder_of(header: StreamHeader, tables: bytes | None, runtime: str | None = None) -> Decoder:
-    return decoder(header.codec_identifier, header.configuration, header.channels, tables, runtime)
 
 
 def shipped_image(header: StreamHeader) -> bytes | None:

@@ -4,7 +4,7 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from vibrocast.device_protocol.encoding import Reader, crc16, pack_varint
+from vibrocast.device_protocol.layout import Reader, crc16, pack_varint
 from vibrocast.errors import InputError
 
 STREAM_SUFFIX = ".vct"

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 from cobs import cobs
 
-from vibrocast.device_protocol.encoding import crc16
+from vibrocast.device_protocol.layout import crc16
 from vibrocast.errors import InputError
 
 MAX_PAYLOAD_BYTES = 4096

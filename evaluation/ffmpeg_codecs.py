@@ -25,7 +25,7 @@ from vibrocast.codec.interface import (
     number,
     word,
 )
-from vibrocast.device_protocol.encoding import Reader, pack_varint
+from vibrocast.device_protocol.layout import Reader, pack_varint
 
 _LABEL_HZ = 8000
 """The rate with which samples of every stream are labelled: speech codecs have no other, the rest ignore it."""

@@ -1,6 +1,7 @@
 """Core and controller in C, compiled while installing and loaded through cffi."""
 
 import os
+import struct
 import sys
 from functools import cache
 from pathlib import Path
@@ -52,6 +53,12 @@ def _loaded() -> Any:
     if name not in cores:
         raise BuildError(f"{CORE_VARIABLE} is {name!r}, which this machine cannot run; set it to {' or '.join(cores)}")
     return cores[name]
+
+
+def float_bits(value: float) -> int:
+    """Return the bits of an IEEE 754 single, as which the core takes numbers."""
+    bits: int = struct.unpack("<I", struct.pack("<f", value))[0]
+    return bits
 
 
 class Structure:

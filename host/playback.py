@@ -46,6 +46,7 @@ from vibrocast.output.actuator import FOLLOWED_DB, SKIN_OVERSAMPLING, Actuator, 
 from vibrocast.output.rendering import HIGH_PASS_HZ, Drive, LimitCounts, displacement_filter, render
 from vibrocast.output.sound_card import CardUse
 from vibrocast.textures import Recording
+from vibrocast.textures.resampling import resampled
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
@@ -568,9 +569,9 @@ def compare_channels(
     """
     qualities = []
     for channel in range(skin_um.shape[1]):
-        moved = Recording(skin_um[:, channel : channel + 1], skin_rate_hz, "um", "skin")
         *sent, decoded = (high_passed(each[: COMPARED_S * rate_hz, channel], rate_hz) for each in asked_um)
-        at_skin = high_passed(textures.resample(moved, rate_hz).samples[: len(decoded), 0], rate_hz)
+        moved = resampled(skin_um[:, channel : channel + 1], skin_rate_hz, rate_hz)
+        at_skin = high_passed(moved[: len(decoded), 0], rate_hz)
         with contextlib.suppress(AlignmentError):
             quality, *_ = compare_skin(sent[0] if sent else None, decoded, at_skin, rate_hz, perceptual=False)
             qualities.append(quality)

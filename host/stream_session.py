@@ -360,7 +360,7 @@ def fitted(controller: Controller, stream: Stream) -> Stream:
     """
     header, limits = stream.header, controller.description.limits
     check_limits(controller, header.channels, header.rate_hz)
-    chosen = codec.codec_by_name(stream.codec_name)
+    chosen = stream.codec
     samples, size_bytes = packet_limit(limits), limits.sendable_packet_bytes
     if chosen.repack is not None:
         samples = min(samples, limits.buffer_samples // _BUFFERED_PACKETS)

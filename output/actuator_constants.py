@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from vibrocast.device_protocol.model_image import ACTUATOR_IDENTIFIER, ModelError, ModelImage
+from vibrocast.firmware.native_core import float_bits
 from vibrocast.output.actuator import (
     LRA,
     PIEZO_STACK,
@@ -61,12 +62,6 @@ def constants(actuator: Actuator) -> dict[str, Any]:
         "power_limit": min(2**32 - 1, max(1, math.floor(actuator.power_limit * 2**30))),
         "compensation": _section(*actuator.inverse_section()),
     }
-
-
-def float_bits(value: float) -> int:
-    """Return the bits of an IEEE 754 single."""
-    bits: int = struct.unpack("<I", struct.pack("<f", value))[0]
-    return bits
 
 
 def _section(tangent: float, quality: float, weights: Sequence[float]) -> dict[str, Any]:

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vibrocast.device_protocol.coded_stream import UNITS, StreamHeader
-from vibrocast.firmware.native_core import Structure, ffi, library
+from vibrocast.firmware.native_core import Structure, ffi, float_bits, library
 from vibrocast.output.actuator import Actuator, Codes, Filter
-from vibrocast.output.actuator_constants import SHIPPED, constants, float_bits
+from vibrocast.output.actuator_constants import SHIPPED, constants
 
 DriveSamples: TypeAlias = NDArray[np.int32]
 

@@ -27,7 +27,7 @@ from vibrocast.codec import Framing, Setting, Stream
 from vibrocast.codec.core import decoding_cycles
 from vibrocast.codec.eva_image import EvaImage
 from vibrocast.device_protocol.coded_stream import StreamHeader
-from vibrocast.device_protocol.encoding import pack_varint
+from vibrocast.device_protocol.layout import pack_varint
 from vibrocast.device_protocol.messages import Configure, ErrorCode, Start, Status, Stop, StreamData
 from vibrocast.device_protocol.model_image import ModelImage, sha256
 from vibrocast.evaluation import points

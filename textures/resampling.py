@@ -6,7 +6,7 @@ import numpy as np
 import soxr
 
 from vibrocast.memory import shortage
-from vibrocast.textures.recording import Recording, TextureError, check_rate
+from vibrocast.textures.recording import Recording, Signal, TextureError, check_rate
 
 MAX_RATIO = 1e5  # of the rates: far above, soxr's filters take minutes and gigabytes
 
@@ -37,7 +37,14 @@ def resample(recording: Recording, rate_hz: float) -> Recording:
         raise TextureError(
             f"{recording.name}: {recording.seconds:.0f} s at {rate_hz:g} Hz {lack}, or choose a lower rate"
         )
-    resampled = soxr.resample(recording.samples, recording.rate_hz, rate_hz, quality="HQ")[:count]
-    if len(resampled) < count:  # soxr rounds the length down and may leave out the last sample
-        resampled = np.pad(resampled, ((0, count - len(resampled)), (0, 0)))
-    return replace(recording, samples=resampled, rate_hz=rate_hz)
+    return replace(recording, samples=resampled(recording.samples, recording.rate_hz, rate_hz), rate_hz=rate_hz)
+
+
+def resampled(samples: Signal, rate_hz: float, wanted_hz: float) -> Signal:
+    """Return samples (n, channels) at another rate, as `resample` does, without its checks."""
+    if rate_hz == wanted_hz:
+        return samples
+    count = round(len(samples) * wanted_hz / rate_hz)
+    made = soxr.resample(samples, rate_hz, wanted_hz, quality="HQ")[:count]
+    # soxr rounds the length down and may leave out the last sample
+    return np.pad(made, ((0, count - len(made)), (0, 0)))

@@ -5,8 +5,8 @@ import random
 import pytest
 from cobs import cobs
 
-from vibrocast.device_protocol.encoding import crc16
 from vibrocast.device_protocol.frames import DELIMITER, MAX_PAYLOAD_BYTES, write_frame
+from vibrocast.device_protocol.layout import crc16
 from vibrocast.device_protocol.messages import HelloResponse, State, Status, StatusRequest, Stop, StreamData, pack
 from vibrocast.harness.conformance.fixtures import section
 from vibrocast.harness.conformance.probe import Probe, describe, in_state

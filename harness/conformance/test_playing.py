@@ -9,7 +9,7 @@ import pytest
 from vibrocast import codec
 from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.coded_stream import packet_sequence, renumbered
-from vibrocast.device_protocol.encoding import pack_varint
+from vibrocast.device_protocol.layout import pack_varint
 from vibrocast.device_protocol.messages import (
     EndStream,
     ErrorCode,

@@ -14,7 +14,7 @@ from vibrocast.codec import CodecError
 from vibrocast.codec.encoding import encode_recording
 from vibrocast.codec.stream import read_stream
 from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader, pack_file
-from vibrocast.device_protocol.encoding import pack_varint
+from vibrocast.device_protocol.layout import pack_varint
 from vibrocast.device_protocol.model_image import ModelError, ModelImage
 from vibrocast.errors import InputError
 

@@ -16,7 +16,7 @@ from vibrocast.device_protocol.coded_stream import (
     packet_sequence,
     unpack_file,
 )
-from vibrocast.device_protocol.encoding import crc16, pack_varint
+from vibrocast.device_protocol.layout import crc16, pack_varint
 
 gains = st.integers(1, 0x7F7F).map(lambda code: float(struct.unpack("<f", struct.pack("<I", code << 16))[0]))
 headers = st.builds(

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vibrocast.device_protocol.encoding import crc16, pack_varint, unpack_varint
+from vibrocast.device_protocol.layout import crc16, pack_varint, unpack_varint
 
 
 def test_crc_check_value_in_one_piece_and_in_two() -> None:

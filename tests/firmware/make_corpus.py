@@ -20,8 +20,8 @@ from vibrocast.codec import eva, mdct
 from vibrocast.codec.eva_image import PRIOR_KINDS
 from vibrocast.device_protocol import messages
 from vibrocast.device_protocol.coded_stream import PROFILE_UNIT, STREAM_UNITS, StreamHeader, pack_file, unpack_file
-from vibrocast.device_protocol.encoding import pack_varint
 from vibrocast.device_protocol.frames import write_frame
+from vibrocast.device_protocol.layout import pack_varint
 from vibrocast.device_protocol.messages import (
     CaptureRead,
     Configure,

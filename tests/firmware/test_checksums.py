@@ -9,7 +9,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from tests.firmware.native import ffi, native
-from vibrocast.device_protocol.encoding import crc16
+from vibrocast.device_protocol.layout import crc16
 
 # Long runs without a zero, where groups of COBS are full.
 stuffed = st.lists(st.integers(0, 600).map(lambda length: b"x" * length)).map(b"\0".join)

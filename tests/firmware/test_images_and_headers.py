@@ -12,7 +12,7 @@ from tests.device_protocol.test_coded_stream import headers
 from tests.device_protocol.test_model_image import images
 from tests.firmware.native import ffi, native, piece_bytes, rejection_text
 from vibrocast.device_protocol.coded_stream import MAGIC, STREAM_UNITS, StreamError, StreamHeader, packet_sequence
-from vibrocast.device_protocol.encoding import pack_varint
+from vibrocast.device_protocol.layout import pack_varint
 from vibrocast.device_protocol.model_image import MAX_NUMBER, ModelError, ModelImage, unsigned, with_signature
 
 LENGTH_UNKNOWN = 2**64 - 1
