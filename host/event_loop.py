@@ -6,9 +6,12 @@ import itertools
 import selectors
 from collections.abc import Callable, Generator, Hashable, Mapping
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from vibrocast.device_protocol.transports import TransportError
+
+if TYPE_CHECKING:
+    from vibrocast.host.controller import Controller
 
 _Result = TypeVar("_Result")
 _Key = TypeVar("_Key", bound=Hashable)
@@ -29,45 +32,16 @@ class Pause(float):
     """Seconds in which a step reads nothing, as its transport is broken."""
 
 
-class Reader(Protocol):
-    """Whom the steps work with: a `host.controller.Controller`."""
-
-    def make_selectable(self) -> None:
-        """Make that there is a `file`, if possible."""
-
-    @property
-    def file(self) -> Any:
-        """The object that `selectors` can wait for, a new one after a reconnect; None where there is none."""
-
-    @property
-    def is_sending(self) -> bool:
-        """Whether bytes wait to be written, which `read` does."""
-
-    @property
-    def clock(self) -> Callable[[], float]:
-        """The time in seconds."""
-
-    @property
-    def sleep(self) -> Callable[[float], None]:
-        """Lets time pass."""
-
-    def read(self, timeout_s: float) -> bytes:
-        """Return the bytes that came, waiting for them at most `timeout_s`. Raises TransportError."""
-
-    def run(self, steps: Steps[_Result]) -> _Result:
-        """Do work with this controller alone, and wait for its end; return its result."""
-
-
 @dataclass(eq=False)
 class _Member(Generic[_Key]):
-    """One of those that the loop serves.
+    """A controller that the loop serves.
 
     `wait`: what its last step yielded. `due_s`: when it is over. `file`, its `descriptor`, `events`: what the loop
     waits for.
     """
 
     key: _Key
-    reader: Reader
+    controller: "Controller"
     steps: Steps[Any]
     wait: float = 0.0
     due_s: float = 0.0
@@ -82,7 +56,7 @@ class _Member(Generic[_Key]):
         return isinstance(self.wait, Pause)
 
 
-def run_all(works: Mapping[_Key, tuple[Reader, Steps[_Result]]]) -> dict[_Key, _Result | Exception]:
+def run_all(works: Mapping[_Key, tuple["Controller", Steps[_Result]]]) -> dict[_Key, _Result | Exception]:
     """Do the work with all controllers at once; return by key what each gave or raised.
 
     All have the same clock. KeyboardInterrupt, and whatever else is no Exception, is raised in every step that waits;
@@ -92,8 +66,8 @@ def run_all(works: Mapping[_Key, tuple[Reader, Steps[_Result]]]) -> dict[_Key, _
         return _Loop[_Key, _Result](works).run()
     ((key, work),) = works.items()
     try:
-        reader, steps = work
-        return {key: reader.run(steps)}
+        controller, steps = work
+        return {key: controller.run(steps)}
     except Exception as error:
         return {key: error}
 
@@ -101,9 +75,9 @@ def run_all(works: Mapping[_Key, tuple[Reader, Steps[_Result]]]) -> dict[_Key, _
 class _Loop(Generic[_Key, _Result]):
     """`_due`: when members are due, the next first; those that have been served meanwhile are there more than once."""
 
-    def __init__(self, works: Mapping[_Key, tuple[Reader, Steps[_Result]]]) -> None:
+    def __init__(self, works: Mapping[_Key, tuple["Controller", Steps[_Result]]]) -> None:
         self._results: dict[_Key, _Result | Exception] = {}
-        self._members = [_Member(key, reader, steps) for key, (reader, steps) in works.items()]
+        self._members = [_Member(key, controller, steps) for key, (controller, steps) in works.items()]
         self._left = len(self._members)
         self._due: list[tuple[float, int, _Member[_Key]]] = []
         self._number = itertools.count()
@@ -113,7 +87,7 @@ class _Loop(Generic[_Key, _Result]):
 
     def run(self) -> dict[_Key, _Result | Exception]:
         for member in self._members:
-            member.reader.make_selectable()
+            member.controller.make_selectable()
         try:
             for member in self._members:
                 if not member.ended:
@@ -131,7 +105,7 @@ class _Loop(Generic[_Key, _Result]):
 
     def _serve(self) -> None:
         """Wait until something comes or is due, and serve those whom it concerns."""
-        clock = self._members[0].reader.clock
+        clock = self._members[0].controller.clock
         while self._due and (self._due[0][2].ended or self._due[0][0] != self._due[0][2].due_s):
             heapq.heappop(self._due)
         for member in self._wait(max(0.0, self._due[0][0] - clock())):
@@ -152,27 +126,27 @@ class _Loop(Generic[_Key, _Result]):
         watches = bool(self._selector.get_map())
         if timeout_s and (self._polled or not watches):
             timeout_s = max(_MIN_SLEEP_S, min(timeout_s, _POLL_S) if self._polled else timeout_s)
-            self._members[0].reader.sleep(timeout_s)
+            self._members[0].controller.sleep(timeout_s)
             timeout_s = 0.0
         ready = self._selector.select(timeout_s) if watches else []
         return [*self._polled, *(key.data for key, _ in ready)]
 
     def _read(self, member: _Member[_Key]) -> None:
         """Read what has come for a member, and do its next step unless it may wait on."""
-        was_sending = member.reader.is_sending
+        was_sending = member.controller.is_sending
         try:
-            data = member.reader.read(0.0)
+            data = member.controller.read(0.0)
         except TransportError as error:
             self._step(member, member.steps.throw, error)
             return
-        if data or member.reader.is_sending != was_sending:
+        if data or member.controller.is_sending != was_sending:
             self._step(member, member.steps.send, data)
 
     def _step(self, member: _Member[_Key], step: Callable[..., float], *arguments: Any) -> None:
         """Do one step of a member; note when the next is due, or how it ended."""
         try:
             member.wait = step(*arguments)
-            member.due_s = member.reader.clock() + member.wait
+            member.due_s = member.controller.clock() + member.wait
             heapq.heappush(self._due, (member.due_s, next(self._number), member))
             self._watch(member)
             return
@@ -204,8 +178,8 @@ class _Loop(Generic[_Key, _Result]):
     def _watch(self, member: _Member[_Key]) -> None:
         """Update the events of a member that the selector waits for."""
         waits = not (member.ended or member.pauses)
-        file = member.reader.file if waits else None
-        events = selectors.EVENT_READ | (selectors.EVENT_WRITE if member.reader.is_sending else 0)
+        file = member.controller.file if waits else None
+        events = selectors.EVENT_READ | (selectors.EVENT_WRITE if member.controller.is_sending else 0)
         if file is not None and file is member.file and events == member.events:
             return
         if member.descriptor is not None:

@@ -265,21 +265,18 @@ def play_and_compare(
     return Playback(session, sent, report, playback.caption(session, playback.READ_BACK), traces)
 
 
-def computed(session: Session, stream: Stream, played: Played) -> tuple[NDArray[np.float64], Codes]:
+def computed(
+    session: Session, stream: Stream, played: Played, heights: Codes | None = None
+) -> tuple[NDArray[np.float64], Codes]:
     """Return what a profile gives under the positions that were played, if all of them come in time, to the bit.
 
-    Heights in um and the DAC's codes, both (n, channels), from its first sample on. Raises CodecError.
+    Heights in um and the DAC's codes, both (n, channels), from its first sample on. `heights`: the profile (n,
+    channels) in the stream's integers; None = as decoded. Raises CodecError.
     """
-    return _rendered(session, stream, stream.decode_integers(), stream.delay_samples, played)
-
-
-def _rendered(
-    session: Session, stream: Stream, heights: Codes, delay_samples: int, played: Played
-) -> tuple[NDArray[np.float64], Codes]:
-    """Return what heights (n, channels), in the integers of a stream, give as `computed` says."""
     samples = played.captured.first + len(played.captured.samples)
+    profile, late = (stream.decode_integers(), stream.delay_samples) if heights is None else (heights, 0)
     under_hand, codes = rendering.render(
-        stream.header, heights, delay_samples, played.positions, samples, session.driven, start_us=played.start_us
+        stream.header, profile, late, played.positions, samples, session.driven, start_us=played.start_us
     )
     return under_hand * (np.array(stream.header.gains) / playback.DECODED_FULL_SCALE), codes
 
@@ -300,7 +297,7 @@ def _traces(
         full_scale = playback.DECODED_FULL_SCALE
         whole = np.rint(texture.samples / np.array(stream.header.gains) * full_scale)
         heights = np.clip(whole, -full_scale, full_scale - 1).astype(np.int16)
-        signals = {"texture under the hand": _rendered(session, stream, heights, 0, played)[0], **signals}
+        signals = {"texture under the hand": computed(session, stream, played, heights)[0], **signals}
     skin_um, skin_rate_hz = session.skin.displacement_um(codes, SKIN_OVERSAMPLING), SKIN_OVERSAMPLING * rate_hz
     asked = [Trace(name, values[first:], rate_hz, "um", values[first:], rate_hz) for name, values in signals.items()]
     return (*asked, Trace("skin", skin_um, skin_rate_hz, "um", skin_um, skin_rate_hz))

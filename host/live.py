@@ -137,9 +137,8 @@ class LiveStream:
     `playout_delay_s`: how long packets wait at the controller. None: PLAYOUT_DELAY_S, or a quarter of a packet if that
     is more. With a policy on a link that is not much faster than needed, the delay covers its fall to half.
     `payload_bytes`, `frame_bytes`: of all packets sent, and of the frames that hold them.
-    `header`, `stream`, `packets_sent` (dropped ones included), `status`: of the stream under way. `begun`: streams so
-    far; `earlier`: the last status of each of those before this one. `on_packets`: is called with packets before they
-    are sent.
+    `header`, `stream`, `packets_sent` (dropped ones included), `status`: of the stream under way. `earlier`: the last
+    status of each of those before this one. `on_packets`: is called with packets before they are sent.
     Raises CodecError, InputError, ControllerError, TransportError, and StreamError for a stream that the controller
     rejects.
     """
@@ -151,8 +150,6 @@ class LiveStream:
         *,
         coding: LiveCoding | None = None,
         playout_delay_s: float | None = None,
-        gain: float = 1.0,
-        compensation: bool = True,
     ) -> None:
         check_limits(controller, signal_format.channels, signal_format.rate_hz)
         coding = coding or LiveCoding()
@@ -191,7 +188,6 @@ class LiveStream:
             # The first block that is ever coded takes longer than others, and would make all of the stream later by
             # that; what controls its rate has coded some already.
             encoder.encode(np.zeros((self.packet_samples, self.format.channels)))
-        self._gain, self._compensation = gain, compensation
         self.on_packets: Callable[[Sequence[bytes]], None] | None = None
         self._heard_samples = 0
         self._since_s = controller.clock()
@@ -234,11 +230,6 @@ class LiveStream:
     def seconds(self) -> float:
         """Seconds of signal that the source has given so far."""
         return self._given_samples / self.format.rate_hz
-
-    @property
-    def begun(self) -> int:
-        """How many streams have been begun."""
-        return len(self.earlier) + 1
 
     def begin_again(self, is_silent: bool = False) -> None:
         """Set up another stream in place of the one under way; its first packet will start it.
@@ -296,15 +287,7 @@ class LiveStream:
             self._encoder.configuration,
             b"" if self._model is None else image_hash(self._model.image),
         )
-        self._session = self.controller.run(
-            configure_steps(
-                self.controller,
-                self.header,
-                self.packet_samples,
-                compensation=self._compensation,
-                gain=self._gain,
-            )
-        )
+        self._session = self.controller.run(configure_steps(self.controller, self.header, self.packet_samples))
         self._link = Link(self.controller, self.stream)
         self._link.needed = (self._target_bps or math.inf) / 8 / LINK_SHARE
         self.playout_delay_s = (
@@ -636,10 +619,6 @@ def heard(stream: LiveStream, read: Callable[[float], Signal | None]) -> Iterato
         yield samples
 
 
-def _blocks_per_packet(stream: LiveStream) -> int:
-    return math.ceil(stream.packet_samples / (MAX_BLOCK_S * stream.format.rate_hz))
-
-
 def paced(
     stream: LiveStream, samples: Signal, sleep: Callable[[float], None] | None = None
 ) -> Iterator[tuple[float, Signal]]:
@@ -650,7 +629,7 @@ def paced(
     """
     sleep = sleep or stream.controller.sleep
     controller, rate_hz = stream.controller, stream.format.rate_hz
-    parts = _blocks_per_packet(stream)
+    parts = math.ceil(stream.packet_samples / (MAX_BLOCK_S * rate_hz))
     began_s = controller.clock()
     start = number = 0
     while start < len(samples):

@@ -234,20 +234,32 @@ def at_the_device(
     session: Session, status: Status, traces: Sequence[Trace], card_underruns_before: int = 0
 ) -> AtTheDevice:
     """Return that part of a playback that ended with this status, of the last trace against the others."""
-    use = actuator_use(session, status)
+    hello, card = session.controller.description, session.controller.sound_card
+    device = DeviceDescription(
+        session.address,
+        hello.build,
+        hello.hardware,
+        hello.serial_number,
+        f"{hello.major}.{hello.minor}",
+        tuple(hello.image_lines),
+    )
+    use = ActuatorUse(
+        name=session.skin.name,
+        follows_hz=followed_band_hz(session.driven, session.skin),
+        gains_db=octave_gains_db(session.driven, session.skin),
+        clipped_samples=status.compensation_clipped,
+        voltage_limited=status.voltage_limited,
+        slew_limited=status.slew_limited,
+        power_limited=status.power_limited,
+    )
     skin = None
     if traces:
         *asked, moved = traces
         asked_um, asked_rate_hz = [each.displacement_um for each in asked], round(asked[0].displacement_rate_hz)
         skin = compare_channels(asked_um, asked_rate_hz, moved.values, moved.rate_hz)
-    card = session.controller.sound_card
-    return AtTheDevice(
-        device=device_description(session),
-        sound_card=card and replace(card, underruns=card.underruns - card_underruns_before),
-        actuator=use,
-        skin=skin,
-        skin_note=None if skin is None else limit_note(skin, use.gains_db, use.limited_samples),
-    )
+    note = None if skin is None else limit_note(skin, use.gains_db, use.limited_samples)
+    played_by = card and replace(card, underruns=card.underruns - card_underruns_before)
+    return AtTheDevice(device, played_by, use, skin, note)
 
 
 def traces_of(
@@ -265,32 +277,6 @@ def traces_of(
 def caption(session: Session, source: str) -> str:
     """Return the caption of a picture whose DAC codes come from this source."""
     return f"skin: the DAC's codes, {source}, through the model of the actuator {session.skin.name}"
-
-
-def device_description(session: Session) -> DeviceDescription:
-    """Return what a report says of a controller, as its Hello states."""
-    hello = session.controller.description
-    return DeviceDescription(
-        session.address,
-        hello.build,
-        hello.hardware,
-        hello.serial_number,
-        f"{hello.major}.{hello.minor}",
-        tuple(hello.image_lines),
-    )
-
-
-def actuator_use(session: Session, status: Status) -> ActuatorUse:
-    """Return what a report says of the actuator of a controller with this status."""
-    return ActuatorUse(
-        name=session.skin.name,
-        follows_hz=followed_band_hz(session.driven, session.skin),
-        gains_db=octave_gains_db(session.driven, session.skin),
-        clipped_samples=status.compensation_clipped,
-        voltage_limited=status.voltage_limited,
-        slew_limited=status.slew_limited,
-        power_limited=status.power_limited,
-    )
 
 
 def _felt_error(traces: Sequence[Trace], header: StreamHeader) -> Any:

@@ -239,7 +239,7 @@ def open_sound(address: str, rate_hz: int) -> Iterator[SoundInput]:
 @contextlib.contextmanager
 def open_live(
     address: str, unit: str | None, full_scale: float | None, rate_hz: int | None, usual_rate_hz: int
-) -> Iterator[SerialSensor | AnalogueSensor | SoundInput]:
+) -> Iterator[Source | SoundInput]:
     """Open the live source at an address of FORMS: a sensor or, on a card without a physical unit, sound.
 
     `unit`: one of INPUT_UNITS, of a sensor that does not state it. `full_scale`: the value in it of digital full scale
@@ -274,13 +274,13 @@ def open_live(
         raise
 
 
-def skip_kept(source: SerialSensor | AnalogueSensor | SoundInput) -> None:
+def skip_kept(source: Source | SoundInput) -> None:
     """Leave out what a source has kept since it was opened: a stream begins with what is taken from now on."""
     while len(source.read(0.0)):
         pass
 
 
-def format_of(source: SerialSensor | AnalogueSensor | SoundInput) -> SignalFormat:
+def format_of(source: Source | SoundInput) -> SignalFormat:
     """Return the format of a live stream from a source. Raises CodecError."""
     if isinstance(source, SerialSensor):
         full_scale, rms = source.full_scale or _HIGHEST[source.unit], _EXPECTED_RMS[source.unit]

@@ -3,7 +3,6 @@
 Tracks are found in files, folders and lists, and opened for a controller while the one before plays.
 """
 
-import contextlib
 import queue
 import random
 import threading
@@ -307,17 +306,10 @@ class Remote:
     def __init__(self) -> None:
         self._queues: list[queue.SimpleQueue[Command]] = []
 
-    def receiver(self) -> Callable[[], Command | None]:
-        """Return what returns the next command to another player, None if there is none."""
-        commands: queue.SimpleQueue[Command] = queue.SimpleQueue()
-        self._queues.append(commands)
-
-        def take() -> Command | None:
-            with contextlib.suppress(queue.Empty):
-                return commands.get_nowait()
-            return None
-
-        return take
+    def commands(self) -> "queue.SimpleQueue[Command]":
+        """Return the commands to another player."""
+        self._queues.append(queue.SimpleQueue())
+        return self._queues[-1]
 
     def send(self, command: Command) -> None:
         """Give a command, which the players carry out within some 20 ms."""
@@ -451,7 +443,7 @@ class TrackPlayer:
         # The controller itself repeats a single track, without a gap.
         track_loops, list_loops = (options.loops, 1) if len(self._sources) == 1 else (1, options.loops)
         self._passes_left = list_loops - 1 if list_loops else None
-        self._command = (remote or Remote()).receiver()
+        self._commands = (remote or Remote()).commands()
         self._tell = tell or (lambda event: None)
         self._settings = player.PlaybackSettings(
             loops=track_loops,
@@ -571,8 +563,8 @@ class TrackPlayer:
 
     def _turn(self) -> None:
         """Carry out commands. Raises _Jump, and as `Controller.request`."""
-        while (command := self._command()) is not None:
-            self._do(command)
+        while not self._commands.empty():
+            self._do(self._commands.get())
         controller = self._session.controller
         state = controller.status.state if controller.status is not None and self._begun else None
         if self._paused and state == State.PLAYING:

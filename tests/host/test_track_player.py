@@ -238,7 +238,7 @@ def test_keys_are_commands() -> None:
 
 def test_a_socket_takes_commands_and_tells_events_and_errors(tmp_path: Path) -> None:
     remote = Remote()
-    take = remote.receiver()
+    commands = remote.commands()
     control = Control(tmp_path / "control", remote)
     with pytest.raises(InputError, match="no control socket"):
         Control(tmp_path / "control", remote)
@@ -249,9 +249,7 @@ def test_a_socket_takes_commands_and_tells_events_and_errors(tmp_path: Path) -> 
         assert "there is no command 'fly'" in lines.readline()
         control.tell(Event("track", "a.wav"))
         assert '"track": "a.wav"' in lines.readline()
-        while (command := take()) is None:
-            pass
-        assert command == Command("seek", 2.0)
+        assert commands.get(timeout=60.0) == Command("seek", 2.0)
     control.close()
     assert not (tmp_path / "control").exists()
 
