@@ -104,7 +104,10 @@ def test_a_file_plays_without_end_until_stop_at_the_level_set_before(client: Cli
 def test_a_client_that_falls_silent_leaves_no_texture_behind(folder: Path) -> None:
     client = Client(folder, timeout_s=0.2)
     client.send("/play", "oak.wav", 0)
-    assert [client.answer()[0] for _ in range(3)] == ["/track", "/ended", "/error"]
+    told: list[str] = []
+    while "/error" not in told:
+        told.append(client.answer()[0])
+    assert told[-2:] == ["/ended", "/error"]  # a busy machine may be silent before the track has begun
     client.close()
 
 
