@@ -6,7 +6,7 @@ import random
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -132,10 +132,10 @@ class Controller(Closing):
         self.repeated_requests = self.repeated_frames = self.reordered_frames = 0
         self._last_payload = b""
         self._answers_due = 0
-        self.watch_time()
         self.clock = clock
         self.sleep = sleep
         self._transport = transport
+        self.watch_time()
         self._reader = FrameReader()
         self._bad_frames_before = 0  # of earlier connections
         self._sequence = NOTIFICATION
@@ -148,10 +148,12 @@ class Controller(Closing):
         self._connected_s = clock()
 
     def watch_time(self) -> None:
-        """Begin to note whether this machine wakes up in time, and whether the controller's clock keeps up."""
+        """Begin to note whether this machine and its sound card are in time, and the controller's clock keeps up."""
         self.late_s = 0.0
         self._times_s: list[tuple[float, float]] = []
         self._watched_from_s = time.monotonic(), _queued_s()
+        self._card_underruns = 0
+        self._card_underruns = self.sound_card.underruns if self.sound_card else 0
 
     def doubt(self, margin_s: float = LATE_S) -> str:
         """Return why this machine may have changed times since `watch_time`; empty where it kept them.
@@ -193,9 +195,9 @@ class Controller(Closing):
 
     @property
     def sound_card(self) -> "CardUse | None":
-        """How the sound card plays that is this controller's DAC; None for any other controller."""
+        """How the sound card plays that is the DAC, with underruns since `watch_time`; None for other controllers."""
         use: CardUse | None = getattr(self._transport, "sound_card", None)
-        return use
+        return use and replace(use, underruns=use.underruns - self._card_underruns)
 
     @property
     def bad_frames(self) -> int:

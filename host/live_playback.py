@@ -157,7 +157,6 @@ class LivePlayback:
         """`model`: of the stream. `ask_s`: how often the controller is asked where it is. `name`: for the report."""
         self.session, self.stream, self.name = session, stream, name
         self._model, self._ask_every_s, self._provenance = model, ask_s, provenance or Provenance()
-        self._card_underruns = session.controller.sound_card.underruns if session.controller.sound_card else 0
         self._blocks: list[Signal] = []
         self._packets: list[bytes] = []
         self._keeps = True
@@ -307,7 +306,7 @@ class LivePlayback:
         stream, result = self.stream, self.stream.result()
         latency_ms, jitter_ms, drift_ppm = self._timing()
         algorithmic_s = stream.packet_s + stream.delay_samples / stream.format.rate_hz
-        at_end = playback.at_the_device(self.session, stream.status, traces, self._card_underruns)
+        at_end = playback.at_the_device(self.session, stream.status, traces)
         return Report(
             run=self._provenance,
             file=self.name,

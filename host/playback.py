@@ -128,13 +128,12 @@ def play(
     sent = fitted(controller, stream)
     if stream.image is not None:
         uploader.provide(controller, session.address, stream.image)
-    underruns_before = controller.sound_card.underruns if controller.sound_card else 0
     controller.watch_time()
     settings = player.PlaybackSettings(
         loops=loops, capture=_unread_reason(session, sent, loops) is None, progress=progress
     )
     result = controller.run(player.play_steps(controller, sent, settings))
-    return compared(session, file_name, sent, encoding, loops, result, underruns_before, provenance or Provenance())
+    return compared(session, file_name, sent, encoding, loops, result, provenance or Provenance())
 
 
 def compared(
@@ -144,13 +143,9 @@ def compared(
     encoding: Encoding | None,
     loops: int,
     result: player.PlaybackResult,
-    underruns_before: int,
     provenance: Provenance,
 ) -> Playback:
-    """Return what a controller did, compared with the same computed here.
-
-    `underruns_before`: of the sound card, before it played.
-    """
+    """Return what a controller did, compared with the same computed here. Raises CodecError."""
     header, driven = stream.header, session.driven
     offline = stream.decode_integers()
     read_back = result.dac_codes is not None
@@ -172,7 +167,7 @@ def compared(
     # After a lost connection the controller begins in the middle; what it plays then has no simple counterpart here.
     comparable = result.captured_from == 0 and not result.altered
     knows_codes = comparable and session.unknown_note is None
-    at_end = at_the_device(session, result.status, traces, underruns_before)
+    at_end = at_the_device(session, result.status, traces)
     quality = stream.quality or CodingQuality(snr_db=None, snr_db_per_channel=(None,) * header.channels)
     report = Report(
         run=provenance,
@@ -230,11 +225,9 @@ class AtTheDevice(NamedTuple):
     skin_note: str | None
 
 
-def at_the_device(
-    session: Session, status: Status, traces: Sequence[Trace], card_underruns_before: int = 0
-) -> AtTheDevice:
+def at_the_device(session: Session, status: Status, traces: Sequence[Trace]) -> AtTheDevice:
     """Return that part of a playback that ended with this status, of the last trace against the others."""
-    hello, card = session.controller.description, session.controller.sound_card
+    hello = session.controller.description
     device = DeviceDescription(
         session.address,
         hello.build,
@@ -258,8 +251,7 @@ def at_the_device(
         asked_um, asked_rate_hz = [each.displacement_um for each in asked], round(asked[0].displacement_rate_hz)
         skin = compare_channels(asked_um, asked_rate_hz, moved.values, moved.rate_hz)
     note = None if skin is None else limit_note(skin, use.gains_db, use.limited_samples)
-    played_by = card and replace(card, underruns=card.underruns - card_underruns_before)
-    return AtTheDevice(device, played_by, use, skin, note)
+    return AtTheDevice(device, session.controller.sound_card, use, skin, note)
 
 
 def traces_of(

@@ -687,10 +687,9 @@ def play_list(
     The parameters are those of `TrackPlayer`. The error of a single track that cannot be played is that of the list.
     """
     group = Group(len(sessions)) if len(sessions) > 1 else None
-    players, underruns_before = {}, {}
+    players = {}
     for key, session in sessions.items():
-        card = session.controller.sound_card
-        underruns_before[key] = card.underruns if card else 0
+        session.controller.watch_time()
         players[key] = TrackPlayer(
             session,
             sources,
@@ -712,20 +711,13 @@ def play_list(
             compared = None
             if alone and each.played:
                 ((track, result),) = each.played
-                compared = _compared(
-                    sessions[key], track, result, options.loops, underruns_before[key], provenance or Provenance()
-                )
+                compared = _compared(sessions[key], track, result, options.loops, provenance or Provenance())
             results[key] = PlayedList(each.played, each.failures, compared)
     return results
 
 
 def _compared(
-    session: Session,
-    track: Track,
-    result: player.PlaybackResult,
-    loops: int,
-    underruns_before: int,
-    provenance: Provenance,
+    session: Session, track: Track, result: player.PlaybackResult, loops: int, provenance: Provenance
 ) -> Playback:
     """Return what a controller did with a track, compared with the same computed here. Raises CodecError."""
     stream, encoding = track.stream, None
@@ -733,7 +725,7 @@ def _compared(
         encoding = stream.finished()
         stream = encoding.stream
     stream = stream.with_gain(track.gain_db)
-    played = playback.compared(session, track.name, stream, encoding, loops, result, underruns_before, provenance)
+    played = playback.compared(session, track.name, stream, encoding, loops, result, provenance)
     return replace(played, given_samples=track.given_samples)
 
 
