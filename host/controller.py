@@ -4,7 +4,7 @@ import logging
 import math
 import random
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -37,8 +37,6 @@ from vibrocast.device_protocol.messages import (
 from vibrocast.device_protocol.trace import TappedTransport
 from vibrocast.device_protocol.transports import Closing, DeviceGone, Transport, TransportError, selectable
 from vibrocast.errors import NO_DEVICE, VibrocastError
-from vibrocast.host import event_loop
-from vibrocast.host.event_loop import Steps
 from vibrocast.progress import notes
 
 if TYPE_CHECKING:
@@ -73,6 +71,16 @@ _REORDERED_US = 100_000
 
 _Answer = TypeVar("_Answer", bound=Message)
 _Result = TypeVar("_Result")
+
+Steps = Generator[float, bytes, _Result]
+"""Work in steps: each yields for how many seconds it waits at most, and gets the bytes that came, which may be none.
+
+A step that yields a Sleep waits all that time, and reads nothing. What breaks a transport is raised at the yield.
+"""
+
+
+class Sleep(float):
+    """Seconds in which a step reads nothing, as its transport is broken."""
 
 
 class ControllerError(VibrocastError):
@@ -241,7 +249,7 @@ class Controller(Closing):
                 wait = step(given)
                 step = steps.send
                 try:
-                    if isinstance(wait, event_loop.Pause):
+                    if isinstance(wait, Sleep):
                         self._timed(self.sleep, wait)
                         given = b""
                     else:
@@ -386,7 +394,7 @@ class Controller(Closing):
                 if isinstance(error, DeviceGone) or self.clock() >= deadline_s:
                     error.problem = f"{lost}: {error.problem}"
                     raise
-            yield event_loop.Pause(_RECONNECT_PAUSE_S)
+            yield Sleep(_RECONNECT_PAUSE_S)
         now = self.description
         if (now.hardware, now.serial_number) != (before.hardware, before.serial_number):
             raise ControllerError(

@@ -4,32 +4,20 @@ import contextlib
 import heapq
 import itertools
 import selectors
-from collections.abc import Callable, Generator, Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from vibrocast.device_protocol.transports import TransportError
-
-if TYPE_CHECKING:
-    from vibrocast.host.controller import Controller
+from vibrocast.host.controller import Controller, Sleep, Steps
 
 _Result = TypeVar("_Result")
 _Key = TypeVar("_Key", bound=Hashable)
-
-Steps = Generator[float, bytes, _Result]
-"""Work in steps: each yields for how many seconds it waits at most, and gets the bytes that came, which may be none.
-
-A step that yields a Pause waits all that time, and reads nothing. What breaks a transport is raised at the yield.
-"""
 
 # So often the loop looks at transports that have no file to wait for, which are those in simulated time.
 _POLL_S = 0.002
 # The simulated clock counts microseconds.
 _MIN_SLEEP_S = 1e-6
-
-
-class Pause(float):
-    """Seconds in which a step reads nothing, as its transport is broken."""
 
 
 @dataclass(eq=False)
@@ -41,7 +29,7 @@ class _Member(Generic[_Key]):
     """
 
     key: _Key
-    controller: "Controller"
+    controller: Controller
     steps: Steps[Any]
     wait: float = 0.0
     due_s: float = 0.0
@@ -53,10 +41,10 @@ class _Member(Generic[_Key]):
     @property
     def pauses(self) -> bool:
         """Whether nothing is to be read."""
-        return isinstance(self.wait, Pause)
+        return isinstance(self.wait, Sleep)
 
 
-def run_all(works: Mapping[_Key, tuple["Controller", Steps[_Result]]]) -> dict[_Key, _Result | Exception]:
+def run_all(works: Mapping[_Key, tuple[Controller, Steps[_Result]]]) -> dict[_Key, _Result | Exception]:
     """Do the work with all controllers at once; return by key what each gave or raised.
 
     All have the same clock. KeyboardInterrupt, and whatever else is no Exception, is raised in every step that waits;
@@ -75,7 +63,7 @@ def run_all(works: Mapping[_Key, tuple["Controller", Steps[_Result]]]) -> dict[_
 class _Loop(Generic[_Key, _Result]):
     """`_due`: when members are due, the next first; those that have been served meanwhile are there more than once."""
 
-    def __init__(self, works: Mapping[_Key, tuple["Controller", Steps[_Result]]]) -> None:
+    def __init__(self, works: Mapping[_Key, tuple[Controller, Steps[_Result]]]) -> None:
         self._results: dict[_Key, _Result | Exception] = {}
         self._members = [_Member(key, controller, steps) for key, (controller, steps) in works.items()]
         self._left = len(self._members)

@@ -12,8 +12,7 @@ from vibrocast.codec.encoding import GrowingPackets
 from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader, packet_sequence
 from vibrocast.device_protocol.messages import CaptureData, State, Status, StatusRequest, Tap
 from vibrocast.device_protocol.transports import TransportError
-from vibrocast.host.controller import ANSWER_TIMEOUT_S, ConnectionLost, Controller, ControllerError
-from vibrocast.host.event_loop import Steps
+from vibrocast.host.controller import ANSWER_TIMEOUT_S, ConnectionLost, Controller, ControllerError, Steps
 from vibrocast.host.stream_session import (
     READ_BACK_S,
     SLOWEST_BYTES_PER_S,

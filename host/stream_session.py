@@ -34,8 +34,7 @@ from vibrocast.device_protocol.messages import (
     pack,
 )
 from vibrocast.device_protocol.transports import TransportError
-from vibrocast.host.controller import Controller, ControllerError
-from vibrocast.host.event_loop import Steps
+from vibrocast.host.controller import Controller, ControllerError, Steps
 
 _log = logging.getLogger(__name__)
 

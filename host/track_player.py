@@ -26,9 +26,8 @@ from vibrocast.device_protocol.messages import Gain, Pause, Resume, State, Statu
 from vibrocast.errors import InputError
 from vibrocast.files import read_input
 from vibrocast.host import event_loop, playback, player, uploader
-from vibrocast.host.controller import ConnectionLost, Controller, ControllerError
+from vibrocast.host.controller import ConnectionLost, Controller, ControllerError, Sleep, Steps
 from vibrocast.host.devices import Session
-from vibrocast.host.event_loop import Steps
 from vibrocast.host.playback import Playback, output_delay_s
 from vibrocast.host.player import RECONNECT_S
 from vibrocast.host.report import Provenance
@@ -399,7 +398,7 @@ class Group:
         self._begin_if_all_are_here(controller.clock())
         until_s = controller.clock() + _WAIT_S
         while self._start_s is None and controller.clock() < until_s:
-            yield event_loop.Pause(_IDLE_S / 10)
+            yield Sleep(_IDLE_S / 10)
             self._begin_if_all_are_here(controller.clock())  # one may have left
         begins_s = self._start_s if self._start_s is not None else controller.clock()
         return round(1e6 * begins_s + min(trips)[1])
@@ -520,7 +519,7 @@ class TrackPlayer:
         """Play a track from a time on, to its end. Raises _Jump at a command, and as `player.play_steps`."""
         while self._paused:
             self._turn()
-            yield event_loop.Pause(_IDLE_S)
+            yield Sleep(_IDLE_S)
         first = track.refresh_before(start_s)
         if first is None and start_s > 0:
             self._track = track = track.seekable()

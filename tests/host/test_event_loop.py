@@ -10,8 +10,8 @@ from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import State
 from vibrocast.device_protocol.transports import TransportError
 from vibrocast.host import player
-from vibrocast.host.controller import Controller
-from vibrocast.host.event_loop import Pause, Steps, run_all
+from vibrocast.host.controller import Controller, Sleep, Steps
+from vibrocast.host.event_loop import run_all
 from vibrocast.output.actuator import PIEZO_STACK
 from vibrocast.output.rendering import render
 from vibrocast.simulated_device.controller import Controller as SimulatedController
@@ -93,7 +93,7 @@ def test_a_pause_reads_nothing_and_the_others_go_on() -> None:
 
     def pauses() -> Steps[None]:
         wires["0"].change(Fault(cut=True, for_s=0.5))
-        yield Pause(1.0)
+        yield Sleep(1.0)
         order.append("paused")
 
     def polls() -> Steps[None]:

@@ -17,9 +17,8 @@ from vibrocast.device_protocol.coded_stream import StreamError
 from vibrocast.device_protocol.messages import CaptureData, Gain, Message, Pause, Resume, SlotState, Status, Tap
 from vibrocast.device_protocol.model_image import ModelImage
 from vibrocast.host import devices, playback, uploader
-from vibrocast.host.controller import Controller, ControllerError
+from vibrocast.host.controller import Controller, ControllerError, Steps
 from vibrocast.host.devices import actuator_model, session_with
-from vibrocast.host.event_loop import Steps
 from vibrocast.host.playback import Playback
 from vibrocast.host.player import Progress
 from vibrocast.host.stream_session import Capture
