@@ -50,7 +50,8 @@ def option_tables(context: click.Context) -> Iterator[str]:
         yield from (f"| {heading} | |", "|---|---|")
         for option, text in rows:
             described = html.escape(" ".join(text.split()), quote=False).replace("*", r"\*").replace("[", r"\[")
-            yield f"| `{option}` | {described} |"
+            breakable = option.replace("|", "|\u200b")  # a long list of choices may wrap
+            yield f"| `{breakable}` | {described} |"
         yield ""
 
 

@@ -43,7 +43,7 @@ def test_a_part_of_a_page_of_figures_ends_with_its_commit_and_leaves_the_other_p
 
 
 def test_the_tables_of_a_page_are_there_for_latex(tmp_path: Path) -> None:
-    page = "# Codecs\n\n## Rates of `mdct`\n\n| codec | 50 % |\n| --- | ---: |\n| [a_b](x.md) &lt; \\| `c` | **1** |\n"
+    page = "# Codecs\n\n## Rates of `mdct`\n\n| codec | 50 % |\n| --- | ---: |\n| [a_b](x) &lt; \\| `c` | **1**[^1] |\n"
     pages.write_figures(tmp_path / "page.md", page)
     lines = (tmp_path / "page.tex").read_text().splitlines()
     assert lines[1:] == [

@@ -94,9 +94,9 @@ _BAR = re.compile(r"(?<!\\)\|")
 
 
 def _plain(markdown: str) -> str:
-    """Return the text of a cell or a title in Markdown: without links, code marks, emphasis and escapes."""
+    """Return the text of a cell or a title in Markdown: without links, footnotes, code marks, emphasis and escapes."""
     text = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", markdown)
-    return html.unescape(re.sub(r"[`*]|\\(?=[\\|])", "", text)).strip()
+    return html.unescape(re.sub(r"\[\^[^]]*\]|[`*]|\\(?=[\\|])", "", text)).strip()
 
 
 def latex_table(title: str, head: Sequence[str], rows: Iterable[Sequence[str]], columns: str) -> str:

@@ -115,6 +115,7 @@ def redraw(out: Path, maps: Sequence[Map]) -> list[Failure]:
 def markdown(results: Results, command: str) -> str:
     """Return the page."""
     every = pl.concat([cells.select("method", "sound") for cells in results.values()])
+    shares = _shares(results)
     groups: dict[str, list[tuple[Map, bool]]] = {}
     rules: dict[tuple[str, str, str], list[str]] = {}
     for each, cells in results.items():
@@ -128,9 +129,10 @@ def markdown(results: Results, command: str) -> str:
         link=_link,
         conditions=len(every),
         held=every["sound"].sum(),
-        shares=_shares(results),
+        shares=shares,
         left_out=[name for name in WITHOUT_WAVEFORM if name in every["method"]],
         failures=failures(results),
+        of_first=failures(results, shares[0][0]) if len(shares) > 1 else [],
         rules=rules,
         groups=groups,
         messages={each.name: each.message(cells) for each, cells in results.items()},
@@ -152,8 +154,11 @@ def _shares(results: Results) -> list[tuple[str, int]]:
     return [*shares[:1], *sorted(shares[1:], key=lambda each: -each[1])]
 
 
-def failures(results: Results) -> list[Failure]:
-    """Return the failures that have words: crashes, then in the order of known_causes.csv, then those not known."""
+def failures(results: Results, only: str = "") -> list[Failure]:
+    """Return the failures that have words: crashes, then in the order of known_causes.csv, then those not known.
+
+    `only`: those of this method and of its variants, such as "mdct, its own pace", each with its own limits.
+    """
     order = [(known.map, known.failure) for known in known_causes()]
 
     def place(row: Failure) -> int:
@@ -163,7 +168,11 @@ def failures(results: Results) -> list[Failure]:
     found = []
     for each, cells in results.items():
         unsound = cells.filter(~pl.col("sound") & (pl.col("failure") != ""))
-        for (failure,), own in unsound.group_by("failure", maintain_order=True):
+        keys = ["failure"]
+        if only:
+            unsound = unsound.filter(pl.col("method").str.split(", ").list.first() == only)
+            keys.append("method")
+        for (failure, *_), own in unsound.group_by(keys, maintain_order=True):
             where = boundary(each, own, cells)
             found.append(Failure(each, str(failure), _named(own, cells), where, own["remedy"][0]))
     return sorted(found, key=place)
