@@ -30,6 +30,7 @@ NESTED = (
     messages.CodingDescription,
     messages.QueuedStream,
     messages.OutputFaults,
+    messages.FrameFaults,
 )
 _STRUCTS = {
     messages.Status: "vc_status_report",

@@ -546,6 +546,17 @@ class OutputFaults:
 
 
 @dataclass
+class FrameFaults:
+    """Frames with stream data or a position that came out of turn since the controller started.
+
+    `repeated`: brought again what had come. `reordered`: came after later ones.
+    """
+
+    repeated: U32
+    reordered: U32
+
+
+@dataclass
 class Status(Message):
     """State, position, credit and counts: the answer to most requests, and the notification that grants credit.
 
@@ -554,7 +565,7 @@ class Status(Message):
     controller started, the fields after it since Configure. `output_gaps`: how often the DAC had no sample while it was
     away from rest; `late_samples`: for how many of its samples. `signed_images`: model images need a signature.
     `coding`: in the answers to Configure and Queue alone, since version 2.1. `queued`: while a stream is set up behind
-    the one under way, since version 2.2. `output_faults`: once there are any, since version 2.2.
+    the one under way, since version 2.2. `output_faults`, `frame_faults`: once there are any, since version 2.2.
     """
 
     TYPE = 0x81
@@ -578,6 +589,7 @@ class Status(Message):
     coding: Annotated[CodingDescription | None, Tag(0x01, "coding, in the answers to Configure and Queue")] = None
     queued: Annotated[QueuedStream | None, Tag(0x02, "queued, while a stream waits behind the one under way")] = None
     output_faults: Annotated[OutputFaults | None, Tag(0x03, "output faults, once there are any")] = None
+    frame_faults: Annotated[FrameFaults | None, Tag(0x04, "frame faults, once there are any")] = None
 
     @property
     def output_refused(self) -> int:
@@ -589,9 +601,21 @@ class Status(Message):
         """How often the output was set up again since Configure."""
         return 0 if self.output_faults is None else self.output_faults.restarts
 
+    @property
+    def repeated_frames(self) -> int:
+        """How many frames brought again what had come, since the controller started."""
+        return 0 if self.frame_faults is None else self.frame_faults.repeated
+
+    @property
+    def reordered_frames(self) -> int:
+        """How many frames came after later ones, since the controller started."""
+        return 0 if self.frame_faults is None else self.frame_faults.reordered
+
 
 COUNTERS = (
     "bad_frames",
+    "repeated_frames",
+    "reordered_frames",
     "underruns",
     "lost_packets",
     "compensation_clipped",

@@ -89,6 +89,7 @@ fields.status_signed_images = ProtoField.uint8("vibrocast.status.signed_images",
 fields.status_coding = ProtoField.bytes("vibrocast.status.coding", "coding")
 fields.status_queued = ProtoField.bytes("vibrocast.status.queued", "queued")
 fields.status_output_faults = ProtoField.bytes("vibrocast.status.output_faults", "output_faults")
+fields.status_frame_faults = ProtoField.bytes("vibrocast.status.frame_faults", "frame_faults")
 fields.capture_data_tap = ProtoField.uint8("vibrocast.capture_data.tap", "tap", base.DEC, {[0] = "DECODED", [1] = "DAC"})
 fields.capture_data_channels = ProtoField.uint8("vibrocast.capture_data.channels", "channels")
 fields.capture_data_offset = ProtoField.uint64("vibrocast.capture_data.offset", "offset")
@@ -137,6 +138,8 @@ fields.queued_stream_stream = ProtoField.uint8("vibrocast.queued_stream.stream",
 fields.queued_stream_credit_until = ProtoField.uint64("vibrocast.queued_stream.credit_until", "credit_until")
 fields.output_faults_refused = ProtoField.uint32("vibrocast.output_faults.refused", "refused")
 fields.output_faults_restarts = ProtoField.uint32("vibrocast.output_faults.restarts", "restarts")
+fields.frame_faults_repeated = ProtoField.uint32("vibrocast.frame_faults.repeated", "repeated")
+fields.frame_faults_reordered = ProtoField.uint32("vibrocast.frame_faults.reordered", "reordered")
 
 -- Of each struct: name and kind of its fields, in their order; by tag, the struct or the name of a plain value.
 local structs = {
@@ -234,7 +237,7 @@ local structs = {
     },
     status = {
         fields = { { "state", "u8" }, { "stream", "u8" }, { "device_time_us", "u64" }, { "position", "u64" }, { "credit_until", "u64" }, { "buffered_samples", "u32" }, { "bad_frames", "u32" }, { "underruns", "u32" }, { "lost_packets", "u32" }, { "compensation_clipped", "u32" }, { "voltage_limited", "u32" }, { "slew_limited", "u32" }, { "power_limited", "u32" }, { "output_gaps", "u32" }, { "late_samples", "u32" }, { "signed_images", "u8" },  },
-        tags = { [1] = { "coding", "coding_description" }, [2] = { "queued", "queued_stream" }, [3] = { "output_faults", "output_faults" },  },
+        tags = { [1] = { "coding", "coding_description" }, [2] = { "queued", "queued_stream" }, [3] = { "output_faults", "output_faults" }, [4] = { "frame_faults", "frame_faults" },  },
     },
     capture_data = {
         fields = { { "tap", "u8" }, { "channels", "u8" }, { "offset", "u64" }, { "end", "u64" }, { "data", "bytes" },  },
@@ -278,6 +281,10 @@ local structs = {
     },
     output_faults = {
         fields = { { "refused", "u32" }, { "restarts", "u32" },  },
+        tags = {  },
+    },
+    frame_faults = {
+        fields = { { "repeated", "u32" }, { "reordered", "u32" },  },
         tags = {  },
     },
 }

@@ -19,6 +19,7 @@ const TAPS = { DECODED: 0, DAC: 1 };
 /** @typedef {{ packet_samples: number, delay_samples: number }} CodingDescription */
 /** @typedef {{ stream: number, credit_until: number }} QueuedStream */
 /** @typedef {{ refused: number, restarts: number }} OutputFaults */
+/** @typedef {{ repeated: number, reordered: number }} FrameFaults */
 /** @typedef {{ major: number, minor: number }} HelloMessage */
 /** @typedef {{ }} StatusRequestMessage */
 /** @typedef {{ stream: number, compensation: number, prebuffer_samples: number, packets: number, first_packet: number, loops: number, gain: number, header: Uint8Array }} ConfigureMessage */
@@ -42,7 +43,7 @@ const TAPS = { DECODED: 0, DAC: 1 };
 /** @typedef {{ device_time_us: number, position_nm: number }} PositionMessage */
 /** @typedef {{ stream: number, packet: Uint8Array }} SinglePacketMessage */
 /** @typedef {{ major: number, minor: number, build: string, hardware: string, limits: Limits, actuator: ActuatorDescription, codecs: CodecDescription[], images: ImageDescription[], public_key: Uint8Array, serial_number: string }} HelloResponseMessage */
-/** @typedef {{ state: number, stream: number, device_time_us: number, position: number, credit_until: number, buffered_samples: number, bad_frames: number, underruns: number, lost_packets: number, compensation_clipped: number, voltage_limited: number, slew_limited: number, power_limited: number, output_gaps: number, late_samples: number, signed_images: number, coding: CodingDescription | null, queued: QueuedStream | null, output_faults: OutputFaults | null }} StatusMessage */
+/** @typedef {{ state: number, stream: number, device_time_us: number, position: number, credit_until: number, buffered_samples: number, bad_frames: number, underruns: number, lost_packets: number, compensation_clipped: number, voltage_limited: number, slew_limited: number, power_limited: number, output_gaps: number, late_samples: number, signed_images: number, coding: CodingDescription | null, queued: QueuedStream | null, output_faults: OutputFaults | null, frame_faults: FrameFaults | null }} StatusMessage */
 /** @typedef {{ tap: number, channels: number, offset: number, end: number, data: Uint8Array }} CaptureDataMessage */
 /** @typedef {{ slot: number, state: number, next_offset: number, sha256: Uint8Array }} FlashStatusMessage */
 /** @typedef {{ slot: number, size_bytes: number, offset: number, data: Uint8Array }} FlashContentsMessage */
@@ -84,6 +85,11 @@ const LAYOUTS = {
     OutputFaults: {
         type: null,
         fields: [["refused", "u32"], ["restarts", "u32"]],
+        tags: { },
+    },
+    FrameFaults: {
+        type: null,
+        fields: [["repeated", "u32"], ["reordered", "u32"]],
         tags: { },
     },
     Hello: {
@@ -204,7 +210,7 @@ const LAYOUTS = {
     Status: {
         type: 0x81,
         fields: [["state", "u8"], ["stream", "u8"], ["device_time_us", "u64"], ["position", "u64"], ["credit_until", "u64"], ["buffered_samples", "u32"], ["bad_frames", "u32"], ["underruns", "u32"], ["lost_packets", "u32"], ["compensation_clipped", "u32"], ["voltage_limited", "u32"], ["slew_limited", "u32"], ["power_limited", "u32"], ["output_gaps", "u32"], ["late_samples", "u32"], ["signed_images", "u8"]],
-        tags: { 1: { name: "coding", kind: "CodingDescription", list: false, optional: true }, 2: { name: "queued", kind: "QueuedStream", list: false, optional: true }, 3: { name: "output_faults", kind: "OutputFaults", list: false, optional: true } },
+        tags: { 1: { name: "coding", kind: "CodingDescription", list: false, optional: true }, 2: { name: "queued", kind: "QueuedStream", list: false, optional: true }, 3: { name: "output_faults", kind: "OutputFaults", list: false, optional: true }, 4: { name: "frame_faults", kind: "FrameFaults", list: false, optional: true } },
     },
     CaptureData: {
         type: 0x82,

@@ -16,6 +16,7 @@ from vibrocast.device_protocol.messages import (
     Gain,
     Loop,
     Pause,
+    Queue,
     Resume,
     Start,
     State,
@@ -32,6 +33,7 @@ from vibrocast.harness.conformance.streams import (
     held_samples,
     lasting_stream,
     need_capture,
+    need_since,
     play_on,
     stream_for,
 )
@@ -172,6 +174,18 @@ def test_packets_are_sorted(probe: Probe, stream: Stream) -> None:
     probe.expect(Start(), Status)
     without_loss(finished(probe, stream))
     decoded_as(probe, decoded(stream), "packets out of order")
+
+
+@section("Playing: Stream data")
+def test_frames_out_of_turn_are_counted(probe: Probe, stream: Stream) -> None:
+    """The controller counts frames that come twice, and frames that come after later ones."""
+    need_since(probe.description, Queue)
+    before = probe.configure(stream)
+    for number in (1, 0, 0, 1):
+        probe.send_packets(before.stream, [stream.packets[number]])
+    after = probe.status()
+    counted = (after.repeated_frames - before.repeated_frames, after.reordered_frames - before.reordered_frames)
+    assert counted == (2, 1), f"expected 2 repeated frames and 1 reordered one, came {describe(after)}"
 
 
 @section("Playing: Configure")

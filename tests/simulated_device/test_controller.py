@@ -102,6 +102,28 @@ def test_the_dac_gets_the_codes_that_are_captured_in_all_channels_and_for_any_st
     np.testing.assert_array_equal(bench.all_codes(), rendered(played, gain=0.5))
 
 
+def test_each_frame_out_of_turn_counts_once_also_after_its_time() -> None:
+    bench, played = Bench(), stream()
+    bench.configure(played)
+    packets = played.packets
+
+    def counts(*frames: slice) -> tuple[int, int]:
+        for part in frames:
+            bench.send_payload(pack(StreamData(7, 0, packets[part])))
+        return bench.status().repeated_frames, bench.status().reordered_frames
+
+    assert counts(slice(0, 3), slice(3, 6)) == (0, 0)
+    assert counts(slice(3, 6), slice(0, 3)) == (2, 0)
+    assert counts(slice(8, 10), slice(6, 8)) == (2, 1)
+    bench.ask(Start())
+    bench.run(round(1e3 * 11 * played.packet_samples / RATE_HZ))  # two packets are late
+    assert counts(slice(9, 10)) == (3, 1)
+    assert counts(slice(10, 11), slice(10, 11)) == (4, 1)
+    assert counts(slice(3, 4)) == (4, 2)
+    bench.configure(played)
+    assert counts(slice(0, 3)) == (4, 2)
+
+
 def test_controllers_started_for_one_time_play_together() -> None:
     played = stream()
     benches = [Bench(), Bench()]

@@ -251,6 +251,16 @@ def test_controller_puts_out_what_is_computed() -> None:
     assert not bench.all_codes()[-1].any()
 
 
+def test_positions_out_of_turn_are_counted() -> None:
+    bench = Bench(BOARD)
+    bench.start_all(coded())
+    bench.run(1)
+    now_us = bench.status().device_time_us
+    for time_us in (now_us - 20, now_us - 10, now_us - 10, now_us - 20, now_us + 10**6, now_us + 10**6 + 1, 0, 0):
+        bench.send_payload(pack(Position(time_us, 0)))
+    assert (bench.status().repeated_frames, bench.status().reordered_frames) == (1, 1)
+
+
 def test_sensor_on_the_board_is_followed_and_positions_of_the_host_are_not() -> None:
     stream = coded()
     bench = Bench(replace(BOARD, position_sensor=lambda now_us: 50 * now_us))

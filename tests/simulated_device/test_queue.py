@@ -65,6 +65,19 @@ def send(bench: Bench, played: Stream, number: int = 8) -> None:
         bench.run(10)
 
 
+def test_frames_out_of_turn_are_counted_ahead_of_their_stream_and_after_it_has_begun() -> None:
+    bench = Bench()
+    begun(bench)
+    queue(bench, SECOND)
+    for number in (1, 0, 1):
+        bench.send_payload(pack(SinglePacket(8, SECOND.packets[number])))
+    assert (bench.status().repeated_frames, bench.status().reordered_frames) == (1, 1)
+    bench.run(700)
+    bench.send_payload(pack(SinglePacket(8, SECOND.packets[1])))
+    status = bench.status()
+    assert (status.stream, status.repeated_frames, status.reordered_frames) == (8, 2, 1)
+
+
 @pytest.mark.parametrize("loops", [1, 2])
 def test_it_follows_without_a_gap_bit_for_bit(loops: int) -> None:
     bench = Bench()

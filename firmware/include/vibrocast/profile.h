@@ -76,6 +76,8 @@ void vc_profile_begin(vc_profile *profile);
  * farther than 2^40 nm (1.1 km) from the origin, is dropped. The last 64 positions are kept. Returns nonzero for one
  * that came too late: the hand has moved since the position before, and was rendered at rest. */
 int vc_profile_position(vc_profile *profile, uint64_t time_us, int64_t position_nm);
+/* Returns the time of the last position; 0 without one. */
+uint64_t vc_profile_newest_us(const vc_profile *profile);
 
 /* Writes one sample of each channel: the heights under the smoothed hand at this time, a DAC sample after the last one.
  * Without a position they are 0. All samples must have been loaded, and the octaves made. */

@@ -72,6 +72,8 @@ static vc_status_report status_of(vc_controller *controller)
         vc_playback_report(&controller->playback, &status);
     status.device_time_us = controller->time_us;
     status.bad_frames = vc_frame_reader_bad_frames(&controller->reader);
+    if (controller->frame_faults.repeated || controller->frame_faults.reordered)
+        status.frame_faults = &controller->frame_faults;
     status.signed_images = controller->settings->public_key != NULL;
     return status;
 }
@@ -81,8 +83,12 @@ static void write_status(vc_controller *controller, vc_frame_writer *writer, uin
                          const vc_coding_description *coding)
 {
     vc_status_report status = status_of(controller);
-    controller->last_report = status;
     controller->reported = 1;
+    controller->last_state = status.state;
+    controller->last_stream = status.stream;
+    controller->last_underruns = status.underruns;
+    controller->last_credit_until = status.credit_until;
+    controller->last_time_us = status.device_time_us;
     status.coding = coding;
     vc_write_status(writer, sequence, &status);
 }
@@ -102,18 +108,17 @@ static void send_error(vc_controller *controller, uint16_t sequence, const vc_re
 /* Sends a Status after an event that the host must know, and after some time without one. */
 static void notify(vc_controller *controller)
 {
-    const vc_status_report *last = &controller->last_report;
     uint8_t frame[SMALL_FRAME_BYTES];
     vc_frame_writer writer;
     vc_status_report status;
     if (!controller->in_session || !controller->configured)
         return;
     status = status_of(controller);
-    if (controller->reported && status.state == last->state && status.stream == last->stream &&
-        status.underruns <= last->underruns &&
-        status.credit_until < last->credit_until + vc_playback_capacity_samples(&controller->playback) / 4 &&
+    if (controller->reported && status.state == controller->last_state && status.stream == controller->last_stream &&
+        status.underruns <= controller->last_underruns &&
+        status.credit_until < controller->last_credit_until + vc_playback_capacity_samples(&controller->playback) / 4 &&
         !((status.state == VC_STATE_ARMED || status.state == VC_STATE_PLAYING) &&
-          status.device_time_us - last->device_time_us >= STATUS_INTERVAL_US))
+          status.device_time_us - controller->last_time_us >= STATUS_INTERVAL_US))
         return;
     if (outgoing_bytes(controller) >= UNREAD_NOTIFICATIONS_BYTES)
         return;
@@ -512,13 +517,23 @@ static void take_request(vc_controller *controller, const vc_message *message)
     }
 }
 
+/* Takes the packets of a message with stream data. The last one says how the message came. */
+static enum vc_arrival add_packets(vc_controller *controller, vc_stream_data *data)
+{
+    enum vc_arrival arrival = VC_IN_TURN;
+    vc_piece packet;
+    while (vc_next_item(&data->packets, &packet))
+        arrival = vc_playback_add(&controller->playback, data->stream, data->iteration, packet, controller->time_us);
+    return arrival;
+}
+
 /* Acts on a message and answers it; docs/reference/protocol.md, "Sequence numbers". */
 static void handle(vc_controller *controller, vc_piece payload)
 {
     vc_playback *playback = &controller->playback;
+    enum vc_arrival arrival = VC_IN_TURN;
     vc_message message;
     vc_rejection rejection;
-    vc_piece packet;
     int rejected;
     if (payload.bytes[0] >= VC_FIRST_FROM_CONTROLLER)
         return;
@@ -536,19 +551,21 @@ static void handle(vc_controller *controller, vc_piece payload)
         greet(controller, message.sequence, &message.body.hello);
     } else if (message.type == VC_POSITION) {
         if (controller->configured && controller->settings->position == NULL)
-            vc_playback_position(playback, message.body.position.device_time_us, message.body.position.position_nm,
-                                 controller->time_us);
+            arrival = vc_playback_position(playback, message.body.position.device_time_us,
+                                           message.body.position.position_nm, controller->time_us);
     } else if (message.type == VC_SINGLE_PACKET) {
         if (controller->configured)
-            vc_playback_add(playback, message.body.single_packet.stream, 0, message.body.single_packet.packet,
-                            controller->time_us);
+            arrival = vc_playback_add(playback, message.body.single_packet.stream, 0, message.body.single_packet.packet,
+                                      controller->time_us);
     } else if (message.type != VC_STREAM_DATA) {
         take_request(controller, &message);
     } else if (controller->configured) {
-        while (vc_next_item(&message.body.stream_data.packets, &packet))
-            vc_playback_add(playback, message.body.stream_data.stream, message.body.stream_data.iteration, packet,
-                            controller->time_us);
+        arrival = add_packets(controller, &message.body.stream_data);
     }
+    if (arrival == VC_REPEATED)
+        vc_count_one(&controller->frame_faults.repeated);
+    else if (arrival == VC_REORDERED)
+        vc_count_one(&controller->frame_faults.reordered);
 }
 
 /* ---- time ---- */
@@ -599,6 +616,7 @@ int vc_controller_init(vc_controller *controller, const vc_controller_settings *
     controller->playback.sizes = vc_playback_sizes(settings);
     controller->playback.hand_delay_us = settings->position != NULL ? 0 : VC_HAND_DELAY_US;
     vc_frame_reader_init(&controller->reader);
+    controller->frame_faults.repeated = controller->frame_faults.reordered = 0;
     vc_image_store_init(&controller->images, flash, settings, vc_tables_check, settings->callbacks);
     start_idle(controller);
     return VC_OK;
@@ -614,7 +632,7 @@ int vc_controller_advance(vc_controller *controller, uint64_t now_us)
     if (!controller->configured)
         return 0;
     if (controller->settings->position != NULL && is_active(playback->state))
-        vc_playback_position(
+        (void)vc_playback_position(
             playback, controller->time_us,
             controller->settings->position(controller->settings->position_context, controller->time_us),
             controller->time_us);

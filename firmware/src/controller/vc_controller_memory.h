@@ -12,6 +12,7 @@ struct vc_controller {
     uint64_t dac_free_us;       /* time at which another stream may use the DAC */
     vc_image_store images;
     vc_frame_reader reader;
+    vc_frame_faults frame_faults;
 
     /* The session: the sequence numbers of the Hello and of the last request, and the answer to that. */
     int in_session;
@@ -19,8 +20,11 @@ struct vc_controller {
     uint32_t answer_bytes;
     uint8_t answer[VC_FRAME_BYTES];
 
-    int reported; /* `last_report` is valid */
-    vc_status_report last_report;
+    /* What the last Status said, if there was one. */
+    int reported;
+    uint8_t last_state, last_stream;
+    uint32_t last_underruns;
+    uint64_t last_credit_until, last_time_us;
     uint32_t outgoing_at, outgoing_end; /* bytes that wait for the host */
     uint8_t outgoing[VC_OUTGOING_BYTES];
 

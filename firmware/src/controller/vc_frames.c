@@ -51,8 +51,7 @@ size_t vc_frame_reader_feed(vc_frame_reader *reader, const uint8_t *data, size_t
                 return taken + 1;
             }
             reader->length = 0;
-            if (reader->bad_frames < UINT32_MAX)
-                reader->bad_frames++;
+            vc_count_one(&reader->bad_frames);
         }
     }
     return taken;

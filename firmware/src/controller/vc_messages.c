@@ -274,6 +274,13 @@ static void write_output_faults(vc_frame_writer *writer, uint8_t tag, const vc_o
     vc_frame_write_number(writer, value->restarts, 4);
 }
 
+static void write_frame_faults(vc_frame_writer *writer, uint8_t tag, const vc_frame_faults *value)
+{
+    write_tag(writer, tag, 4 + 4);
+    vc_frame_write_number(writer, value->repeated, 4);
+    vc_frame_write_number(writer, value->reordered, 4);
+}
+
 void vc_write_hello_response(vc_frame_writer *writer, uint16_t sequence, const vc_hello_response *message)
 {
     unsigned i;
@@ -321,6 +328,8 @@ void vc_write_status(vc_frame_writer *writer, uint16_t sequence, const vc_status
         write_queued_stream(writer, 2, message->queued);
     if (message->output_faults != NULL)
         write_output_faults(writer, 3, message->output_faults);
+    if (message->frame_faults != NULL)
+        write_frame_faults(writer, 4, message->frame_faults);
 }
 
 void vc_write_capture_data(vc_frame_writer *writer, uint16_t sequence, const vc_capture_data *message)

@@ -187,6 +187,13 @@ typedef struct {
     uint32_t restarts;
 } vc_output_faults;
 
+/* Frames with stream data or a position that came out of turn since the controller started. `repeated`: brought again
+ * what had come. `reordered`: came after later ones. */
+typedef struct {
+    uint32_t repeated;
+    uint32_t reordered;
+} vc_frame_faults;
+
 /* The controller's version, limits, actuator, codecs and model images. `public_key`: of Ed25519; model images need its
  * signature. Empty: they need none. `serial_number`: of the board; empty: it has none. */
 typedef struct {
@@ -210,7 +217,7 @@ typedef struct {
  * started, the fields after it since Configure. `output_gaps`: how often the DAC had no sample while it was away from
  * rest; `late_samples`: for how many of its samples. `signed_images`: model images need a signature. `coding`: in the
  * answers to Configure and Queue alone, since version 2.1. `queued`: while a stream is set up behind the one under way,
- * since version 2.2. `output_faults`: once there are any, since version 2.2. */
+ * since version 2.2. `output_faults`, `frame_faults`: once there are any, since version 2.2. */
 typedef struct {
     uint8_t state;
     uint8_t stream;
@@ -231,6 +238,7 @@ typedef struct {
     const vc_coding_description *coding; /* NULL: none */
     const vc_queued_stream *queued; /* NULL: none */
     const vc_output_faults *output_faults; /* NULL: none */
+    const vc_frame_faults *frame_faults; /* NULL: none */
 } vc_status_report;
 
 /* Captured samples, int16 little-endian, channels interleaved. `offset`: of the first sample, later than requested if

@@ -27,12 +27,6 @@ static uint64_t scaled_up(uint64_t value, uint32_t numerator, uint32_t denominat
     return value / denominator * numerator + (value % denominator * numerator + denominator - 1) / denominator;
 }
 
-static void count_one(uint32_t *count)
-{
-    if (*count < UINT32_MAX)
-        (*count)++;
-}
-
 /* ---- captures ---- */
 
 static void capture(vc_capture *capture, const int16_t *samples, uint32_t count, unsigned channels)
@@ -335,12 +329,12 @@ static void begin_packet(vc_playback *playback)
     packet = vc_packet_buffer_find(&playback->buffer, playback->key + number, &length);
     starved = playback->newest_end <= number;
     if (starved && !playback->starved)
-        count_one(&playback->underruns);
+        vc_count_one(&playback->underruns);
     playback->starved = starved;
     if (packet != NULL) /* later packets may take its place in the buffer before it is decoded */
         memcpy(playback->packet, packet, length);
     if (packet == NULL || !vc_decoder_feed(&playback->decoder, playback->packet, length)) {
-        count_one(&playback->lost_packets);
+        vc_count_one(&playback->lost_packets);
         (void)vc_decoder_feed(&playback->decoder, NULL, 0);
     }
     vc_packet_buffer_remove(&playback->buffer, playback->key + number);
@@ -359,16 +353,12 @@ static void begin_packet(vc_playback *playback)
 /* Goes on with the stream behind the one that has been decoded to its end, as with a further iteration. */
 static void begin_next(vc_playback *playback)
 {
-    uint64_t number;
-    size_t length;
     playback->key += end_of(playback);
-    playback->next = playback->newest_end = 0;
+    playback->next = 0;
+    playback->newest_end = playback->next_newest_end;
     playback->joins = 1;
     describe(playback, playback->queued.stream, &playback->next_header, &playback->next_coding, playback->next_packets,
              playback->next_loops);
-    for (number = 0; number < credit_of(playback); number++)
-        if (vc_packet_buffer_find(&playback->buffer, playback->key + number, &length) != NULL)
-            playback->newest_end = number + 1;
     vc_drive_join(drive_of(playback));
 }
 
@@ -462,41 +452,56 @@ int vc_playback_queue(vc_playback *playback, const vc_configure *configure, cons
     playback->next_coding.configuration = playback->next_header.configuration;
     playback->next_packets = configure->packets;
     playback->next_loops = configure->loops;
+    playback->next_newest_end = 0;
     return 0;
 }
 
-void vc_playback_add(vc_playback *playback, uint8_t stream, uint32_t iteration, vc_piece packet, uint64_t time_us)
+enum vc_arrival vc_playback_add(vc_playback *playback, uint8_t stream, uint32_t iteration, vc_piece packet,
+                                uint64_t time_us)
 {
-    uint32_t sequence;
-    int refresh;
-    uint64_t number;
     const int is_next = playback->has_next && stream == playback->queued.stream;
     const uint32_t packets = is_next ? playback->next_packets : playback->packets;
+    uint64_t *newest_end = is_next ? &playback->next_newest_end : &playback->newest_end;
+    enum vc_arrival arrival = VC_IN_TURN;
+    uint64_t number, key, end;
+    uint32_t sequence;
+    size_t length;
+    int refresh, late;
     if ((stream != playback->stream && !is_next) || playback->state < VC_STATE_BUFFERING ||
         playback->state > VC_STATE_PAUSED || packet.length > VC_MAX_PACKET_BYTES ||
         vc_packet_sequence(packet.bytes, packet.length, &sequence, &refresh) != 0 ||
         (playback->open ? iteration > 0 : sequence >= packets))
-        return;
+        return VC_IN_TURN;
     number = (uint64_t)iteration * packets + sequence;
-    if (is_next) {
-        if (number < next_credit_of(playback) && (playback->next_loops == 0 || iteration < playback->next_loops))
-            (void)vc_packet_buffer_add(&playback->buffer, playback->key + end_of(playback) + number, packet.bytes,
-                                       packet.length);
-        return;
-    }
-    if (number < playback->next || number >= credit_of(playback) || number >= end_of(playback))
-        return;
-    (void)vc_packet_buffer_add(&playback->buffer, playback->key + number, packet.bytes, packet.length);
-    if (number >= playback->newest_end)
-        playback->newest_end = number + 1;
-    playback->waiting_since_us = time_us;
+    end = is_next ? (playback->next_loops == 0 ? NO_END : (uint64_t)playback->next_loops * packets) : end_of(playback);
+    if (number >= (is_next ? next_credit_of(playback) : credit_of(playback)) || number >= end)
+        return VC_IN_TURN;
+    late = !is_next && number < playback->next;
+    key = playback->key + (is_next ? end_of(playback) : 0) + number;
+    if (number >= *newest_end)
+        *newest_end = number + 1;
+    else if (number + 1 == *newest_end || (!late && vc_packet_buffer_find(&playback->buffer, key, &length) != NULL))
+        arrival = VC_REPEATED; /* a copy comes right behind its packet, or while that waits */
+    else
+        arrival = VC_REORDERED;
+    if (late)
+        return arrival;
+    (void)vc_packet_buffer_add(&playback->buffer, key, packet.bytes, packet.length);
+    if (!is_next)
+        playback->waiting_since_us = time_us;
+    return arrival;
 }
 
-void vc_playback_position(vc_playback *playback, uint64_t hand_us, int64_t position_nm, uint64_t time_us)
+enum vc_arrival vc_playback_position(vc_playback *playback, uint64_t hand_us, int64_t position_nm, uint64_t time_us)
 {
-    if (playback->spatial && playback->state >= VC_STATE_BUFFERING && playback->state <= VC_STATE_PAUSED &&
-        vc_profile_position(playback->profile, hand_us > 0 ? least(hand_us, time_us) : time_us, position_nm))
-        count_one(&playback->underruns);
+    enum vc_arrival arrival = VC_IN_TURN;
+    if (!playback->spatial || playback->state < VC_STATE_BUFFERING || playback->state > VC_STATE_PAUSED)
+        return arrival;
+    if (hand_us > 0 && hand_us <= vc_profile_newest_us(playback->profile))
+        arrival = hand_us == vc_profile_newest_us(playback->profile) ? VC_REPEATED : VC_REORDERED;
+    if (vc_profile_position(playback->profile, hand_us > 0 ? least(hand_us, time_us) : time_us, position_nm))
+        vc_count_one(&playback->underruns);
+    return arrival;
 }
 
 /* ---- requests of the host ---- */

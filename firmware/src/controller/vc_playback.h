@@ -22,6 +22,9 @@
 #define VC_PIECE_SAMPLES 32u
 #define VC_TURN_PIECES 16u
 
+/* How a packet or a position came, after those before it. */
+enum vc_arrival { VC_IN_TURN, VC_REPEATED, VC_REORDERED };
+
 /* The last samples of a signal, by their number since the start. */
 typedef struct {
     uint32_t size; /* samples that it keeps */
@@ -54,6 +57,7 @@ typedef struct {
     vc_coding next_coding;
     uint32_t next_packets;
     uint16_t next_loops;
+    uint64_t next_newest_end; /* its `newest_end` */
 
     /* Where it is. */
     enum vc_state state;
@@ -113,10 +117,11 @@ int vc_playback_queue(vc_playback *playback, const vc_configure *configure, cons
                       const vc_coding *coding, vc_rejection *rejection);
 
 /* Sorts in a packet of a message; drops it if it comes twice, too late, beyond credit or beyond the end. */
-void vc_playback_add(vc_playback *playback, uint8_t stream, uint32_t iteration, vc_piece packet, uint64_t time_us);
+enum vc_arrival vc_playback_add(vc_playback *playback, uint8_t stream, uint32_t iteration, vc_piece packet,
+                                uint64_t time_us);
 
 /* Takes where the hand was at a time of the controller's clock, at most the present one; 0: now. */
-void vc_playback_position(vc_playback *playback, uint64_t hand_us, int64_t position_nm, uint64_t time_us);
+enum vc_arrival vc_playback_position(vc_playback *playback, uint64_t hand_us, int64_t position_nm, uint64_t time_us);
 
 /* Arms: plays from `start_us` on, or as soon as the prebuffer is there if that is later. */
 void vc_playback_start(vc_playback *playback, uint64_t start_us, uint64_t time_us);

@@ -19,6 +19,13 @@ void *memset(void *destination, int value, size_t length);
 /* Start of an adaptive decision's probability, in 1/65536, if nothing is known. */
 #define VC_UNTRAINED 32768u
 
+/* Counts one more, up to the highest number. */
+static inline void vc_count_one(uint32_t *count)
+{
+    if (*count < UINT32_MAX)
+        (*count)++;
+}
+
 /* Packet head: sequence * 2 + refresh, LEB128. The reader returns the bytes taken, or 0 when there is no valid head;
  * the writer the bytes written, at most VC_PACKET_HEAD_BYTES. */
 size_t vc_packet_head_read(const uint8_t *packet, size_t length, uint32_t *sequence, int *refresh);

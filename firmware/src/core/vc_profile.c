@@ -150,6 +150,11 @@ void vc_profile_begin(vc_profile *profile)
     profile->level = 0;
 }
 
+uint64_t vc_profile_newest_us(const vc_profile *profile)
+{
+    return profile->positions > 0 ? profile->hand[(profile->positions - 1) % VC_KEPT_POSITIONS].time_us : 0;
+}
+
 int vc_profile_position(vc_profile *profile, uint64_t time_us, int64_t position_nm)
 {
     const int64_t rate = profile->samples_per_metre;
