@@ -9,7 +9,7 @@ from vibrocast.codec.encoding import encode_recording
 from vibrocast.harness.sensors import Recorder, recorded
 from vibrocast.host import playback, player
 from vibrocast.host.devices import Session
-from vibrocast.host.figures import Value
+from vibrocast.host.figures import WIRE_FIGURES, Value
 from vibrocast.host.picture import third_octave_levels
 from vibrocast.host.playback import compare_skin, displacement_above_20_hz, high_passed
 from vibrocast.host.report import Report
@@ -44,7 +44,7 @@ class Fidelity:
 
     def figures(self) -> Iterator[Value]:
         """Yield the figures of the comparison and of the losses; the delay of a file is not that of a live stream."""
-        yield from (value for value in self.report.figures() if value.key not in ("latency_ms", "bad_frames"))
+        yield from (value for value in self.report.figures() if value.key not in ("latency_ms", *WIRE_FIGURES))
         yield Value("lag_ms", self.report.file, self.lag_ms)
 
 

@@ -17,21 +17,13 @@ from vibrocast.harness.load import Gap, Load, Throughput
 from vibrocast.harness.measurements import Together, misfits
 from vibrocast.harness.response import Response
 from vibrocast.host.bench_file import Bench
-from vibrocast.host.figures import FIGURES, Finding, Noted, Value, findings, judged
+from vibrocast.host.figures import FIGURES, WIRE_FIGURES, Finding, Noted, Value, findings, judged
 from vibrocast.host.report import Provenance
 
 PAGE, JSON, ACTUATOR = "measured.html", "measured.json", "actuator.toml"
 FORMAT, SCHEMA = "vibrocast measurements", 3
 LINK = "link"
 """What went wrong on the link in the whole run, beside the measurements."""
-LINK_COUNTERS = {
-    "bad_frames_at_host": "bad_frames",
-    "repeated_frames": "repeated_frames",
-    "reordered_frames": "reordered_frames",
-    "repeated_requests": "repeated_requests",
-    "device_restarts": "device_restarts",
-}
-"""Counts of `Results.link` with the attributes of a Controller; `bad_frames_at_controller` is of its Status."""
 _MAX_BYTES = 1 << 26
 
 
@@ -59,7 +51,7 @@ STABLE = tuple(name for name in NAMES if name not in ("smallest", "load", "gap")
 class Results:
     """A run: the device, the host, and what was measured; `failed`: why others were not, by NAMES.
 
-    `asked`: the names that were to be measured. `link`: LINK_COUNTERS and `bad_frames_at_controller`.
+    `asked`: the names that were to be measured. `link`: counts of the frames that went wrong on the wire.
     `missed`: the limits of the bench file that were missed, in words. `doubts`: why this machine may have made the
     figures of a measurement worse, by its name; one that kept its time has none.
     """
@@ -122,7 +114,7 @@ _FIGURES_OF: dict[str, Callable[[Any], Iterable[Value]]] = {
 }
 _ALWAYS_KNOWN = ("smallest_latency_ms",)
 """Figures that every working device has; others need a sensor, a capture or an unequal copy."""
-_COUNTED = ("as_decoded", "as_computed", "underruns", "lost_percent", "bad_frames")
+_COUNTED = ("as_decoded", "as_computed", "underruns", "lost_percent", *WIRE_FIGURES)
 _AT_SKIN = {"snr_db", "playing_snr_db", "st_sim", "gain", "lag_ms", "corner_hz", "stroke_um", "quality"}
 _WHAT_A_DEVICE_IS = ("hardware", "serial_number", "actuator")
 

@@ -14,7 +14,7 @@ from vibrocast.device_protocol.transports import TransportError
 from vibrocast.files import atomic_write
 from vibrocast.harness import measurements, page
 from vibrocast.harness.latency import FlawedError, Latency
-from vibrocast.harness.results import ACTUATOR, JSON, LINK_COUNTERS, NAMES, PAGE, Measured, Results, compare
+from vibrocast.harness.results import ACTUATOR, JSON, NAMES, PAGE, Measured, Results, compare
 from vibrocast.harness.sensors import SensorError
 from vibrocast.host import bench_file
 from vibrocast.host.bench_file import Bench
@@ -114,15 +114,27 @@ def _measure(bench: Bench, names: Collection[str], results: Results) -> None:
 @contextlib.contextmanager
 def _counted(controller: Controller, results: Results) -> Iterator[None]:
     """Count what goes wrong on the link during the block; damage there as far as the controller can be asked."""
-    there = controller.request_status().bad_frames
-    before = {name: getattr(controller, counter) for name, counter in LINK_COUNTERS.items()}
+    controller.request_status()
+    before, requests = controller.wire_faults, controller.repeated_requests
+    restarts = controller.device_restarts
     try:
         yield
     finally:
-        for name, counter in LINK_COUNTERS.items():
-            results.link[name] = getattr(controller, counter) - before[name]
+        requests = controller.repeated_requests - requests
+        is_there = False
         with contextlib.suppress(ControllerError, TransportError):
-            results.link["bad_frames_at_controller"] = controller.request_status().bad_frames - there
+            controller.request_status()
+            is_there = True
+        faults = controller.wire_faults.since(before)
+        results.link.update(
+            bad_frames_at_host=faults.bad_frames_back,
+            repeated_frames=faults.repeated_frames,
+            reordered_frames=faults.reordered_frames,
+            repeated_requests=requests,
+            device_restarts=controller.device_restarts - restarts,
+        )
+        if is_there:
+            results.link["bad_frames_at_controller"] = faults.bad_frames
 
 
 def _is_worse(earlier: Results, measured: Measured, name: str) -> bool:

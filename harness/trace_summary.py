@@ -4,9 +4,10 @@ import statistics
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
-from vibrocast.device_protocol.messages import COUNTERS, NOTIFICATION, Error, ErrorCode, Message, Status
+from vibrocast.device_protocol.messages import NOTIFICATION, Error, ErrorCode, Message, Status
 from vibrocast.device_protocol.trace import TracedFrame
-from vibrocast.host.controller import ANSWER_TIMEOUT_S
+from vibrocast.host.controller import ANSWER_TIMEOUT_S, StatusCounts
+from vibrocast.host.figures import WIRE_FIGURES
 
 WAYS = {True: "to_controller", False: "to_host"}
 
@@ -51,6 +52,8 @@ class Summary:
         if self.restarts or self.counters.get("output_gaps"):
             return "device"
         if any(way.damaged or way.repeated or way.reordered for way in self.ways.values()):
+            return "wire"
+        if any(self.counters.get(name) for name in WIRE_FIGURES):
             return "wire"
         if not any(self.counters.get(name) for name in ("underruns", "lost_packets")):
             return "wire" if self.repeated_requests else ""
@@ -111,7 +114,7 @@ class _Follower:
         self._first_s: float | None = None
         self._asked: dict[int, tuple[float, int]] = {}  # requests without an answer: when, and how often sent
         self._answered: dict[int, int] = {}  # answers that may still come
-        self._status: Status | None = None
+        self._counts = StatusCounts()
         self._last_encoded = b""
         self._quiet_since_s: float | None = None
 
@@ -160,17 +163,11 @@ class _Follower:
         if isinstance(message, Error) and message.code == ErrorCode.HELLO_FIRST:
             self._summary.restarts += 1
         if isinstance(message, Status) and not repeated:
-            way.reordered += self._status is not None and message.device_time_us < self._status.device_time_us
-            self._hear(message)
-
-    def _hear(self, status: Status) -> None:
-        before, self._status = self._status or status, status
-        for name in COUNTERS:
-            last, count = getattr(before, name), getattr(status, name)  # a new stream begins most of them again
-            grown = count - last if count >= last else count
-            self._summary.counters[name] = self._summary.counters.get(name, 0) + grown
+            self._counts.take(message)
 
     def end(self) -> Summary:
         """Return the summary of all frames."""
         self._summary.unanswered_requests += len(self._asked)
+        self._summary.counters = self._counts.grown
+        self._summary.ways["to_host"].reordered = self._counts.reordered
         return self._summary

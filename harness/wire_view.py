@@ -263,6 +263,8 @@ class WireView:
         if self._wrong_samples:
             yield "The controller decodes other samples than were sent. Packets were lost, or its decoder is broken."
         if status is not None:
+            if status.repeated_frames or status.reordered_frames:
+                yield "Frames come twice or out of order. Check what stands between the host and the controller."
             if status.state == State.WATCHDOG:
                 yield "The controller heard nothing for too long, and stopped. The host hangs, or the cable is out."
             if status.underruns or status.lost_packets:

@@ -8,10 +8,11 @@ from collections.abc import Callable, Generator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from vibrocast.device_protocol.frames import DELIMITER, FrameReader, write_frame
 from vibrocast.device_protocol.messages import (
+    COUNTERS,
     MAX_SEQUENCE,
     NOTIFICATION,
     PROTOCOL_MAJOR,
@@ -70,6 +71,49 @@ _SLOW_ANSWER_S = 0.5
 _REORDERED_US = 100_000
 
 _Answer = TypeVar("_Answer", bound=Message)
+
+
+class WireFaults(NamedTuple):
+    """Frames that went wrong on a wire.
+
+    `bad_frames`, `bad_frames_back`: damaged on the way to the controller, and from it. `repeated_frames`,
+    `reordered_frames`: that came twice, or after later ones, on either way.
+    """
+
+    bad_frames: int = 0
+    bad_frames_back: int = 0
+    repeated_frames: int = 0
+    reordered_frames: int = 0
+
+    def since(self, before: "WireFaults") -> "WireFaults":
+        """Return those that came after others had been counted."""
+        return WireFaults(*(now - then for now, then in zip(self, before, strict=True)))
+
+
+class StatusCounts:
+    """Adds up the counts of a controller from Status to Status, over streams and restarts.
+
+    `grown`: of each of COUNTERS, since the first Status. `reordered`: how many came after later ones; their counts are
+    old.
+    """
+
+    def __init__(self) -> None:
+        self.grown = dict.fromkeys(COUNTERS, 0)
+        self.reordered = 0
+        self._newest: Status | None = None
+
+    def take(self, status: Status) -> None:
+        """Take a Status in, in the order in which they come."""
+        newest = self._newest or status
+        if 0 < newest.device_time_us - status.device_time_us < _REORDERED_US:
+            self.reordered += 1
+            return
+        for name in COUNTERS:
+            last, count = getattr(newest, name), getattr(status, name)
+            self.grown[name] += count - last if count >= last else count  # a new stream or a restart counts from 0
+        self._newest = status
+
+
 _Result = TypeVar("_Result")
 
 Steps = Generator[float, bytes, _Result]
@@ -118,9 +162,8 @@ class Controller(Closing):
     it or changed its gain since the last Configure, so that its output is no longer that of the stream alone.
     `bytes_sent`, `bytes_received`: all that crossed the transport. `waited_s`: all the time that this host has waited
     for the controller. `late_s`: the most by which it woke up late from a wait since `watch_time`. `repeated_requests`:
-    those that this host sent again. `repeated_frames`, `reordered_frames`: of the controller, that came twice, or after
-    a later one. Every wait is a read of the transport, measured by `clock`, so that a simulated transport can run in
-    simulated time.
+    those that this host sent again. Every wait is a read of the transport, measured by `clock`, so that a simulated
+    transport can run in simulated time.
     """
 
     description: HelloResponse
@@ -137,7 +180,8 @@ class Controller(Closing):
         self.bytes_sent = 0
         self.bytes_received = 0
         self.waited_s = 0.0
-        self.repeated_requests = self.repeated_frames = self.reordered_frames = 0
+        self.repeated_requests = self._repeated_frames = 0
+        self._counts = StatusCounts()
         self._last_payload = b""
         self._answers_due = 0
         self.clock = clock
@@ -208,9 +252,15 @@ class Controller(Closing):
         return use and replace(use, underruns=use.underruns - self._card_underruns)
 
     @property
-    def bad_frames(self) -> int:
-        """How many frames came damaged from the controller; `Status.bad_frames` counts those on the way there."""
-        return self._bad_frames_before + self._reader.bad_frames
+    def wire_faults(self) -> WireFaults:
+        """What went wrong on the wire so far; on the way to the controller, since its first Status."""
+        there = self._counts.grown
+        return WireFaults(
+            there["bad_frames"],
+            self._bad_frames_before + self._reader.bad_frames,
+            there["repeated_frames"] + self._repeated_frames,
+            there["reordered_frames"] + self._counts.reordered,
+        )
 
     # ---- what an event loop needs ----
 
@@ -386,7 +436,7 @@ class Controller(Closing):
         while True:
             try:
                 self._timed(lambda _: self._transport.reopen(), math.inf)
-                self._bad_frames_before = self.bad_frames
+                self._bad_frames_before += self._reader.bad_frames
                 self._reader = FrameReader()
                 yield from self.open_session_steps()
                 break
@@ -475,16 +525,15 @@ class Controller(Closing):
         self._answers_due += 1
 
     def _count(self, sequence: int, message: Message, payload: bytes) -> None:
-        """Count a frame that came twice, or after a later one."""
+        """Count what went wrong on the wire with this frame, or as this Status says."""
         repeated = isinstance(message, Status) and sequence == NOTIFICATION and payload == self._last_payload
         if sequence == self._sequence:
             self._answers_due -= 1
             repeated = self._answers_due < 0
-        self.repeated_frames += repeated
+        self._repeated_frames += repeated
         self._last_payload = payload
-        if isinstance(message, Status) and self.status is not None and not repeated:
-            early_us = self.status.device_time_us - message.device_time_us
-            self.reordered_frames += 0 < early_us < _REORDERED_US
+        if isinstance(message, Status) and not repeated:
+            self._counts.take(message)
 
     def _write(self, data: bytes) -> None:
         self._timed(lambda _: self._transport.write(data), math.inf)  # one that is stuck waits for the link

@@ -101,6 +101,8 @@ FIGURES = {
     )
 }
 """All figures by their keys. SNR without another word is that at the skin, or of a plan that of the decoded signal."""
+WIRE_FIGURES = ("bad_frames", "repeated_frames", "reordered_frames")
+"""Figures of the frames that went wrong on the wire."""
 
 
 class Value(NamedTuple):
@@ -152,8 +154,9 @@ class BenchLimits(Table, frozen=True, kw_only=True):
 
     SNR, gain and ST-SIM: at the skin. `max_lost_percent`: of the packets of a live stream or a playback.
     `max_latency_ms`: of a live stream, up to the DAC; `max_sensor_latency_ms`: up to a sensor's sample in this
-    computer. `max_bad_frames`: damaged on the wire, in both directions. `min_load_samples_per_s`: the largest load that
-    is held. `max_drift_ppm`: of the controller's clock, in either direction.
+    computer. `max_bad_frames`, `max_repeated_frames`, `max_reordered_frames`: damaged on the wire, come twice, or out
+    of order, in both directions. `min_load_samples_per_s`: the largest load that is held. `max_drift_ppm`: of the
+    controller's clock, in either direction.
     """
 
     min_snr_db: Decibels | None = None
@@ -166,6 +169,8 @@ class BenchLimits(Table, frozen=True, kw_only=True):
     max_underruns: Count | None = None
     max_lost_percent: Percent | None = DEFAULT_MAX_LOST_PERCENT
     max_bad_frames: Count | None = None
+    max_repeated_frames: Count | None = None
+    max_reordered_frames: Count | None = None
     min_load_samples_per_s: SamplesPerSecond | None = None
     max_drift_ppm: Drift | None = None
 

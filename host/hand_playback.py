@@ -14,7 +14,7 @@ from vibrocast.codec.stream import Stream
 from vibrocast.device_protocol.messages import Position, State, Status, Tap
 from vibrocast.errors import InputError
 from vibrocast.host import playback
-from vibrocast.host.controller import Controller, ControllerError
+from vibrocast.host.controller import Controller, ControllerError, WireFaults
 from vibrocast.host.devices import Session
 from vibrocast.host.picture import Trace
 from vibrocast.host.playback import Captured, Playback
@@ -111,14 +111,12 @@ def chosen_movement(hand: float | Path, speed_mm_s: float | None, strokes: int) 
 class Played:
     """The result of a playback by position.
 
-    `status`: at the end. `damaged`: frames that came damaged, `damaged_back`: to this computer. `captured`: the DAC's
-    codes, as far as the controller kept them. `positions`: as sent, device time in us and place in nm. `start_us`:
-    device time of the first DAC sample.
+    `status`: at the end. `captured`: the DAC's codes, as far as the controller kept them. `positions`: as sent, device
+    time in us and place in nm. `start_us`: device time of the first DAC sample.
     """
 
     status: Status
-    damaged: int
-    damaged_back: int
+    wire_faults: WireFaults
     captured: Captured
     start_us: int
     positions: tuple[tuple[int, int], ...]
@@ -167,7 +165,7 @@ def play(
     The hand goes straight from each position to the next. The controller gets it 500 times a second, by its own
     clock. `progress` is called with the part done. Raises ControllerError, TransportError.
     """
-    damaged_back = controller.bad_frames
+    faults_before = controller.wire_faults
     session = load(controller, stream)
     begun = controller.request_status()
     session.news()
@@ -209,9 +207,8 @@ def play(
     finally:
         status = controller.stop()
     captured = Captured(*read_capture(controller, Tap.DAC, stream.header.channels))
-    damaged = status.bad_frames - begun.bad_frames
-    damaged_back = controller.bad_frames - damaged_back
-    return Played(status, damaged, damaged_back, captured, start_us, positions)
+    faults = controller.wire_faults.since(faults_before)
+    return Played(status, faults, captured, start_us, positions)
 
 
 def play_and_compare(
@@ -242,7 +239,7 @@ def play_and_compare(
         device=at_end.device,
         sound_card=at_end.sound_card,
         actuator=at_end.actuator,
-        wire=Wire(bad_frames=played.damaged, bad_frames_back=played.damaged_back),
+        wire=Wire(None, None, *played.wire_faults),
         quality=Quality(skin=at_end.skin, skin_note=at_end.skin_note),
         codec=stream.codec_name,
         model=stream.model_name,
@@ -315,4 +312,4 @@ def as_computed(session: Session, played: Played, computed: Codes) -> bool | Non
         return None
     if Captured(first, codes[:compared]).ends(computed[: first + compared]):
         return True
-    return None if played.status.underruns or played.damaged else False
+    return None if played.status.underruns or played.wire_faults.bad_frames else False

@@ -16,7 +16,7 @@ from vibrocast.device_protocol.coded_stream import StreamHeader, renumbered
 from vibrocast.device_protocol.messages import EndStream, Start, State, Status
 from vibrocast.device_protocol.transports import DeviceGone, TransportError
 from vibrocast.errors import InputError
-from vibrocast.host.controller import ANSWER_TIMEOUT_S, ConnectionLost, Controller, ControllerError
+from vibrocast.host.controller import ANSWER_TIMEOUT_S, ConnectionLost, Controller, ControllerError, WireFaults
 from vibrocast.host.link import STATUS_INTERVAL_S, Link, frame_bytes
 from vibrocast.host.player import RECONNECT_S
 from vibrocast.host.stream_session import check_limits, check_packet, configure_steps, stopped_on_error
@@ -67,12 +67,11 @@ class LiveResult:
 
     `status`: the last one. `underruns`: of all streams. `packets`: of all signal. `lost_packets`: those that the
     actuator should have had and did not, also because the stream began again. `dropped_packets`: the lost packets that
-    the host did not send, because they would have been late. `bad_frames`, `bad_frames_back`:
-    damaged on the way to the controller, and from it. `streams`: more than one if it started again: clocks had drifted
-    apart, the source had paused, or the connection was lost. `seconds`: of signal. `payload_bytes`: of all packets that
-    were sent. `wire_bytes`: all that went to the controller with them, frames and requests included. `pauses`: of the
-    source, in which silence was played. `left_out_packets`: too old when the source gave them after a pause.
-    `reconnects`: of the link. `device_restarts`: of the controller, which lost its session.
+    the host did not send, because they would have been late. `streams`: more than one if it started again: clocks had
+    drifted apart, the source had paused, or the connection was lost. `seconds`: of signal. `payload_bytes`: of all
+    packets that were sent. `wire_bytes`: all that went to the controller with them, frames and requests included.
+    `pauses`: of the source, in which silence was played. `left_out_packets`: too old when the source gave them after a
+    pause. `reconnects`: of the link. `device_restarts`: of the controller, which lost its session.
     """
 
     status: Status
@@ -80,8 +79,7 @@ class LiveResult:
     packets: int
     lost_packets: int
     dropped_packets: int
-    bad_frames: int
-    bad_frames_back: int
+    wire_faults: WireFaults
     streams: int
     seconds: float
     payload_bytes: int
@@ -193,7 +191,7 @@ class LiveStream:
         self._since_s = controller.clock()
         self._configure()
         self._wire_bytes_before = controller.bytes_sent
-        self._bad_frames_before, self._bad_frames_back_before = self.status.bad_frames, controller.bad_frames
+        self._faults_before = controller.wire_faults
         self._device_restarts_before = controller.device_restarts
 
     @property
@@ -538,8 +536,7 @@ class LiveStream:
                 0, min(packets, self._unplayed_packets + self.status.lost_packets - self._left_out_silence)
             ),
             dropped_packets=self.dropped_packets,
-            bad_frames=max(0, self.status.bad_frames - self._bad_frames_before),  # a restart sets it to 0
-            bad_frames_back=self.controller.bad_frames - self._bad_frames_back_before,
+            wire_faults=self.controller.wire_faults.since(self._faults_before),
             streams=len(streams),
             seconds=self.seconds,
             payload_bytes=self.payload_bytes,

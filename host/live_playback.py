@@ -318,7 +318,7 @@ class LivePlayback:
             channels=stream.format.channels,
             stream_rate_hz=stream.format.rate_hz,
             seconds=result.seconds,
-            wire=Wire(result.wire_bytes, None, result.bad_frames, result.bad_frames_back),
+            wire=Wire(result.wire_bytes, None, *result.wire_faults),
             quality=Quality(snr_db=snr_db, skin=at_end.skin, skin_note=at_end.skin_note),
             timing=Timing(1e3 * algorithmic_s, None, latency_ms, jitter_ms, drift_ppm),
             underruns=result.underruns,
@@ -404,8 +404,7 @@ class LivePlayback:
             "restarts": result.streams - 1,
             "device_restarts": result.device_restarts,
             "pauses": result.pauses,
-            "bad_frames": result.bad_frames,
-            "bad_frames_back": result.bad_frames_back,
+            **result.wire_faults._asdict(),
             "output_gaps": sum(status.output_gaps for status in (*self.stream.earlier, self.stream.status)),
             "late_packets": self._late_packets,
         }
@@ -466,7 +465,7 @@ def cause(minute: Minute) -> str | None:
         return None
     if minute.output_gaps or minute.device_restarts:
         return "device"
-    if minute.bad_frames or minute.bad_frames_back:
+    if minute.bad_frames or minute.bad_frames_back or minute.repeated_frames or minute.reordered_frames:
         return "wire"
     # A host that is late takes what waits for it at once, which looks like a pause of the source.
     if minute.late_packets > _HOSTS_SHARE * (minute.underruns + minute.lost_packets):

@@ -182,7 +182,7 @@ def compared(
         loops=loops,
         seconds=stream.seconds,
         stream_bytes=stream.size_bytes,
-        wire=Wire(result.wire_bytes_sent, result.wire_bytes_received, result.bad_frames, result.bad_frames_back),
+        wire=Wire(result.wire_bytes_sent, result.wire_bytes_received, *result.wire_faults),
         bits_per_second=stream.bits_per_second,
         bits_per_sample=stream.bits_per_second / header.rate_hz / header.channels,
         quality=Quality(

@@ -12,7 +12,7 @@ from vibrocast.codec.encoding import GrowingPackets
 from vibrocast.device_protocol.coded_stream import StreamError, StreamHeader, packet_sequence
 from vibrocast.device_protocol.messages import CaptureData, State, Status, StatusRequest, Tap
 from vibrocast.device_protocol.transports import TransportError
-from vibrocast.host.controller import ANSWER_TIMEOUT_S, ConnectionLost, Controller, ControllerError, Steps
+from vibrocast.host.controller import ANSWER_TIMEOUT_S, ConnectionLost, Controller, ControllerError, Steps, WireFaults
 from vibrocast.host.stream_session import (
     READ_BACK_S,
     SLOWEST_BYTES_PER_S,
@@ -61,8 +61,8 @@ class PlaybackResult:
 
     `state`: FINISHED, or STOPPED if someone stopped it. `seconds`: from start to end. `buffered_s`: mean time that
     data waited in the controller. `wire_bytes_*`: all bytes of this playback on the transport. `underruns`,
-    `lost_packets` and `reconnects` count over all of it, and `bad_frames`, damaged on the way to the controller, and
-    `bad_frames_back`; `status` is the last one. `decoded` (int16, stream rate) and
+    `lost_packets`, `reconnects` and `wire_faults` count over all of it; `status` is the last one. `decoded` (int16,
+    stream rate) and
     `dac_codes` (int16, DAC rate), both (samples, channels), are the controller's capture; None if not required, or if
     the controller overwrote samples before they could be read.
     `captured_from`: its first packet, counted over all loops; 0 unless the controller started again after a loss.
@@ -78,8 +78,7 @@ class PlaybackResult:
     wire_bytes_received: int
     underruns: int
     lost_packets: int
-    bad_frames: int
-    bad_frames_back: int
+    wire_faults: WireFaults
     reconnects: int
     captured_from: int
     decoded: NDArray[np.int16] | None
@@ -159,7 +158,7 @@ def play_steps(controller: Controller, stream: Playable, settings: PlaybackSetti
     """
     source = _Source(controller, stream, settings.loops)
     sent_before, received_before = controller.bytes_sent, controller.bytes_received
-    bad_back_before = controller.bad_frames
+    faults_before = controller.wire_faults
     started_s = controller.clock()
     reconnects, came_back_at = 0, -1
     pace = _Pace(controller)
@@ -169,7 +168,6 @@ def play_steps(controller: Controller, stream: Playable, settings: PlaybackSetti
         else:
             senders = [_Sender(settings.begun.session, source, settings, 0, pace, settings.begun.sent)]
         counted = senders[0].status
-        bad_before = senders[0].status.bad_frames
         while True:
             last = senders[-1]
             try:
@@ -205,8 +203,7 @@ def play_steps(controller: Controller, stream: Playable, settings: PlaybackSetti
         wire_bytes_received=controller.bytes_received - received_before,
         underruns=sum(sender.status.underruns for sender in senders) - counts_before[0],
         lost_packets=sum(sender.status.lost_packets for sender in senders) - counts_before[1],
-        bad_frames=max(0, last.status.bad_frames - bad_before),  # a controller that has restarted counts from 0
-        bad_frames_back=controller.bad_frames - bad_back_before,
+        wire_faults=controller.wire_faults.since(faults_before),
         reconnects=reconnects,
         captured_from=last.first,
         decoded=last.captured(Tap.DECODED),

@@ -12,7 +12,7 @@ from typing import Any
 
 from vibrocast.codec.threshold import FeltError
 from vibrocast.files import atomic_write
-from vibrocast.host.figures import FIGURES, Value, lost_percent
+from vibrocast.host.figures import FIGURES, WIRE_FIGURES, Value, lost_percent
 from vibrocast.output.sound_card import CardUse
 
 UP_TO_DAC_CALL = "checked up to the call of the DAC function"
@@ -64,12 +64,14 @@ class Timing:
 
 @dataclass(frozen=True)
 class Wire:
-    """What crossed the wire: bytes, where they were counted, and damaged frames, to the controller and from it."""
+    """What crossed the wire: bytes, where they were counted, and frames that went wrong, as `WireFaults` has them."""
 
     bytes_sent: int | None = None
     bytes_received: int | None = None
     bad_frames: int = 0
     bad_frames_back: int = 0
+    repeated_frames: int = 0
+    reordered_frames: int = 0
 
 
 @dataclass(frozen=True)
@@ -174,6 +176,8 @@ class Minute:
     pauses: int = 0
     bad_frames: int = 0
     bad_frames_back: int = 0
+    repeated_frames: int = 0
+    reordered_frames: int = 0
     output_gaps: int = 0
     late_packets: int = 0
     host_late_ms: float | None = None
@@ -257,7 +261,7 @@ class Report:
         """Return a figure with the doubt of the report, where a busy machine can have made it worse."""
         bits_differ = value.key in ("as_decoded", "as_computed") and value.value is False
         is_open = (self.lost_anything or FIGURES[value.key].is_timed) and not bits_differ
-        return value._replace(doubt=self.doubt) if is_open and value.key != "bad_frames" else value
+        return value._replace(doubt=self.doubt) if is_open and value.key not in WIRE_FIGURES else value
 
     def _figures(self) -> Iterator[Value]:
         place = self.file if self.live is None else "live"
@@ -273,6 +277,8 @@ class Report:
         yield Value("underruns", place, self.underruns)
         yield Value("lost_percent", place, lost)
         yield Value("bad_frames", place, self.wire.bad_frames + self.wire.bad_frames_back)
+        yield Value("repeated_frames", place, self.wire.repeated_frames)
+        yield Value("reordered_frames", place, self.wire.reordered_frames)
         skin = self.quality.skin if self.live is None or self.dac_equals_offline else None
         for key in ("snr_db", "playing_snr_db", "st_sim", "gain"):
             yield Value(key, place, getattr(skin, key, None))

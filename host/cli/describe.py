@@ -76,13 +76,12 @@ def describe_stream(report: Report) -> str | list[str]:
 
 
 def describe_wire(report: Report) -> str:
-    """Return what crossed the wire, and what was damaged on it, in words."""
-    sizes = (
-        ""
-        if report.wire.bytes_received is None
-        else f"{report.wire.bytes_sent} bytes sent, {report.wire.bytes_received} received, "
-    )
-    return f"{sizes}damaged frames {report.wire.bad_frames} there, {report.wire.bad_frames_back} back"
+    """Return what crossed the wire, and what went wrong on it, in words."""
+    wire = report.wire
+    sizes = "" if wire.bytes_received is None else f"{wire.bytes_sent} bytes sent, {wire.bytes_received} received, "
+    repeated = f", repeated {wire.repeated_frames}" if wire.repeated_frames else ""
+    reordered = f", reordered {wire.reordered_frames}" if wire.reordered_frames else ""
+    return f"{sizes}damaged frames {wire.bad_frames} there, {wire.bad_frames_back} back{repeated}{reordered}"
 
 
 def describe_latency(report: Report) -> str | None:
@@ -132,6 +131,8 @@ def warnings(report: Report) -> Iterator[str]:
         yield "nobody would feel this; raise --gain-db, or encode it with the right --unit"
     if (card := report.sound_card) is not None and card.underruns:
         yield f"{card.name} had nothing to play {card.underruns} time(s) and came to rest; close other programs"
+    if report.live is not None and (report.wire.repeated_frames or report.wire.reordered_frames):
+        yield "frames came twice or out of order; check what stands between this computer and the controller"
     if report.live is not None and (report.wire.bad_frames or report.wire.bad_frames_back):
         yield "frames were damaged on the wire; check cable, connectors and baud rate"
     elif report.live is not None and report.lost_packets:

@@ -378,6 +378,8 @@ def test_a_controller_that_plays_something_else_fails(tmp_path: Path, put: Put) 
         ({"restarts": 1, "pauses": 1}, "source"),
         ({"restarts": 1, "pauses": 1, "late_packets": 3}, "host"),
         ({"restarts": 1, "pauses": 1, "bad_frames": 1}, "wire"),
+        ({"underruns": 1, "pauses": 1, "repeated_frames": 1}, "wire"),
+        ({"lost_packets": 1, "late_packets": 1, "reordered_frames": 1}, "wire"),
     ],
 )
 def test_a_minute_names_what_made_it_lose_something(counts: dict[str, float], cause: str | None) -> None:

@@ -73,6 +73,8 @@ LATENCY = ("measured", "latency")
         (("measured", "load"), [], {"largest load, samples/s": "worse"}),
         (("link", "bad_frames_at_controller"), 3, {"link: damaged frames": "worse"}),
         (("link", "bad_frames_at_host"), 3, {"link: damaged frames": "worse"}),
+        (("link", "repeated_frames"), 1, {"link: repeated frames": "worse"}),
+        (("link", "reordered_frames"), 1, {"link: reordered frames": "worse"}),
         (("device", "hardware"), "another", {"hardware": "another device"}),
         (("device", "serial_number"), "2", {"serial_number": "another device"}),
         (("device", "actuator"), {"name": "lra"}, {"actuator": "another device"}),

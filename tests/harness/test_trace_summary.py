@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import pytest
 
 from vibrocast.device_protocol.frames import DELIMITER, write_frame
-from vibrocast.device_protocol.messages import State, Status, StatusRequest, pack
+from vibrocast.device_protocol.messages import FrameFaults, State, Status, StatusRequest, pack
 from vibrocast.device_protocol.trace import TracedFrame
 from vibrocast.harness.trace_summary import summarise
 
@@ -25,6 +25,7 @@ class Turn:
     is_damaged: bool = False
     underruns: int = 0
     output_gaps: int = 0
+    frame_faults: FrameFaults | None = None
 
 
 def traced(special: Turn) -> Sequence[TracedFrame]:
@@ -37,7 +38,7 @@ def traced(special: Turn) -> Sequence[TracedFrame]:
         asked_ms = 20 * number + late_ms
         status = Status(
             State.PLAYING, 1, 1000 * asked_ms + 1 - turn.early_us, 0, 0, 0, 0, after.underruns, 0, 0, 0, 0, 0,
-            after.output_gaps,
+            after.output_gaps, frame_faults=after.frame_faults,
         )  # fmt: skip
         request, answer = (write_frame(pack(each, number + 1)) for each in (StatusRequest(), status))
         if turn.is_damaged:
@@ -59,6 +60,8 @@ def traced(special: Turn) -> Sequence[TracedFrame]:
         (Turn(answered=2), "wire"),
         (Turn(early_us=30_000), "wire"),
         (Turn(is_damaged=True), "wire"),
+        (Turn(late_ms=400, underruns=1, frame_faults=FrameFaults(repeated=1, reordered=0)), "wire"),
+        (Turn(late_ms=400, underruns=1, frame_faults=FrameFaults(repeated=0, reordered=1)), "wire"),
         (Turn(late_ms=400, underruns=1, output_gaps=1), "device"),
     ],
 )

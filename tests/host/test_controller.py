@@ -13,6 +13,7 @@ from vibrocast.device_protocol.messages import (
     CaptureData,
     Error,
     ErrorCode,
+    FrameFaults,
     Gain,
     Hello,
     HelloResponse,
@@ -27,7 +28,7 @@ from vibrocast.device_protocol.messages import (
     pack,
 )
 from vibrocast.device_protocol.transports import TransportError
-from vibrocast.host.controller import ConnectionLost, Controller, ControllerError
+from vibrocast.host.controller import ConnectionLost, Controller, ControllerError, StatusCounts
 from vibrocast.host.stream_session import Capture
 
 IDLE_STATUS = Status(State.IDLE, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
@@ -278,3 +279,17 @@ def test_stop_gets_through_after_a_torn_frame() -> None:
     scripted.write(write_frame(pack(StatusRequest(), 5))[:4])
     assert controller.stop().state == State.STOPPED
     assert scripted.handled.count(Stop()) == 1
+
+
+def test_counts_of_the_controller_add_up_over_restarts_and_not_twice_where_a_status_comes_late() -> None:
+    counts = StatusCounts()
+    for time_us, bad_frames, repeated in (
+        (900_000, 5, 0),
+        (990_000, 7, 1),
+        (980_000, 6, 0),
+        (999_000, 8, 3),
+        (100, 2, 1),
+    ):
+        faults = FrameFaults(repeated, 0) if repeated else None
+        counts.take(replace(IDLE_STATUS, device_time_us=time_us, bad_frames=bad_frames, frame_faults=faults))
+    assert (counts.grown["bad_frames"], counts.grown["repeated_frames"], counts.reordered) == (3 + 2, 3 + 1, 1)
