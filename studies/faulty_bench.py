@@ -179,6 +179,8 @@ FAULTS = (
     Injected("wire", "4 % of the frames are lost", wire=(Fault(lost=0.04),)),
     Injected("wire", "2 % of the frames there are damaged", wire=(Fault(flipped=0.02, direction="to_controller"),)),
     Injected("wire", "2 % of the frames back are damaged", wire=(Fault(flipped=0.02, direction="to_host"),)),
+    Injected("wire", "5 % of the frames come twice", wire=(Fault(doubled=0.05),)),
+    Injected("wire", "2 % of the frames come out of order", wire=(Fault(swapped=0.02),)),
     Injected("wire", "a delay of 30 ms", wire=(Fault(delay_ms=30.0),)),
     Injected("wire", "a jitter of 60 ms", wire=(Fault(jitter_ms=60.0),)),
     Injected("wire", "a capacity of 20 kbit/s", wire=(Fault(bits_per_second=20_000.0),)),
