@@ -187,7 +187,8 @@ def likely_cause(run: Results, bench: Bench, changes: Iterable[Change] = ()) -> 
     Actuator and sensor cannot be told apart. Empty where nothing says so. `changes`: against an earlier run.
     """
     values = list(run.figures())
-    wrong = {each.key for each in changes if each.problem} | {each.key for each in values if bench.missed([each])}
+    worse = {each.key for each in changes if each.problem and each.now is not None}  # not measured: see `run.failed`
+    wrong = worse | {each.key for each in values if bench.missed([each])}
     is_late = any(FIGURES[key].is_timed for key in wrong if key in FIGURES) or "latency" in run.failed
     at_skin = bool(wrong & _AT_SKIN) or bool({"fidelity", "response"} & run.failed.keys())
     if wrong & set(_WHAT_A_DEVICE_IS) or any(each.value is False for each in values):

@@ -280,12 +280,19 @@ def skip_kept(source: Source | SoundInput) -> None:
         pass
 
 
-def format_of(source: Source | SoundInput) -> SignalFormat:
+def format_of(source: "Source | SoundInput | StandardInput") -> SignalFormat:
     """Return the format of a live stream from a source. Raises CodecError."""
     if isinstance(source, SerialSensor):
-        full_scale, rms = source.full_scale or _HIGHEST[source.unit], _EXPECTED_RMS[source.unit]
-        return live_format(source.rate_hz, source.unit, [full_scale] * source.channels, [rms] * source.channels)
+        return _boundless_format(source, source.full_scale or _HIGHEST[source.unit])
+    if isinstance(source, StandardInput) and source.has_no_full_scale:
+        return _boundless_format(source, _HIGHEST[source.unit])
     return live_format(source.rate_hz, source.unit, [source.full_scale or 1.0] * source.channels)
+
+
+def _boundless_format(source: "SerialSensor | StandardInput", highest: float) -> SignalFormat:
+    """Return the format of a source whose numbers do not say how large they become."""
+    rms = _EXPECTED_RMS[source.unit]
+    return live_format(source.rate_hz, source.unit, [highest] * source.channels, [rms] * source.channels)
 
 
 @dataclass(frozen=True)
@@ -311,6 +318,7 @@ class StandardInput:
         channels: How many there are.
         unit: "full scale", "m/s^2" or "um".
         full_scale: The value of 1.0, in `unit`.
+        has_no_full_scale: Whether samples may go beyond 1.0, because they are floats of a physical quantity.
     """
 
     def __init__(
@@ -347,6 +355,8 @@ class StandardInput:
             )
         self.rate_hz, self.channels = header.rate_hz, header.channels
         self.unit, self.full_scale = _unit(header, unit, full_scale)
+        # Floats of a physical quantity go beyond 1.0, as in the WAV files that vibrocast writes.
+        self.has_no_full_scale = full_scale is None and self.unit in _HIGHEST and header.subtype in ("FLOAT", "DOUBLE")
         self._header = header
         self._left_bytes = math.inf if header.data_bytes is None else header.data_bytes
         self._frame_bytes = _SAMPLE_BYTES[header.subtype] * header.channels

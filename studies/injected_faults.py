@@ -198,8 +198,7 @@ def rendered(noticed: Sequence[Noticed], clean: Sequence[Clean]) -> str:
     by_fault = {(each.place, each.fault): [run for run in noticed if run.fault == each.fault] for each in noticed}
     by_device = {
         (device, load): [run for run in clean if (run.device, run.load) == (device, load)]
-        for device in DEVICES
-        for load in (0, LOAD)
+        for device, load in {(each.device, each.load): None for each in clean}
     }
     return page.render(
         "injected_faults",
@@ -210,7 +209,8 @@ def rendered(noticed: Sequence[Noticed], clean: Sequence[Clean]) -> str:
         missed=[each for each in noticed if each.alarm == NO_ALARM],
         false_alarms=[each for each in clean if each.alarm not in (NO_ALARM, ALARMS[errors.HOST_BUSY])],
         undecided={
-            load: [each for each in clean if each.load == load and each.alarm != NO_ALARM] for load in (0, LOAD)
+            load: [each for each in clean if each.load == load and each.alarm == ALARMS[errors.HOST_BUSY]]
+            for load in (0, LOAD)
         },
         runs={load: [each for each in clean if each.load == load] for load in (0, LOAD)},
     )

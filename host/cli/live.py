@@ -12,7 +12,7 @@ import numpy as np
 from vibrocast import codec, models, progress, textures
 from vibrocast.codec import Signal
 from vibrocast.codec.encoding import DEFAULT_STREAM_RATE_HZ, chosen_codec
-from vibrocast.codec.source import live_format, recording_format
+from vibrocast.codec.source import recording_format
 from vibrocast.device_protocol.coded_stream import MAX_RATE_HZ
 from vibrocast.files import plain
 from vibrocast.host import live as streaming
@@ -234,8 +234,6 @@ def format_of(given: Given) -> codec.SignalFormat:
     """Return the format of a live stream from a source."""
     if isinstance(given, textures.Recording):
         return recording_format(given)
-    if isinstance(given, StandardInput):
-        return live_format(given.rate_hz, given.unit, [given.full_scale] * given.channels)
     return sources.format_of(given)
 
 

@@ -23,7 +23,7 @@ from tests.harness.test_record_command import lines, needs_terminals, sensor
 from tests.sound_server import PAD, SoundServer
 from vibrocast import textures
 from vibrocast.errors import LIMIT_MISSED
-from vibrocast.host import live_playback
+from vibrocast.host import live_playback, sources
 from vibrocast.host.controller import Controller as Session
 from vibrocast.host.report import Minute
 from vibrocast.host.sources import StandardInput
@@ -151,6 +151,26 @@ def test_samples_behind_a_header_have_their_values(monkeypatch: pytest.MonkeyPat
         expected = 2000 * soundfile.read(io.BytesIO(data))[0]
         np.testing.assert_allclose(np.concatenate(blocks), expected, rtol=1e-12)
         assert max(map(len, blocks)) == 20
+
+
+@pytest.mark.parametrize(
+    ("is_file", "unit", "full_scale", "highest"),
+    [(True, None, None, 1000.0), (False, "um", None, 1000.0), (False, "um", 20.0, 20.0), (False, "drive", None, 1.0)],
+)
+def test_floats_of_a_quantity_go_beyond_one_unless_a_full_scale_is_given(
+    is_file: bool,
+    unit: str | None,
+    full_scale: float | None,
+    highest: float,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    path = tmp_path / "noise.wav"
+    textures.save(path, textures.Recording(np.full((800, 1), 27.0), 2800.0, "um", "noise"))
+    data = path.read_bytes() if is_file else np.full(800, 0.5, "<f4").tobytes()
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(data)))
+    given = StandardInput(None, None, unit, full_scale, 2800)
+    assert sources.format_of(given).gains == pytest.approx([highest], rel=0.01)
 
 
 def test_a_recording_that_states_its_unit_needs_no_option(tmp_path: Path) -> None:
