@@ -16,6 +16,7 @@ from vibrocast.host.controller import Controller
 from vibrocast.host.devices import Session
 from vibrocast.host.figures import Noted
 from vibrocast.host.track_player import PlayedList, TrackOptions, play_list
+from vibrocast.output.actuator import actuator_differences
 from vibrocast.textures import Recording
 
 Progress = Callable[[float], None]
@@ -148,7 +149,7 @@ def misfits(bench: Bench, fitted: response.Response | None) -> list[Noted]:
     expected = bench.actuator(bench.first.name)
     if fitted is None or expected is None or bench.sha256 is None:
         return []
-    differences = bench_file.actuator_differences(expected, fitted.actuator)
+    differences = actuator_differences(expected, fitted.actuator)
     return [Noted(f"response: {difference}; check the actuator and its cable") for difference in differences]
 
 

@@ -19,7 +19,7 @@ from vibrocast.errors import InputError, located
 from vibrocast.host import devices
 from vibrocast.host.devices import Session
 from vibrocast.host.figures import BenchLimits, Noted, Value, missed
-from vibrocast.output.actuator import Actuator
+from vibrocast.output.actuator import Actuator, actuator_differences
 from vibrocast.output.actuator_files import ActuatorTable
 from vibrocast.textures import Recording, sensitivity
 from vibrocast.toml_tables import (
@@ -44,8 +44,6 @@ Sensitivity = Annotated[Text, Meta(description=f"a text, such as {sensitivity.EX
 Axis = Annotated[str, one_of(textures.AXES)]
 Reduction = Annotated[str, one_of(textures.REDUCTIONS)]
 DEFAULT_TEXTURE = "wood"
-MAX_DIFFERENCE = 0.25
-"""Of an actuator's frequency and stroke from its data sheet; more is another actuator, or a broken one."""
 
 
 _ADDRESS = rf"\A({'|'.join(map(re.escape, devices.SIMULATED))}|{devices.ADDRESS.pattern})\Z"
@@ -382,22 +380,6 @@ def check_actuator(bench: Bench, controller: BenchController, opened: Session) -
             f"{controller.name} drives {opened.driven.name}, and the bench has {expected.name} there: "
             f"{'; '.join(differences)}; correct the actuator of the bench, or connect the right controller"
         )
-
-
-def actuator_differences(expected: Actuator, found: Actuator) -> list[str]:
-    """Return how two actuators differ by more than MAX_DIFFERENCE, in words: order, frequency, stroke per volt."""
-    if (expected.quality is None) != (found.quality is None):
-        kinds = ["a low-pass" if each.quality is None else "a resonance" for each in (found, expected)]
-        return [f"{kinds[0]} instead of {kinds[1]}"]
-    figures = {
-        "Hz": (found.corner_hz, expected.corner_hz),
-        "um/V": (found.stroke_um / found.volts, expected.stroke_um / expected.volts),
-    }
-    return [
-        f"{found_value:.4g} instead of {expected_value:.4g} {unit}"
-        for unit, (found_value, expected_value) in figures.items()
-        if abs(found_value / expected_value - 1) > MAX_DIFFERENCE
-    ]
 
 
 def _loader(folder: Path, table: _BenchTexture) -> Callable[[], Recording]:

@@ -30,7 +30,14 @@ from vibrocast.device_protocol.transports import (
     usb_address,
 )
 from vibrocast.host.controller import Controller, ControllerError
-from vibrocast.output.actuator import ACTUATORS, MAX_FULL_SCALE_VOLTS, MIN_FULL_SCALE_VOLTS, Actuator
+from vibrocast.output.actuator import (
+    ACTUATORS,
+    MAX_FULL_SCALE_VOLTS,
+    MIN_FULL_SCALE_VOLTS,
+    Actuator,
+    actuator_differences,
+)
+from vibrocast.progress import notes
 from vibrocast.simulated_device.device import Device
 
 if TYPE_CHECKING:
@@ -139,6 +146,14 @@ def session_with(controller: Controller, address: str, actuator: Actuator | None
     if skin is not None and (takes_actuator(address) or description_of(skin) == described):
         return Session(controller, address, skin, skin)
     driven = actuator_model(described)
+    if skin is not None and (differences := actuator_differences(skin, driven)):
+        notes.warning(
+            "the controller drives %s, and %s is said to be behind it: %s; build it with this actuator, or leave out "
+            "--actuator",
+            driven.name,
+            skin.name,
+            "; ".join(differences),
+        )
     unknown = f"the limits of {described.name} are unknown; give its file as --actuator"
     return Session(controller, address, driven, skin or driven, None if known_model(described) else unknown)
 

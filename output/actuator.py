@@ -23,6 +23,8 @@ FOLLOWED_DB = 1.0
 OCTAVES_HZ = (31.5, 63.0, 125.0, 250.0, 500.0)
 """The middles of the octaves that touch feels best (IEC 61260-1)."""
 
+MAX_DIFFERENCE = 0.25
+"""Of an actuator's frequency and stroke from its data sheet; more is another actuator, or a broken one."""
 MIN_FULL_SCALE_VOLTS, MAX_FULL_SCALE_VOLTS = 0.001, 1000.0
 """From a headphone jack at a low volume to a piezo amplifier."""
 
@@ -242,6 +244,22 @@ def analog_response(frequencies_hz: Samples, corner_hz: float, quality: float | 
     """Return the response from drive to displacement, in parts of full scale, as of `Actuator.response`."""
     s = 1j * frequencies_hz / corner_hz
     return np.asarray(1 / (1 + s) if quality is None else (1 / quality) / (1 + s / quality + s * s), np.complex128)
+
+
+def actuator_differences(expected: Actuator, found: Actuator) -> list[str]:
+    """Return how two actuators differ by more than MAX_DIFFERENCE, in words: order, frequency, stroke per volt."""
+    if (expected.quality is None) != (found.quality is None):
+        kinds = ["a low-pass" if each.quality is None else "a resonance" for each in (found, expected)]
+        return [f"{kinds[0]} instead of {kinds[1]}"]
+    figures = {
+        "Hz": (found.corner_hz, expected.corner_hz),
+        "um/V": (found.stroke_um / found.volts, expected.stroke_um / expected.volts),
+    }
+    return [
+        f"{found_value:.4g} instead of {expected_value:.4g} {unit}"
+        for unit, (found_value, expected_value) in figures.items()
+        if abs(found_value / expected_value - 1) > MAX_DIFFERENCE
+    ]
 
 
 def followed_gain(frequency_hz: Samples, driven: Actuator, skin: Actuator | None = None) -> Samples:

@@ -20,12 +20,11 @@ from vibrocast.host.bench_file import (
     BenchActuator,
     BenchController,
     TextureTable,
-    actuator_differences,
     one_named,
     read_actuators,
 )
 from vibrocast.host.figures import FIGURES, Figure
-from vibrocast.output.actuator import PIEZO_STACK, Actuator
+from vibrocast.output.actuator import PIEZO_STACK, Actuator, actuator_differences
 from vibrocast.output.actuator_files import ActuatorTable
 from vibrocast.textures import Profile, Recording, TextureError
 from vibrocast.textures.dataset import entries
