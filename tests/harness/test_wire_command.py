@@ -13,7 +13,7 @@ import pytest
 
 from tests.command import OAK, fails, run, started, succeeds
 from vibrocast.device_protocol.trace import read_trace
-from vibrocast.errors import LIMIT_MISSED
+from vibrocast.errors import HOST_BUSY, LIMIT_MISSED
 from vibrocast.simulated_device.serial_port import has_pseudo_terminals
 
 needs_terminals = pytest.mark.skipif(not has_pseudo_terminals(), reason="the port is a pseudo-terminal")
@@ -41,7 +41,7 @@ def test_what_passes_is_shown_with_state_credit_buffer_and_counters(tmp_path: Pa
         played = run("play", OAK, "--device", address)
         process.send_signal(signal.SIGINT)
         shown, errors = process.communicate(timeout=30)
-    assert played.exit_code in (0, LIMIT_MISSED), played.output  # a busy computer may lose packets
+    assert played.exit_code in (0, LIMIT_MISSED, HOST_BUSY), played.output  # a busy computer may lose packets
     assert errors.strip() == "error: interrupted"
     assert re.search(r"^ +0\.000000  host -> controller +#\d+ +Hello +major 2, minor 2$", shown, re.MULTILINE)
     assert re.search(
@@ -57,7 +57,10 @@ def test_a_proxy_damages_frames_and_pulls_the_cable(tmp_path: Path) -> None:
     schedule.write_text("[[faults]]\nflipped = 0.1\ndirection = 'to_controller'\n")
     with serving("proxy", "sim", "--faults", str(schedule)) as (address, _):
         damaged = run("live", "rough", "--seconds", "2", "--device", address)
-    assert damaged.exit_code in (4, 6)  # 6: other programs ran meanwhile, so that the limit proves nothing
+    assert damaged.exit_code in (
+        LIMIT_MISSED,
+        HOST_BUSY,
+    )  # other programs ran meanwhile, so that the limit proves nothing
     assert re.search(r"damaged frames [1-9]\d* there, 0 back", damaged.output)
     schedule.write_text("[[faults]]\nat_s = 0.2\nfor_s = 60\ncut = true\n")
     with serving("proxy", "sim", "--faults", str(schedule)) as (address, _):
@@ -94,7 +97,11 @@ def test_a_trace_is_decoded_as_the_controller_did(tmp_path: Path) -> None:
     assert np.array_equal(np.load(heard), np.load(tmp_path / "oak.npy"))
     live = tmp_path / "live.pcapng"
     # A busy computer misses limits of a live stream; its trace is whole all the same.
-    assert run("--trace", live, "live", "rough", "--seconds", "0.5", "--playout-delay-ms", "300").exit_code in (0, 4)
+    assert run("--trace", live, "live", "rough", "--seconds", "0.5", "--playout-delay-ms", "300").exit_code in (
+        0,
+        LIMIT_MISSED,
+        HOST_BUSY,
+    )
     assert "0.5" in run("replay", live, "--decode", tmp_path / "live.wav").output
     succeeds("--trace", live, "status")
     assert "no stream was set up in it" in fails(2, "replay", live, "--decode", heard)
