@@ -90,12 +90,13 @@ def _measure(bench: Bench, names: Collection[str], results: Results) -> None:
                 continue
             with progress.bar(name) as update:
                 controller.watch_time()
+                failure: Exception | None = None
                 try:
                     setattr(results.measured, name, measurement(subject, update))
                 except (ConnectionLost, TransportError):
                     raise
                 except (AlignmentError, CodecError, ControllerError, MessageError, SensorError, StreamError) as error:
-                    results.failed[name] = str(error)
+                    failure, results.failed[name] = error, str(error)
                     if isinstance(error, FlawedError) and error.doubt:
                         results.doubts[name] = error.doubt
                     controller.stop()
@@ -104,7 +105,8 @@ def _measure(bench: Bench, names: Collection[str], results: Results) -> None:
                         controller.stop()
                     raise
                 finally:
-                    if doubt := controller.doubt():
+                    # No busy machine makes a sensor's program fail.
+                    if (doubt := controller.doubt()) and not isinstance(failure, SensorError):
                         results.doubts[name] = doubt
     if "together" in _possible(bench, names):
         with progress.bar("together"):

@@ -312,7 +312,7 @@ def test_the_example_of_the_page_passes_on_a_healthy_board(device: str, pytester
     result = users_run(pytester, test, bench, "--vibrocast-device", device, "-rs")
     outcomes = result.parseoutcomes()
     undecided = len([line for line in result.outlines if "SKIPPED" in line and "undecided" in line])
-    assert outcomes.get("passed", 0) + undecided == 4, outcomes
+    assert outcomes.get("passed", 0) + undecided == 6, outcomes
 
 
 @pytest.mark.slow
