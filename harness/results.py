@@ -116,6 +116,7 @@ _ALWAYS_KNOWN = ("smallest_latency_ms",)
 """Figures that every working device has; others need a sensor, a capture or an unequal copy."""
 _COUNTED = ("as_decoded", "as_computed", "underruns", "lost_percent", *WIRE_FIGURES)
 _AT_SKIN = {"snr_db", "playing_snr_db", "st_sim", "gain", "lag_ms", "corner_hz", "stroke_um", "quality"}
+_ON_THE_WAY = {"latency_ms", "jitter_ms", "underruns", "lost_percent"}
 _WHAT_A_DEVICE_IS = ("hardware", "serial_number", "actuator")
 
 
@@ -199,7 +200,12 @@ def likely_cause(run: Results, bench: Bench, changes: Iterable[Change] = ()) -> 
         return "wire"
     if is_late and (run.doubts or any(each.doubt for each in values)):
         return "host"
-    if "drift_ppm" in wrong or (is_late and at_skin):  # it plays the right codes at wrong times
+    if "drift_ppm" in wrong:
+        return "device"
+    # What is late or lost on the way is also late or wrong at the skin. A device that hangs looks like a wire.
+    if wrong & _ON_THE_WAY or "latency" in run.failed:
+        return "wire"
+    if is_late and at_skin:  # it plays the right codes at wrong times
         return "device"
     if at_skin:
         return "actuator or sensor"

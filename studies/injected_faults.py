@@ -204,6 +204,7 @@ def rendered(noticed: Sequence[Noticed], clean: Sequence[Clean]) -> str:
         "injected_faults",
         globals(),
         faults=by_fault,
+        fewest=min(map(len, by_fault.values())),
         named=[runs for runs in by_fault.values() if sum(run.is_named for run in runs) >= 0.9 * len(runs)],
         clean=by_device,
         missed=[each for each in noticed if each.alarm == NO_ALARM],
