@@ -203,6 +203,7 @@ def rendered(noticed: Sequence[Noticed], clean: Sequence[Clean]) -> str:
     return page.render(
         "injected_faults",
         globals(),
+        counts=counts,
         faults=by_fault,
         fewest=min(map(len, by_fault.values())),
         named=[runs for runs in by_fault.values() if sum(run.is_named for run in runs) >= 0.9 * len(runs)],
