@@ -116,7 +116,7 @@ _ALWAYS_KNOWN = ("smallest_latency_ms",)
 """Figures that every working device has; others need a sensor, a capture or an unequal copy."""
 _COUNTED = ("as_decoded", "as_computed", "underruns", "lost_percent", *WIRE_FIGURES)
 _AT_SKIN = {"snr_db", "playing_snr_db", "st_sim", "gain", "lag_ms", "corner_hz", "stroke_um", "quality"}
-_ON_THE_WAY = {"latency_ms", "jitter_ms", "underruns", "lost_percent"}
+_ON_THE_WAY = {"latency", "latency_ms", "jitter_ms", "underruns", "lost_percent"}
 _WHAT_A_DEVICE_IS = ("hardware", "serial_number", "actuator")
 
 
@@ -188,9 +188,12 @@ def likely_cause(run: Results, bench: Bench, changes: Iterable[Change] = ()) -> 
     Actuator and sensor cannot be told apart. Empty where nothing says so. `changes`: against an earlier run.
     """
     values = list(run.figures())
-    worse = {each.key for each in changes if each.problem and each.now is not None}  # not measured: see `run.failed`
-    wrong = worse | {each.key for each in values if bench.missed([each])}
-    is_late = any(FIGURES[key].is_timed for key in wrong if key in FIGURES) or "latency" in run.failed
+    doubts: dict[str, str] = {each.key: each.doubt for each in values if bench.missed([each])}
+    doubts |= {each.key: each.doubt for each in changes if each.problem and each.now is not None}
+    wrong = doubts.keys()
+    late = {key: doubt for key, doubt in doubts.items() if key in FIGURES and FIGURES[key].is_timed}
+    if "latency" in run.failed:
+        late["latency"] = run.doubts.get("latency", "")
     at_skin = bool(wrong & _AT_SKIN) or bool({"fidelity", "response"} & run.failed.keys())
     if wrong & set(_WHAT_A_DEVICE_IS) or any(each.value is False for each in values):
         return "device"
@@ -198,18 +201,18 @@ def likely_cause(run: Results, bench: Bench, changes: Iterable[Change] = ()) -> 
         return "device"
     if any(each.value for each in values if each.place == LINK):
         return "wire"
-    if is_late and (run.doubts or any(each.doubt for each in values)):
-        return "host"
-    if "drift_ppm" in wrong:
+    if late.get("drift_ppm") == "":
         return "device"
+    if any(late.values()):
+        return "host"
     # What is late or lost on the way is also late or wrong at the skin. A device that hangs looks like a wire.
-    if wrong & _ON_THE_WAY or "latency" in run.failed:
+    if late.keys() & _ON_THE_WAY:
         return "wire"
-    if is_late and at_skin:  # it plays the right codes at wrong times
+    if late and at_skin:  # it plays the right codes at wrong times
         return "device"
     if at_skin:
         return "actuator or sensor"
-    return "wire" if is_late else ""
+    return "wire" if late else ""
 
 
 def warnings(run: Results) -> Iterator[str]:

@@ -91,6 +91,27 @@ def test_each_figure_that_is_worse_or_missing_is_named(
     assert problems(RUN, changed(*path, value=value)) == worse
 
 
+@pytest.mark.parametrize(
+    ("path", "value", "cause"),
+    [
+        ((*REPORT, "dac_equals_offline"), False, "device"),
+        (("device", "serial_number"), "2", "device"),
+        (("link", "device_restarts"), 1, "device"),
+        (("link", "bad_frames_at_controller"), 3, "wire"),
+        ((*LATENCY, "report", "timing", "end_to_end_ms"), 99.0, "wire"),
+        (("measured", "throughput", "to_host_bytes_per_s"), 5e4, "host"),
+        ((*LATENCY, "report", "lost_packets"), 5, "wire"),
+        ((*REPORT, "quality", "skin", "gain"), 1.2, "actuator or sensor"),
+        (("device", "serial_number"), RUN.device["serial_number"], ""),
+    ],
+)
+def test_the_cause_is_that_of_the_figures_that_are_worse(path: tuple[Any, ...], value: object, cause: str) -> None:
+    """In all runs, this machine was busy while it measured the throughput."""
+    now = changed(*path, value=value)
+    now.doubts["throughput"] = "other programs ran"
+    assert results.likely_cause(now, NO_LIMITS, results.compare(RUN, now)) == cause
+
+
 def test_an_exact_copy_is_not_worse_than_one_that_losses_kept_from_being_compared() -> None:
     assert problems(changed(*REPORT, "dac_equals_offline", value=None), RUN) == {}
 
