@@ -97,20 +97,24 @@ def _measure(bench: Bench, names: Collection[str], results: Results) -> None:
                     raise
                 except (AlignmentError, CodecError, ControllerError, MessageError, SensorError, StreamError) as error:
                     failure, results.failed[name] = error, str(error)
-                    if isinstance(error, FlawedError) and error.doubt:
-                        results.doubts[name] = error.doubt
                     controller.stop()
                 except KeyboardInterrupt:
                     with contextlib.suppress(ControllerError, TransportError):
                         controller.stop()
                     raise
                 finally:
-                    # No busy machine makes a sensor's program fail.
-                    if (doubt := controller.doubt()) and not isinstance(failure, SensorError):
+                    if doubt := _doubt(controller, failure):
                         results.doubts[name] = doubt
     if "together" in _possible(bench, names):
         with progress.bar("together"):
             results.measured.together = measurements.together(bench)
+
+
+def _doubt(controller: Controller, failure: Exception | None) -> str:
+    """Return why this machine may have spoilt a measurement, as `Controller.doubt`; `failure`: how it ended, if so."""
+    if isinstance(failure, SensorError):  # no busy machine makes a sensor's program fail
+        return ""
+    return (failure.doubt if isinstance(failure, FlawedError) else "") or controller.doubt()
 
 
 @contextlib.contextmanager

@@ -53,7 +53,7 @@ CLEAN_RUNS = 4
 """Of each controller, on a machine that does nothing else, and as many under load."""
 LOAD = 20
 """Programs that compute all the time, beside the runs under load."""
-TOGETHER = 3
+TOGETHER = 2
 """Runs of faults at a time: each waits most of its time for the actuator."""
 SENSED = ("actuator", "sensor")
 TRUE_CAUSE = dict.fromkeys(SENSED, "actuator or sensor")
@@ -61,9 +61,8 @@ TRUE_CAUSE = dict.fromkeys(SENSED, "actuator or sensor")
 # An error that ends the run names the cause in these words.
 _ENDED_BY = {
     "broke off": "wire",
-    "slower than what is sent": "wire",
     "has restarted": "device",
-    "answers no more": "device",
+    "answers no more": "wire or device",
     "it drives": "device",
 }
 # The machine may do something else while it measures the sound bench, with which all faults are compared.

@@ -71,15 +71,12 @@ def test_nobody_at_the_other_end_is_known_after_the_time_that_a_board_takes_to_s
     assert 5.0 <= scripted.now_s < 6.5
 
 
-@pytest.mark.parametrize(("answers_after_s", "problem"), [(0.0, "check its power"), (0.7, "wire is slower than")])
-def test_a_controller_that_answers_no_more_hangs_or_is_behind_a_slow_wire(answers_after_s: float, problem: str) -> None:
+def test_a_controller_that_answers_no_more_hangs_or_is_behind_a_slow_wire() -> None:
     scripted = ScriptedController()
     controller = scripted.connect()
-    answers_s = scripted.now_s + answers_after_s
-    scripted.swallow = lambda message: scripted.now_s < answers_s
     controller.request_status()
     scripted.swallow = lambda message: True
-    with pytest.raises(ConnectionLost, match=f"answers no more.*{problem}"):
+    with pytest.raises(ConnectionLost, match=r"answers no more; check its power, its cable, and .* bit rate"):
         controller.request_status()
 
 
